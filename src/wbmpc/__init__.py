@@ -1,0 +1,46 @@
+"""Whole-body model predictive control for mobile manipulators."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_PLACES = {
+    "load_robot": "wbmpc.model",
+    "RobotModel": "wbmpc.model",
+    "Layout": "wbmpc.model",
+    "Constraint": "wbmpc.ocp",
+    "Cost": "wbmpc.ocp",
+    "Mode": "wbmpc.ocp",
+    "ModeSchedule": "wbmpc.ocp",
+    "OptimalControlProblem": "wbmpc.ocp",
+    "Reference": "wbmpc.ocp",
+    "RelaxedBarrier": "wbmpc.ocp",
+    "SmoothL1": "wbmpc.ocp",
+    "residuals": "wbmpc.ocp",
+    "sets": "wbmpc.ocp",
+    "SQP": "wbmpc.solver",
+    "SQPSolver": "wbmpc.solver",
+    "Solution": "wbmpc.solver",
+    "Status": "wbmpc.solver",
+    "MPC": "wbmpc.mpc",
+    "Observation": "wbmpc.mpc",
+    "Policy": "wbmpc.mpc",
+    "InputError": "wbmpc.errors",
+    "WbmpcError": "wbmpc.errors",
+}
+__all__ = ["__version__", *_PLACES]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used, so that importing the package costs nothing."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'wbmpc' has no attribute '{name}'")
+    module = import_module(_PLACES[name])
+    return module if _PLACES[name].endswith(f".{name}") else getattr(module, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,37 @@
+"""Every exception of the library; the messages name what was given and the valid choices."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class WbmpcError(Exception):
+    """Base class of all errors raised on purpose by this library."""
+
+
+class InputError(WbmpcError, ValueError):
+    """Bad input of the user: one clear sentence (file, key, valid choices). The command line exits with 2."""
+
+
+class RunAborted(WbmpcError):
+    """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
+
+
+class KernelError(WbmpcError):
+    """Generated code could not be built or loaded."""
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """A hint ``(did you mean 'x'?)`` with a leading blank, or an empty string."""
+    near = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.6)
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def unknown_name(kind: str, name: str, choices: Iterable[str], where: str = "") -> InputError:
+    """An :class:`InputError` for a name that is not among ``choices``."""
+    known = list(choices)
+    place = f"{where}: " if where else ""
+    return InputError(
+        f"{place}unknown {kind} '{name}'{did_you_mean(name, known)}; valid: {', '.join(known) if known else 'none'}"
+    )

@@ -1,0 +1,271 @@
+"""From a transcription to a :class:`Kernel`: machine code of the stage functions and of one Riccati step."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import llvmlite
+import llvmlite.binding as llvm
+import numpy as np
+
+from wbmpc.errors import KernelError
+from wbmpc.kernel import cache, dense
+from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
+from wbmpc.ocp import Transcription
+
+#: ε of the equality rows, relative to the diagonal of their Schur complement.
+RELATIVE_COMPLIANCE = 1e-9
+
+_FUNCTIONS = (
+    "dynamics",
+    "cost",
+    "equality",
+    "terminal",
+    "dynamics_jacobian",
+    "cost_quadratic",
+    "equality_jacobian",
+    "terminal_quadratic",
+)
+#: Order of the addresses in :attr:`Kernel.addresses`.
+ADDRESSES = (*_FUNCTIONS, "riccati_node", "chain")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)]."""
+
+    nx: int
+    nu: int
+    ng: int
+
+    @property
+    def first(self) -> int:
+        """Place of the first input in the extended node vector."""
+        return self.nx + 1
+
+    @property
+    def nz(self) -> int:
+        return self.nx + 1 + self.nu
+
+    @property
+    def lx(self) -> int:
+        return dense.pad(self.nx + 1)
+
+    @property
+    def lz(self) -> int:
+        return dense.pad(self.nz)
+
+    @property
+    def lg(self) -> int:
+        return dense.pad(max(self.ng, 1))
+
+    def scratch(self) -> dict[str, int]:
+        """Offsets [doubles] of the parts of the Riccati step's scratch memory, and its total size."""
+        sizes = {
+            "W": (self.nx + 1) * self.lz,
+            "M": self.nz * self.lz,
+            "D": dense.pad(self.nu),
+            "T": self.nu * self.lx,
+            "R": self.nu * self.lg,
+            "Z": self.ng * self.lx,
+            "S": self.ng * self.lg,
+            "I": self.lg,
+        }
+        offsets, total = {}, 0
+        for name, size in sizes.items():
+            offsets[name] = total
+            total += dense.pad(size)
+        return {**offsets, "total": total}
+
+    def equality_buffer(self) -> int:
+        """Doubles of a node's equality rows [C e D] and of Dᵀ behind them."""
+        return self.ng * self.lz + self.nu * self.lg
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Machine code of one problem. ``addresses`` are function pointers in the order of :data:`ADDRESSES`."""
+
+    sizes: Sizes
+    addresses: np.ndarray
+    from_cache: bool
+    _engine: Any = field(repr=False, default=None)
+
+    def address(self, name: str) -> int:
+        """The function pointer of that name."""
+        return int(self.addresses[ADDRESSES.index(name)])
+
+
+def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, OutputMap]:
+    """Where each function's non-zeros go in the solver's matrices."""
+    nx, lx, lz, lg = sizes.nx, sizes.lx, sizes.lz, sizes.lg
+    place = lambda c: c if c < nx else c + 1  # noqa: E731  the constant 1 sits between x and u
+
+    def entries(name: str, output: int) -> list[tuple[int, int]]:
+        rows, columns = functions[name].sparsity_out(output).get_triplet()
+        return list(zip(rows, columns, strict=True))
+
+    def symmetric(r: int, c: int, ld: int) -> list[int]:
+        out = [place(c) * ld + place(r)]
+        return out + [place(r) * ld + place(c)] if c < nx and r != c else out
+
+    def gradient(i: int, ld: int) -> list[int]:
+        out = [place(i) * ld + nx]
+        return [*out, nx * ld + i] if i < nx else out
+
+    maps: dict[str, OutputMap] = {n: identity_map(f) for n, f in functions.items()}
+    maps["dynamics_jacobian"] = [
+        maps["dynamics_jacobian"][0],
+        [[r * lz + place(c)] for r, c in entries("dynamics_jacobian", 1)],
+    ]
+    for name, ld in (("cost_quadratic", lz), ("terminal_quadratic", lx)):
+        maps[name] = [
+            [[0]],
+            [gradient(i, ld) for i, _ in entries(name, 1)],
+            [symmetric(r, c, ld) for r, c in entries(name, 2)],
+        ]
+    behind = sizes.ng * lz
+    maps["equality_jacobian"] = [
+        [[q * lz + nx] for q, _ in entries("equality_jacobian", 0)],
+        [
+            [q * lz + place(c)] + ([behind + (c - nx) * lg + q] if c >= nx else [])
+            for q, c in entries("equality_jacobian", 1)
+        ],
+    ]
+    return maps
+
+
+def emit_riccati_node(s: Sizes) -> str:
+    """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch)."""
+    nx1, nu, ng, lx, lz, lg, first = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first
+    xb, zb, gb = lx // 8, lz // 8, lg // 8
+    product = dense.matrix_product
+    parts = [
+        product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
+        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
+        product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
+        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True),
+        dense.reverse_cholesky("k_chol", nu, first, lz),
+        dense.gains("k_gains", nu, first, lz, lx if ng else lz, xb, lx),
+    ]
+    if ng:
+        parts += [
+            dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),
+            product("k_ch", xb, ng, nu, lz, 1, lg, lx, lz, True),
+            product("k_s", gb, ng, nu, lg, 1, lg, lg, None, False),
+            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_COMPLIANCE),
+            product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
+            dense.schur_back("k_back", ng, lg, lx),
+            product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
+        ]
+    o = s.scratch()
+    body = dense.Body("riccati_node", "AB H E EPS P K X")
+    body.lines = [body.lines[0].replace("noalias ", "")]
+    at = lambda base, offset: body.address(base, offset)  # noqa: E731
+
+    def call(name: str, *pointers: str) -> None:
+        body.lines.append(f"call void @{name}({', '.join(f'ptr {p}' for p in pointers)})")
+
+    w, m, d = at("X", o["W"]), at("X", o["M"]), at("X", o["D"])
+    mu, hu, wu = at("X", o["M"] + lz * nx1), at("H", lz * nx1), at("X", o["W"] + nx1)
+    call("k_w", "%AB", "%P", w, w)
+    call("k_mx", "%AB", w, m, "%H")
+    call("k_mu", "%AB", wu, mu, hu)
+    call("k_chol", mu, d)
+    call("k_p", mu, mu, "%P", m)
+    if ng:
+        t, r, z = at("X", o["T"]), at("X", o["R"]), at("X", o["Z"])
+        sc, inverse, dt = at("X", o["S"]), at("X", o["I"]), at("E", ng * lz)
+        call("k_r", mu, d, dt, r)
+        call("k_ch", mu, r, z, "%E")
+        call("k_s", r, r, sc, sc)
+        call("k_factor", sc, z, "%EPS", inverse)
+        call("k_pz", z, z, "%P", "%P")
+        call("k_back", sc, inverse, z)
+        call("k_t", z, r, t, mu)
+        call("k_gains", mu, d, t, "%K")
+    else:
+        call("k_gains", mu, d, mu, "%K")
+    return "\n".join([*parts, body.text()])
+
+
+def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
+    pattern: list[list[int]] = [[] for _ in range(nx)]
+    for r, c in zip(*jacobian.get_triplet(), strict=True):
+        if c < nx:
+            pattern[r].append(c)
+    return pattern
+
+
+def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
+    """The whole LLVM module of a problem."""
+    functions = {**transcription.values, **transcription.derivatives}
+    sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0])
+    maps = output_maps(functions, sizes)
+    parts = [DECLARATIONS, dense.FMA]
+    parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _FUNCTIONS]
+    pattern = _pattern(functions["dynamics_jacobian"].sparsity_out(1), sizes.nx)
+    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz)]
+    return "\n".join(parts), sizes
+
+
+def _target() -> tuple[str, str]:
+    """CPU name and features; 512-bit vectors are asked for where the target has them."""
+    features = llvm.get_host_cpu_features()
+    flags = features.flatten()
+    if features.get("avx512f"):
+        flags += ",-prefer-256-bit"
+    return llvm.get_host_cpu_name(), flags
+
+
+def _machine(cpu: str, flags: str, opt: int) -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
+
+
+def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
+    """Hash of the problem before differentiation, of the generator and of the target."""
+    digest = hashlib.sha256()
+    for name, function in transcription.values.items():
+        digest.update(name.encode())
+        digest.update(function.serialize().encode())
+    # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
+    terms = transcription.ocp.terms.values()
+    digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
+    digest.update(json.dumps([cpu, flags, llvmlite.__version__, ca.__version__, cache.source_fingerprint()]).encode())
+    return digest.hexdigest()
+
+
+def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
+    """Compile a problem, or load it from the cache.
+
+    Raises :class:`KernelError` when an operation cannot be compiled.
+    """
+    cpu, flags = _target()
+    machine = _machine(cpu, flags, opt=1)
+    key = problem_key(transcription, cpu, flags)
+    found = cache.load(key) if use_cache else None
+    if found is None:
+        ir, sizes = emit_problem(transcription)
+        try:
+            code = machine.emit_object(llvm.parse_assembly(ir))
+        except RuntimeError as error:
+            raise KernelError(f"the generated code was refused: {str(error)[:400]}") from error
+        if use_cache:
+            cache.save(key, code, {"nx": sizes.nx, "nu": sizes.nu, "ng": sizes.ng})
+    else:
+        code, description = found
+        sizes = Sizes(**description)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(cpu, flags, opt=1))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    names = [f"w_{n}" for n in _FUNCTIONS] + ["riccati_node", "chain"]
+    addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
+    if np.any(addresses == 0):
+        raise KernelError("the compiled code lacks a function")
+    return Kernel(sizes, addresses, found is not None, engine)

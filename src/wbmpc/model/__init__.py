@@ -1,0 +1,18 @@
+"""Robot models: layouts, bases, kinematics, dynamics."""
+
+from wbmpc.model.layout import Layout
+from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
+from wbmpc.model.swerve import SwerveGeometry, rolling_inverse_kinematics, wheel_velocities
+from wbmpc.model.symbolic import FramePose
+
+__all__ = [
+    "Dynamics",
+    "FramePose",
+    "Layout",
+    "Limits",
+    "RobotModel",
+    "SwerveGeometry",
+    "load_robot",
+    "rolling_inverse_kinematics",
+    "wheel_velocities",
+]

@@ -1,0 +1,122 @@
+"""Ball-balancing bases on the minimal coordinates: ball position, ZYX Euler angles of the base, arm.
+
+Sources: Minniti et al., RA-L 2019 (arXiv 1902.10415), equation 1; Fankhauser and Gwerder, "Modeling and Control of a
+Ballbot" (2010). Rolling adds the ball's spin energy: I_b / r² on x and y. With wheel axes a_i in the base and the base's
+rotation R the wheels turn at ψ̇ = −(r / r_w) aᵀ Rᵀ (Ω − ω), Ω = (−ẏ / r, ẋ / r, 0): forces are the transpose of that map.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.model.symbolic import Chain, solve_spd
+from wbmpc.model.tree import Frame, Link, Tree
+from wbmpc.robots import BallBaseDescription, RobotDescription
+
+_EULER = (("yaw", (0, 0, 1)), ("pitch", (0, 1, 0)), ("roll", (1, 0, 0)))
+
+
+class BallBase:
+    """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) the force on the hand."""
+
+    def __init__(self, description: RobotDescription, tree: Tree, ball: Link) -> None:
+        assert isinstance(description.base, BallBaseDescription)
+        self.base, self.ball = description.base, ball
+        self.radius = self.base.ball_radius
+        self.spin_mass = float(ball.inertia[0, 0]) / self.radius**2
+        links, shift = self._virtual(tree.links[0], ball)
+        for link in tree.links[1:]:
+            links.append(Link(**{**link.__dict__, "parent": link.parent + shift}))
+        frames = {n: Frame(f.link + shift, f.position, f.rotation) for n, f in tree.frames.items()}
+        self.tree = Tree(tuple(links), frames)
+        self.tool = frames[description.arm.tool]
+        arm = list(description.arm.joints)
+        self._moving = [*range(5), *(self.tree.joint(n) for n in arm)]
+        pose = ["x", "y", "yaw", "pitch", "roll"]
+        self.nq = 5 + len(arm)
+        self.state = {"base": pose, "arm": arm, "base_velocity": pose, "arm_velocity": arm}
+        wheels = [f"wheel_{i}" for i in range(len(self.base.wheels.azimuths))]
+        self.contact = self.base.contact == "force"
+        force = {"force": ["x", "y", "z"]}
+        self.input = {"wheel": wheels, "arm": arm, **(force if self.contact else {})}
+        self.mode: dict[str, list[str]] = {}
+        self.parameters = {"disturbance": [*pose, *arm], **({} if self.contact else force)}
+        self.unit_quaternions: tuple[int, ...] = ()
+
+    def _virtual(self, root: Link, ball: Link) -> tuple[list[Link], int]:
+        """x, y (carrying the ball), yaw, pitch, roll (carrying the base body)."""
+        zero, none, eye = np.zeros(3), np.zeros((3, 3)), np.eye(3)
+        links = [
+            Link("virtual.x", -1, "x", "prismatic", np.array([1.0, 0, 0]), zero, eye, 0.0, zero, none),
+            Link("virtual.y", 0, "y", "prismatic", np.array([0, 1.0, 0]), zero, eye, ball.mass, zero, none),
+        ]
+        for k, (name, axis) in enumerate(_EULER):
+            last = k == 2
+            body = (root.mass, root.com, root.inertia) if last else (0.0, zero, none)
+            links.append(Link(f"virtual.{name}", 1 + k, name, "revolute", np.array(axis, float), zero, eye, *body))
+        return links, 4
+
+    # ------------------------------------------------------------------ kinematics
+    def chain(self, x: ca.SX) -> Chain:
+        """The tree at a state (or at q alone)."""
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._moving)})
+
+    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+        """Joint rates by link; the root does not move by itself."""
+        return {link: x[self.nq + k] for k, link in enumerate(self._moving)}, ca.SX(3, 1), ca.SX(3, 1)
+
+    def wheel_axes(self) -> NDArray[np.float64]:
+        """Axes a_i (3, wheels) in the base frame."""
+        z = self.base.wheels.zenith
+        return np.array([[np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)] for b in self.base.wheels.azimuths]).T
+
+    def wheel_speeds(self, q: ca.SX, v: ca.SX) -> ca.SX:
+        """Speeds (wheels) [rad/s] of the omni wheels relative to the base for rates v."""
+        chain = self.chain(q)
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        base = Frame(4, np.zeros(3), np.eye(3))
+        _, omega = chain.frame_velocity(base, rates, ca.SX(3, 1), ca.SX(3, 1))
+        spin = ca.vertcat(-v[1] / self.radius, v[0] / self.radius, ca.SX(1, 1))
+        rotation = chain.link_pose(4).rotation
+        ratio = self.radius / self.base.wheels.radius
+        return -ratio * ca.DM(self.wheel_axes().T) @ (rotation.T @ (spin - omega))
+
+    # ------------------------------------------------------------------ dynamics
+    def mass_matrix(self, q: ca.SX) -> ca.SX:
+        """M(q), (nq, nq), with the ball's spin."""
+        return self.chain(q).mass_matrix() + ca.diag(ca.vertcat(self.spin_mass, self.spin_mass, ca.SX(self.nq - 2, 1)))
+
+    def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
+        """M a + h: generalised forces (nq) for accelerations a."""
+        by_link = lambda vector: {link: vector[k] for k, link in enumerate(self._moving)}  # noqa: E731
+        spin = self.spin_mass * ca.vertcat(a[0], a[1], ca.SX(self.nq - 2, 1))
+        return self.chain(q).inverse_dynamics(by_link(v), by_link(a)) + spin
+
+    def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
+        """S(q)ᵀ τ + Jᵀ F + disturbance, by virtual power."""
+        v = ca.SX.sym("v", self.nq)
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        hand, _ = self.chain(q).frame_velocity(self.tool, rates, ca.SX(3, 1), ca.SX(3, 1))
+        n = len(self.base.wheels.azimuths)
+        arm = self.nq - 5
+        force = u[n + arm : n + arm + 3] if self.contact else w[self.nq : self.nq + 3]
+        power = ca.dot(u[0:n], self.wheel_speeds(q, v)) + ca.dot(u[n : n + arm], v[5:]) + ca.dot(force, hand)
+        return ca.jacobian(power, v).T + w[0 : self.nq]
+
+    def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ = (v, M⁻¹ (forces − h))."""
+        q, v = x[: self.nq], x[self.nq :]
+        right = self.generalised_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1))
+        return ca.vertcat(v, solve_spd(self.mass_matrix(q), right))
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """f and its Jacobian: the derivative of the Newton-Euler residual, solved with one factor of M."""
+        q, v = x[: self.nq], x[self.nq :]
+        f = self.derivative(x, u, w, m)
+        a = ca.SX.sym("a", self.nq)
+        residual = self.inverse_dynamics(q, v, a) - self.generalised_force(q, u, w)
+        slope = ca.substitute(ca.jacobian(residual, ca.vertcat(x, u)), a, f[self.nq :])
+        kinematic = ca.horzcat(ca.SX(self.nq, self.nq), ca.SX.eye(self.nq), ca.SX(self.nq, u.shape[0]))
+        return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q), slope))

@@ -1,0 +1,63 @@
+"""Names of the entries of a vector, in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError, unknown_name
+
+
+class Layout:
+    """An ordered set of named groups of named scalars: ``layout["arm"]`` is a slice."""
+
+    def __init__(self, groups: Mapping[str, Sequence[str]]) -> None:
+        self.groups = {group: tuple(names) for group, names in groups.items()}
+        self._slices: dict[str, slice] = {}
+        start = 0
+        for group, names in self.groups.items():
+            self._slices[group] = slice(start, start + len(names))
+            start += len(names)
+        self.size = start
+        self.names = tuple(f"{group}.{name}" for group, names in self.groups.items() for name in names)
+
+    def __getitem__(self, group: str) -> slice:
+        if group not in self._slices:
+            raise unknown_name("group", group, self.groups)
+        return self._slices[group]
+
+    def __contains__(self, group: str) -> bool:
+        return group in self.groups
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and self.groups == other.groups
+
+    def __hash__(self) -> int:
+        return hash(self.names)
+
+    def __repr__(self) -> str:
+        return f"Layout({self.groups})"
+
+    def index(self, name: str) -> int:
+        """Place of the scalar ``group.name``."""
+        if name not in self.names:
+            raise unknown_name("entry", name, self.names)
+        return self.names.index(name)
+
+    def vector(self, values: Mapping[str, ArrayLike], default: float = 0.0) -> NDArray[np.float64]:
+        """A vector (size,) from values by group."""
+        out = np.full(self.size, default)
+        for group, value in values.items():
+            part = self[group]
+            given = np.asarray(value, float)
+            if given.ndim and given.shape != (part.stop - part.start,):
+                raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {given.size}")
+            out[part] = given
+        return out
+
+    def split(self, vector: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """The parts of a vector (size,) by group."""
+        vector = np.asarray(vector, float)
+        return {group: vector[part] for group, part in self._slices.items()}

@@ -1,0 +1,213 @@
+"""The robot model: layouts, home, limits, kinematics and dynamics of one described robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.ball import BallBase
+from wbmpc.model.fixed import FixedBase
+from wbmpc.model.layout import Layout
+from wbmpc.model.swerve import SwerveBase
+from wbmpc.model.symbolic import FramePose
+from wbmpc.model.tree import Link, read_tree
+from wbmpc.robots import (
+    BallBaseDescription,
+    RobotDescription,
+    SwerveBaseDescription,
+    load_description,
+    load_spec,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of state (nx) and input (nu); infinite where there is none."""
+
+    state_lower: Array
+    state_upper: Array
+    input_lower: Array
+    input_upper: Array
+
+
+class Dynamics:
+    """ẋ = f(x, u; w, m): state, input, parameters that hold over the horizon, and mode values per node."""
+
+    def __init__(self, base: Any) -> None:
+        self._base = base
+        self.state, self.input = Layout(base.state), Layout(base.input)
+        self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
+        self.unit_quaternions: tuple[int, ...] = base.unit_quaternions
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ (nx)."""
+        return self._base.derivative(x, u, w, m)
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian (nx, nx + nu) by [x; u]."""
+        if hasattr(self._base, "jacobian"):
+            return self._base.jacobian(x, u, w, m)  # type: ignore[no-any-return]
+        f = self(x, u, w, m)
+        return f, ca.jacobian(f, ca.vertcat(x, u))
+
+
+class RobotModel:
+    """A described robot as symbolic functions on CasADi SX, with named layouts."""
+
+    def __init__(self, description: RobotDescription) -> None:
+        self.description = description
+        spec = load_spec(description)
+        self.base = self._make_base(spec)
+        self.tree = self.base.tree
+        self.state, self.input = Layout(self.base.state), Layout(self.base.input)
+        self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
+
+    def _make_base(self, spec: Any) -> Any:
+        d = self.description
+        if isinstance(d.base, BallBaseDescription):
+            ball = next(body for body in spec.bodies if body.name == d.base.ball)
+            tree = read_tree(spec, d.base.body, without=(d.base.ball,))
+            inertia = np.diag(np.asarray(ball.inertia, float))
+            zero = np.zeros(3)
+            link = Link(d.base.ball, -1, None, "fixed", zero, zero, np.eye(3), float(ball.mass), zero, inertia)
+            return BallBase(d, tree, link)
+        tree = read_tree(spec, d.base.body)
+        root = next(body for body in spec.bodies if body.name == d.base.body)
+        if isinstance(d.base, SwerveBaseDescription):
+            return SwerveBase(d, tree, float(root.pos[2]))
+        return FixedBase(d, tree, np.asarray(root.pos, float))
+
+    # ------------------------------------------------------------------ data
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames: bodies and sites."""
+        return tuple(self.tree.frames)
+
+    @property
+    def tool(self) -> str:
+        """Name of the hand's frame."""
+        return self.description.arm.tool
+
+    @cached_property
+    def home(self) -> Array:
+        """State (nx) with the joints of the description's home; a ball robot leans at its equilibrium."""
+        if isinstance(self.base, BallBase):
+            names = self.state.groups["arm"]
+            return self.equilibrium([self.description.home.get(n, 0.0) for n in names])[0]
+        values = {
+            group: [self.description.home.get(n, 0.0) for n in names]
+            for group, names in self.state.groups.items()
+            if group != "base"
+        }
+        x = self.state.vector(values)
+        if self.state.groups["base"][3:4] == ("qw",):
+            x[self.state["base"]] = [0, 0, self.base.height, 1, 0, 0, 0]
+        return x
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Ranges of the joints (state); speeds or torques (input)."""
+        d, limits = self.description, self.description.limits
+        lower, upper = np.full(self.state.size, -np.inf), np.full(self.state.size, np.inf)
+        size = np.full(self.input.size, np.inf)
+        ranges = {link.joint: link.range for link in self.tree.links if link.joint}
+        rate = limits.effort if isinstance(d.base, BallBaseDescription) else limits.velocity
+        for group in ("leg", "steer", "wheel", "arm"):
+            for name in self.state.groups.get(group, ()):
+                i = self.state.index(f"{group}.{name}")
+                lower[i], upper[i] = limits.position.get(name, ranges[name])
+            for name in self.input.groups.get(group, ()):
+                size[self.input.index(f"{group}.{name}")] = rate.get(name, np.inf)
+        if isinstance(d.base, BallBaseDescription):
+            size[self.input["wheel"]] = limits.wheel_effort
+            for name in self.state.groups["arm_velocity"]:
+                i = self.state.index(f"arm_velocity.{name}")
+                upper[i] = limits.velocity.get(name, np.inf)
+                lower[i] = -upper[i]
+        elif "base" in self.input:
+            size[self.input["base"]] = [limits.base_linear, limits.base_linear, limits.base_angular]
+        return Limits(lower, upper, -size, size)
+
+    def dynamics(self) -> Dynamics:
+        """The equations of motion as a value for an optimal control problem."""
+        return Dynamics(self.base)
+
+    # ------------------------------------------------------------------ symbolic
+    def _frame(self, name: str) -> Any:
+        if name not in self.tree.frames:
+            raise unknown_name("frame", name, self.tree.frames, where=self.description.name)
+        return self.tree.frames[name]
+
+    def frame_pose(self, x: ca.SX, frame: str) -> FramePose:
+        """Pose of a frame in the world. The world's origin is on the ground; for ball robots at the ball's centre height."""
+        return self.base.chain(x).frame_pose(self._frame(frame))  # type: ignore[no-any-return]
+
+    def frame_velocity(self, x: ca.SX, u: ca.SX, frame: str) -> tuple[ca.SX, ca.SX]:
+        """Linear [m/s] and angular [rad/s] velocity (3 each) of a frame, world axes."""
+        rates, linear, angular = self.base.motion(x, u)
+        return self.base.chain(x).frame_velocity(self._frame(frame), rates, linear, angular)  # type: ignore[no-any-return]
+
+    # ------------------------------------------------------------------ numeric
+    @cached_property
+    def _functions(self) -> dict[str, ca.Function]:
+        return {}
+
+    def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
+        """Position (3) and quaternion (4) of a frame (the tool when left out) at a numeric state (nx)."""
+        frame = frame or self.tool
+        if frame not in self._functions:
+            s = ca.SX.sym("x", self.state.size)
+            pose = self.frame_pose(s, frame)
+            self._functions[frame] = ca.Function("pose", [s], [pose.position, pose.quaternion])
+        p, q = self._functions[frame](np.asarray(x, float))
+        return np.array(p).ravel(), np.array(q).ravel()
+
+    def _ball(self) -> BallBase:
+        if not isinstance(self.base, BallBase):
+            raise InputError(f"{self.description.name}: this needs a ball base")
+        return self.base
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """M (nq, nq) of a ball robot."""
+        base = self._ball()
+        if "M" not in self._functions:
+            s = ca.SX.sym("q", base.nq)
+            self._functions["M"] = ca.Function("M", [s], [ca.densify(base.mass_matrix(s))])
+        return np.array(self._functions["M"](np.asarray(q, float)))
+
+    def equilibrium(self, arm: ArrayLike, yaw: float = 0.0, force: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
+        """State (nx) and torques (wheels + arm) at which a ball robot rests with a force (3) [N] of the world on its hand."""
+        from scipy.optimize import root
+
+        base = self._ball()
+        n = base.nq
+        if "rest" not in self._functions:
+            q, u, f = ca.SX.sym("q", n), ca.SX.sym("u", len(base.input["wheel"]) + n - 5), ca.SX.sym("f", 3)
+            given = ca.vertcat(u, f) if base.contact else u
+            w = ca.SX.zeros(n) if base.contact else ca.vertcat(ca.SX.zeros(n), f)
+            rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.generalised_force(q, given, w)
+            self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
+        rest_of, arm = self._functions["rest"], np.asarray(arm, float)
+        wheels = len(base.input["wheel"])
+        # With more than three wheels the torques are not unique: the least-norm ones come from starting at zero.
+        joint = lambda z: np.concatenate([[0, 0, yaw], z[:2], arm])  # noqa: E731
+        found = root(lambda z: np.array(rest_of(joint(z), z[2:], force)).ravel(), np.zeros(2 + wheels + n - 5), method="lm")
+        if not found.success or np.abs(found.fun).max() > 1e-8:
+            raise InputError(f"{self.description.name}: no equilibrium for the arm at {arm} with force {force}")
+        x = self.state.vector({})
+        x[:n] = joint(found.x)
+        return x, found.x[2:]
+
+
+def load_robot(name_or_path: str | Path, **base: Any) -> RobotModel:
+    """A built-in robot by name, or one's own YAML. ``base`` replaces keys of the base section (e.g. contact="force")."""
+    return RobotModel(load_description(name_or_path, **base))

@@ -1,0 +1,241 @@
+"""Rigid-body algorithms on CasADi SX for a chain of joints: kinematics, Newton-Euler, composite inertia.
+
+Structural zeros of constants are kept, so that the expressions stay small. Sources: Featherstone, "Rigid Body Dynamics
+Algorithms" (2008), chapters 5 and 6, in three-dimensional vectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.model.tree import Frame, Link
+
+SX = ca.SX
+
+
+def constant(value: np.ndarray) -> SX:
+    """A numeric array as a sparse SX; what is below 1e-14 becomes a structural zero."""
+    value = np.asarray(value, float)
+    return SX(ca.sparsify(ca.DM(np.where(np.abs(value) < 1e-14, 0.0, value))))
+
+
+def rotation_about(axis: np.ndarray, angle: SX) -> SX:
+    """Rotation matrix about a unit axis of numbers (Rodrigues); sparse for coordinate axes."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    for i in range(3):
+        if abs(abs(axis[i]) - 1.0) < 1e-14:
+            s = s if axis[i] > 0 else -s
+            r = SX(3, 3)
+            a, b = (i + 1) % 3, (i + 2) % 3
+            r[i, i], r[a, a], r[b, b], r[a, b], r[b, a] = 1, c, c, -s, s
+            return ca.sparsify(r)
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return SX(ca.DM.eye(3)) + s * constant(k) + (1 - c) * constant(k @ k)
+
+
+def cross(a: SX, b: SX) -> SX:
+    """Vector product that keeps structural zeros."""
+    return ca.cross(a, b)
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """Position (3) [m], quaternion (4) and rotation matrix (3, 3) of a frame in the world."""
+
+    position: SX
+    quaternion: SX
+    rotation: SX
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A link's joint transform: rotation and offset to the parent, and the joint's axis in the link's frame."""
+
+    rotation: SX
+    offset: SX
+    axis: SX
+
+
+class Chain:
+    """Links with their symbolic joint values (by link index); ``root``: pose of the root's outer frame in the world."""
+
+    def __init__(self, links: Sequence[Link], values: dict[int, SX], root: FramePose | None = None) -> None:
+        self.links = tuple(links)
+        self.root = root
+        self.moving = [i for i, link in enumerate(links) if i in values]
+        self.values = values
+        self.places = [self._place(i) for i in range(len(links))]
+        self._cache: dict[int, FramePose] = {}
+
+    def _place(self, i: int) -> Placement:
+        link = self.links[i]
+        fixed, offset, axis = constant(link.rotation), constant(link.position), constant(link.axis)
+        if i not in self.values or link.kind == "fixed":
+            return Placement(fixed, offset, axis)
+        if link.kind == "revolute":
+            return Placement(ca.sparsify(fixed @ rotation_about(link.axis, self.values[i])), offset, axis)
+        return Placement(fixed, offset + fixed @ axis * self.values[i], axis)
+
+    # ------------------------------------------------------------------ kinematics
+    def link_pose(self, i: int) -> FramePose:
+        """Pose of link i in the world."""
+        if i not in self._cache:
+            link, place = self.links[i], self.places[i]
+            turn = constant(lie.rotation_to_quaternion(link.rotation))
+            if i in self.values and link.kind == "revolute":
+                turn = lie.quaternion_multiply(turn, ca.sparsify(lie.quaternion_about(link.axis, self.values[i])))
+            up = self.root if link.parent < 0 else self.link_pose(link.parent)
+            if up is None:
+                self._cache[i] = FramePose(place.offset, turn, place.rotation)
+            else:
+                same = np.array_equal(link.rotation, np.eye(3)) and link.kind != "revolute"
+                quaternion = up.quaternion if same else lie.quaternion_multiply(up.quaternion, turn)
+                self._cache[i] = FramePose(
+                    up.position + up.rotation @ place.offset, quaternion, up.rotation @ place.rotation
+                )
+        return self._cache[i]
+
+    def frame_pose(self, frame: Frame) -> FramePose:
+        """Pose of a frame fixed to a link."""
+        link = self.link_pose(frame.link)
+        quaternion = lie.quaternion_multiply(link.quaternion, constant(lie.rotation_to_quaternion(frame.rotation)))
+        return FramePose(
+            link.position + link.rotation @ constant(frame.position), quaternion, link.rotation @ constant(frame.rotation)
+        )
+
+    def frame_velocity(self, frame: Frame, rates: dict[int, SX], linear: SX, angular: SX) -> tuple[SX, SX]:
+        """(linear, angular) velocity in world axes; the root's outer frame moves with a twist in its own axes."""
+        v, w = linear, angular
+        for i in self._path(frame.link):
+            link, place = self.links[i], self.places[i]
+            v = place.rotation.T @ (v + cross(w, place.offset))
+            w = place.rotation.T @ w
+            if i in rates and link.kind == "revolute":
+                w = w + place.axis * rates[i]
+            elif i in rates:
+                v = v + place.axis * rates[i]
+        rotation = self.link_pose(frame.link).rotation
+        return rotation @ (v + cross(w, constant(frame.position))), rotation @ w
+
+    def _path(self, i: int) -> list[int]:
+        path = []
+        while i >= 0:
+            path.append(i)
+            i = self.links[i].parent
+        return path[::-1]
+
+    # ------------------------------------------------------------------ dynamics
+    def inverse_dynamics(self, rates: dict[int, SX], accelerations: dict[int, SX], gravity: float = 9.81) -> SX:
+        """Generalised forces of the moving joints for given rates and accelerations (recursive Newton-Euler)."""
+        n = len(self.links)
+        w: list[SX] = [SX(3, 1)] * n
+        aw: list[SX] = [SX(3, 1)] * n
+        av: list[SX] = [SX(3, 1)] * n
+        force: list[SX] = [SX(3, 1)] * n
+        moment: list[SX] = [SX(3, 1)] * n
+        for i, link in enumerate(self.links):
+            p = self.places[i]
+            up = link.parent
+            w0, aw0, av0 = (w[up], aw[up], av[up]) if up >= 0 else (SX(3, 1), SX(3, 1), constant([0, 0, gravity]))
+            back = p.rotation.T
+            w[i], aw[i] = back @ w0, back @ aw0
+            av[i] = back @ (av0 + cross(aw0, p.offset) + cross(w0, cross(w0, p.offset)))
+            if i in rates:
+                turn, push = p.axis * rates[i], p.axis * accelerations[i]
+                if link.kind == "revolute":
+                    aw[i] = aw[i] + cross(w[i], turn) + push
+                    w[i] = w[i] + turn
+                else:
+                    av[i] = av[i] + 2 * cross(w[i], turn) + push
+            if link.mass > 0.0:
+                com, inertia = constant(link.com), constant(link.inertia)
+                force[i] = link.mass * (av[i] + cross(aw[i], com) + cross(w[i], cross(w[i], com)))
+                moment[i] = inertia @ aw[i] + cross(w[i], inertia @ w[i]) + cross(com, force[i])
+        return self._collect(force, moment)
+
+    def _collect(self, force: list[SX], moment: list[SX]) -> SX:
+        torques: dict[int, SX] = {}
+        for i in reversed(range(len(self.links))):
+            link, p = self.links[i], self.places[i]
+            if i in self.values:
+                torques[i] = ca.dot(p.axis, moment[i] if link.kind == "revolute" else force[i])
+            if link.parent >= 0:
+                carried = p.rotation @ force[i]
+                force[link.parent] = force[link.parent] + carried
+                moment[link.parent] = moment[link.parent] + p.rotation @ moment[i] + cross(p.offset, carried)
+        return ca.vertcat(*[torques[i] for i in self.moving])
+
+    def mass_matrix(self) -> SX:
+        """Joint-space inertia of the moving joints (composite rigid bodies)."""
+        n = len(self.links)
+        mass = [link.mass for link in self.links]
+        first = [constant(link.mass * link.com) for link in self.links]
+        inertia = [
+            constant(link.inertia + link.mass * (link.com @ link.com * np.eye(3) - np.outer(link.com, link.com)))
+            for link in self.links
+        ]
+        row = {link: k for k, link in enumerate(self.moving)}
+        m = SX(len(self.moving), len(self.moving))
+        for i in reversed(range(n)):
+            link, p = self.links[i], self.places[i]
+            if i in row:
+                if link.kind == "revolute":
+                    f, t = cross(p.axis, first[i]), inertia[i] @ p.axis
+                else:
+                    f, t = mass[i] * p.axis, cross(first[i], p.axis)
+                self._spread(m, row, i, f, t)
+            up = link.parent
+            if up >= 0:
+                r, o = p.rotation, p.offset
+                h = r @ first[i]
+                oh, oo = ca.dot(o, h), ca.dot(o, o)
+                shifted = r @ inertia[i] @ r.T + (2 * oh + mass[i] * oo) * SX(ca.DM.eye(3))
+                shifted = shifted - (h @ o.T + o @ h.T) - mass[i] * (o @ o.T)
+                inertia[up] = inertia[up] + shifted
+                first[up] = first[up] + h + mass[i] * o
+                mass[up] += mass[i]
+        return m
+
+    def _spread(self, m: SX, row: dict[int, int], i: int, f: SX, t: SX) -> None:
+        """Column of joint i: its composite force seen by all joints before it."""
+        j = i
+        while j >= 0:
+            link, p = self.links[j], self.places[j]
+            if j in row:
+                value = ca.dot(p.axis, t if link.kind == "revolute" else f)
+                m[row[i], row[j]] = value
+                m[row[j], row[i]] = value
+            f, t = p.rotation @ f, p.rotation @ t + cross(p.offset, p.rotation @ f)
+            j = link.parent
+
+
+def solve_spd(m: SX, right: SX) -> SX:
+    """m⁻¹ right by an LDLᵀ factorisation written out (m symmetric positive definite)."""
+    n = m.shape[0]
+    factor: list[list[SX]] = [[SX(0)] * n for _ in range(n)]
+    d: list[SX] = []
+    for j in range(n):
+        pivot = m[j, j]
+        for k in range(j):
+            pivot = pivot - factor[j][k] ** 2 * d[k]
+        d.append(pivot)
+        for i in range(j + 1, n):
+            value = m[i, j]
+            for k in range(j):
+                value = value - factor[i][k] * factor[j][k] * d[k]
+            factor[i][j] = value / pivot
+    out = SX(right)
+    for i in range(n):
+        for k in range(i):
+            out[i, :] -= factor[i][k] * out[k, :]
+    for i in range(n):
+        out[i, :] = out[i, :] / d[i]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            out[i, :] -= factor[k][i] * out[k, :]
+    return out

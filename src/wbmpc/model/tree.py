@@ -1,0 +1,114 @@
+"""A kinematic tree of numbers, read through MuJoCo's compiler (URDF and MJCF alike)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+
+_KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "revolute", mujoco.mjtJoint.mjJNT_SLIDE: "prismatic"}
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body and the joint before it.
+
+    ``parent``: index of the parent, −1 for the root. The link's frame at joint value 0 is at ``position`` (3) [m] and
+    ``rotation`` (3, 3) in the parent's frame; ``axis`` (3) in the link's frame. ``mass`` [kg], ``com`` (3) [m] and
+    ``inertia`` (3, 3) [kg m²] about the centre of mass, in the link's frame. ``range``: joint limits, infinite if none.
+    """
+
+    name: str
+    parent: int
+    joint: str | None
+    kind: Literal["fixed", "revolute", "prismatic"]
+    axis: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
+    range: tuple[float, float] = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A named frame fixed to a link: pose in the link's frame."""
+
+    link: int
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Links in an order where parents come first; frames of all bodies and sites."""
+
+    links: tuple[Link, ...]
+    frames: dict[str, Frame]
+
+    def joint(self, name: str) -> int:
+        """Index of the link behind the joint of that name."""
+        return next(i for i, link in enumerate(self.links) if link.joint == name)
+
+
+def read_tree(spec: mujoco.MjSpec, root: str, without: tuple[str, ...] = ()) -> Tree:
+    """The tree below the body ``root`` (its own joint, if any, is left to the base model), bodies ``without`` left out."""
+    model = spec.compile()
+    start = model.body(root).id
+    index: dict[int, int] = {}
+    links: list[Link] = []
+    for body in range(start, model.nbody):
+        name = model.body(body).name
+        parent = int(model.body_parentid[body])
+        if name in without or (body != start and parent not in index):
+            continue
+        chain = _links_of_body(model, body, -1 if body == start else index[parent], len(links), body == start)
+        links += chain
+        index[body] = len(links) - 1
+    frames = {}
+    for body, link in index.items():
+        frames[model.body(body).name] = Frame(link, np.zeros(3), np.eye(3))
+    for site in range(model.nsite):
+        body = int(model.site_bodyid[site])
+        if body in index:
+            rotation = lie.quaternion_to_rotation(model.site_quat[site].copy())
+            frames[model.site(site).name] = Frame(index[body], model.site_pos[site].copy(), rotation)
+    return Tree(tuple(links), frames)
+
+
+def _links_of_body(model: mujoco.MjModel, body: int, parent: int, first: int, is_root: bool) -> list[Link]:
+    """One link per joint of a body (massless but for the last), or one fixed link."""
+    axes = lie.quaternion_to_rotation(model.body_iquat[body].copy())
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    body_data = (float(model.body_mass[body]), model.body_ipos[body].copy(), inertia)
+    nothing = (0.0, np.zeros(3), np.zeros((3, 3)))
+    position = np.zeros(3) if is_root else model.body_pos[body].copy()
+    rotation = np.eye(3) if is_root else lie.quaternion_to_rotation(model.body_quat[body].copy())
+    name = model.body(body).name
+    first_joint, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    if is_root or count == 0:
+        return [Link(name, parent, None, "fixed", np.zeros(3), position, rotation, *body_data)]
+    links = []
+    for k in range(count):
+        j = first_joint + k
+        kind = _KINDS.get(mujoco.mjtJoint(int(model.jnt_type[j])))
+        joint = model.joint(j).name
+        if kind is None:
+            raise InputError(f"joint '{joint}': only hinge and slide joints are possible in the tree of the arm and legs")
+        limits = tuple(model.jnt_range[j]) if model.jnt_limited[j] else (-np.inf, np.inf)
+        last = k == count - 1
+        if kind == "revolute" and np.any(model.jnt_pos[j]):
+            raise InputError(f"joint '{joint}': its axis must go through the origin of its body")
+        data = body_data if last else nothing
+        links.append(
+            Link(name if last else f"{name}.{joint}", parent if k == 0 else first + k - 1, joint, kind,
+                 model.jnt_axis[j].copy(), position if k == 0 else np.zeros(3), rotation if k == 0 else np.eye(3),
+                 *data, limits)  # fmt: skip
+        )
+    return links

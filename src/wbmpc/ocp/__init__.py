@@ -1,0 +1,24 @@
+"""Optimal control problems: residuals, norms, sets, named terms, modes, references."""
+
+from wbmpc.ocp import residuals, sets
+from wbmpc.ocp.norms import Quadratic, RelaxedBarrier, SmoothL1
+from wbmpc.ocp.problem import OptimalControlProblem
+from wbmpc.ocp.reference import Reference
+from wbmpc.ocp.schedule import Mode, ModeSchedule
+from wbmpc.ocp.terms import Constraint, Cost
+from wbmpc.ocp.transcription import Transcription
+
+__all__ = [
+    "Constraint",
+    "Cost",
+    "Mode",
+    "ModeSchedule",
+    "OptimalControlProblem",
+    "Quadratic",
+    "Reference",
+    "RelaxedBarrier",
+    "SmoothL1",
+    "Transcription",
+    "residuals",
+    "sets",
+]

@@ -1,0 +1,82 @@
+"""Norms that turn a residual into a cost, and the relaxed barrier that turns an inequality into one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+
+from wbmpc.errors import InputError
+
+
+class Norm(Protocol):
+    """``value(r)``, its first derivative and a non-negative curvature, each row by row."""
+
+    def value(self, r: ca.SX) -> ca.SX: ...
+    def gradient(self, r: ca.SX) -> ca.SX: ...
+    def curvature(self, r: ca.SX) -> ca.SX: ...
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """½ r²."""
+
+    def value(self, r: ca.SX) -> ca.SX:
+        return 0.5 * r * r
+
+    def gradient(self, r: ca.SX) -> ca.SX:
+        return r
+
+    def curvature(self, r: ca.SX) -> ca.SX:
+        return ca.SX.ones(r.shape)
+
+
+@dataclass(frozen=True)
+class SmoothL1:
+    """δ² (√(1 + (r/δ)²) − 1): quadratic near zero, linear beyond ``scale`` δ (in the residual's unit).
+
+    Limits the pull of a large error. The curvature is that of iteratively reweighted least squares, r'/r ≥ r''.
+    """
+
+    scale: float
+
+    def __post_init__(self) -> None:
+        if not self.scale > 0.0:
+            raise InputError(f"SmoothL1: scale must be positive, got {self.scale}")
+
+    def value(self, r: ca.SX) -> ca.SX:
+        return self.scale**2 * (ca.sqrt(1.0 + (r / self.scale) ** 2) - 1.0)
+
+    def gradient(self, r: ca.SX) -> ca.SX:
+        return r / ca.sqrt(1.0 + (r / self.scale) ** 2)
+
+    def curvature(self, r: ca.SX) -> ca.SX:
+        return 1.0 / ca.sqrt(1.0 + (r / self.scale) ** 2)
+
+
+@dataclass(frozen=True)
+class RelaxedBarrier:
+    """−μ ln h for h > δ, else μ (½ ((h − 2δ)/δ)² − ½ − ln δ): a soft inequality h ≥ 0.
+
+    Source: Feller and Ebenbauer, "Relaxed logarithmic barrier function based MPC" (2017), quadratic relaxation.
+    """
+
+    mu: float = 1e-2
+    delta: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not (self.mu > 0.0 and self.delta > 0.0):
+            raise InputError(f"RelaxedBarrier: mu and delta must be positive, got {self.mu} and {self.delta}")
+
+    def value(self, h: ca.SX) -> ca.SX:
+        near = self.mu * (0.5 * (((h - 2 * self.delta) / self.delta) ** 2 - 1.0) - ca.log(self.delta))
+        return ca.if_else(h > self.delta, -self.mu * ca.log(ca.fmax(h, self.delta)), near)
+
+    def gradient(self, h: ca.SX) -> ca.SX:
+        near = self.mu * (h - 2 * self.delta) / self.delta**2
+        return ca.if_else(h > self.delta, -self.mu / ca.fmax(h, self.delta), near)
+
+    def curvature(self, h: ca.SX) -> ca.SX:
+        safe = ca.fmax(h, self.delta)
+        return self.mu / (safe * safe)

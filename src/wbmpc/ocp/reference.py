@@ -1,0 +1,69 @@
+"""References over time: what a residual compares with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Samples of a reference: ``times`` (n,) [s, absolute], ``values`` (n, width).
+
+    Between samples: linear; the quaternion part of a pose by normalised linear interpolation; with ``hold`` the value
+    of the last sample at or before t. Before the first and after the last sample the end values hold.
+    """
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+    kind: str = "linear"
+
+    KINDS = ("linear", "pose", "hold", "pose_hold")
+
+    def __post_init__(self) -> None:
+        times = np.ascontiguousarray(np.atleast_1d(self.times), float)
+        values = np.ascontiguousarray(np.atleast_2d(np.asarray(self.values, float)))
+        if times.ndim != 1 or values.shape[0] != times.size:
+            raise InputError(f"reference: {times.size} times need {times.size} rows of values, got {values.shape}")
+        if not (np.isfinite(times).all() and np.isfinite(values).all()):
+            raise InputError("reference: times and values must be finite")
+        if np.any(np.diff(times) < 0):
+            raise InputError("reference: times must not decrease")
+        if self.kind not in self.KINDS:
+            raise InputError(f"reference: unknown kind '{self.kind}'; valid: {', '.join(self.KINDS)}")
+        if self.kind.startswith("pose"):
+            values = _continuous_quaternions(values)
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "values", values)
+
+    @classmethod
+    def constant(cls, value: ArrayLike) -> Reference:
+        """One value for all times."""
+        return cls(np.zeros(1), np.atleast_2d(np.asarray(value, float)))
+
+    @classmethod
+    def poses(cls, times: ArrayLike, positions: ArrayLike, quaternions: ArrayLike, hold: bool = False) -> Reference:
+        """Poses: positions (n, 3) [m], unit quaternions (n, 4) or one (4,) for all times."""
+        times = np.atleast_1d(np.asarray(times, float))
+        positions = np.atleast_2d(np.asarray(positions, float))
+        rotations = np.broadcast_to(np.asarray(quaternions, float), (times.size, 4))
+        return cls(times, np.hstack([positions, rotations]), "pose_hold" if hold else "pose")
+
+
+def _continuous_quaternions(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit length, and neighbours in the same half sphere (q and −q are the same rotation)."""
+    if values.shape[1] != 7:
+        raise InputError(f"reference: a pose has 7 numbers (position, quaternion), got {values.shape[1]}")
+    values = values.copy()
+    norms = np.linalg.norm(values[:, 3:], axis=1)
+    if np.any(norms < 1e-6):
+        raise InputError("reference: a quaternion of length zero")
+    values[:, 3:] /= norms[:, None]
+    for i in range(1, len(values)):
+        if values[i, 3:] @ values[i - 1, 3:] < 0.0:
+            values[i, 3:] *= -1.0
+    return values

@@ -1,0 +1,248 @@
+"""Residuals: symbolic expressions of state, input, parameters and a reference, with named rows.
+
+The same residual serves as a cost, a soft or a hard constraint. To add one: a frozen class with ``size``, ``groups``,
+``reference`` (how many numbers it compares with) and ``__call__``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import casadi as ca
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import unknown_name
+from wbmpc.model import Layout, RobotModel
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """What a residual may use: state x (nx), input u (nu), the model's parameters and mode values, its reference."""
+
+    x: ca.SX
+    u: ca.SX
+    parameters: ca.SX
+    mode: ca.SX
+    reference: ca.SX
+
+
+class Residual(Protocol):
+    """``size`` rows in named ``groups``; ``reference`` numbers are compared with."""
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def groups(self) -> Mapping[str, slice]: ...
+    @property
+    def reference(self) -> int: ...
+    def __call__(self, s: Symbols) -> ca.SX: ...
+
+
+def _select(layout: Layout, names: Sequence[str] | None) -> tuple[dict[str, slice], list[int]]:
+    chosen = tuple(layout.groups) if names is None else tuple(names)
+    groups: dict[str, slice] = {}
+    indices: list[int] = []
+    for name in chosen:
+        if name not in layout.groups:
+            raise unknown_name("group", name, layout.groups)
+        part = list(range(layout.size))[layout[name]]
+        groups[name] = slice(len(indices), len(indices) + len(part))
+        indices += part
+    return groups, indices
+
+
+@dataclass(frozen=True)
+class _Component:
+    robot: RobotModel
+    names: Sequence[str] | None = None
+    tracked: bool = True
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    indices: list[int] = field(init=False, repr=False)
+
+    def _layout(self) -> Layout:
+        raise NotImplementedError
+
+    def __post_init__(self) -> None:
+        groups, indices = _select(self._layout(), self.names)
+        object.__setattr__(self, "groups", groups)
+        object.__setattr__(self, "indices", indices)
+
+    @property
+    def size(self) -> int:
+        return len(self.indices)
+
+    @property
+    def reference(self) -> int:
+        return self.size if self.tracked else 0
+
+
+@dataclass(frozen=True)
+class State(_Component):
+    """Groups of the state (all when ``names`` is left out) minus their reference (``tracked``), in the state's units."""
+
+    def _layout(self) -> Layout:
+        return self.robot.state
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        value = s.x[self.indices]
+        return value - s.reference if self.tracked else value
+
+
+@dataclass(frozen=True)
+class Input(_Component):
+    """Groups of the input (all when ``names`` is left out) minus their reference (``tracked``), in the input's units."""
+
+    def _layout(self) -> Layout:
+        return self.robot.input
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        value = s.u[self.indices]
+        return value - s.reference if self.tracked else value
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """Pose error of a frame: position (3) [m], world axes; orientation (3) [rad], world axes.
+
+    Reference: position (3) and quaternion (4). ``orientation``: "log" (default), twice the vector part of the error
+    quaternion for "vector" (Minniti et al. 2019, section IV-B), which is flat at 180 degrees.
+    """
+
+    robot: RobotModel
+    frame: str
+    orientation: Literal["log", "vector"] = "log"
+
+    size = 6
+    reference = 7
+    groups = {"position": slice(0, 3), "orientation": slice(3, 6)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.frame not in self.robot.frames:
+            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        pose = self.robot.frame_pose(s.x, self.frame)
+        error = lie.quaternion_multiply(pose.quaternion, lie.quaternion_conjugate(s.reference[3:7]))
+        rotation = lie.quaternion_log(error) if self.orientation == "log" else 2.0 * lie.quaternion_error_vector(error)
+        return ca.vertcat(pose.position - s.reference[0:3], rotation)
+
+
+@dataclass(frozen=True)
+class FrameTwist:
+    """Linear (3) [m/s] and angular (3) [rad/s] velocity of a frame, world axes, minus their reference."""
+
+    robot: RobotModel
+    frame: str
+
+    size = 6
+    reference = 6
+    groups = {"linear": slice(0, 3), "angular": slice(3, 6)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.frame not in self.robot.frames:
+            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        linear, angular = self.robot.frame_velocity(s.x, s.u, self.frame)
+        return ca.vertcat(linear, angular) - s.reference
+
+
+@dataclass(frozen=True)
+class HandForce:
+    """Force of the world on the hand (3) [N], world axes, minus its reference; for robots with a contact input."""
+
+    robot: RobotModel
+
+    size = 3
+    reference = 3
+    groups = {"force": slice(0, 3)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if "force" not in self.robot.input.groups:
+            raise unknown_name("input group", "force", self.robot.input.groups, where=self.robot.description.name)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return s.u[self.robot.input["force"]] - s.reference
+
+
+@dataclass(frozen=True)
+class WheelRolling:
+    """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
+
+    Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake.
+    """
+
+    robot: RobotModel
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        wheels = len(self.robot.description.base.modules)
+        object.__setattr__(self, "groups", {"rolling": slice(0, wheels), "side": slice(wheels, 2 * wheels)})
+
+    @property
+    def size(self) -> int:
+        return self.groups["side"].stop
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return self.robot.base.rolling(s.x, s.u, s.mode)
+
+
+@dataclass(frozen=True)
+class BrakedLegs:
+    """Leg rates [rad/s] where the brake is closed, zero where it is open."""
+
+    robot: RobotModel
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", {"leg": slice(0, self.size)})
+
+    @property
+    def size(self) -> int:
+        return len(self.robot.input.groups["leg"])
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return (1.0 - s.mode[self.robot.mode["brake"]]) * s.u[self.robot.input["leg"]]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Distances to the model's limits, all to be at least zero.
+
+    ``of``: "state" (positions), "input" (speeds or torques) or "both". The rows are x − lower, upper − x, u − lower,
+    upper − u for finite limits only, each in its own unit.
+    """
+
+    robot: RobotModel
+    of: Literal["state", "input", "both"] = "both"
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    rows: tuple[tuple[str, int, float, float], ...] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        limits = self.robot.limits
+        rows: list[tuple[str, int, float, float]] = []
+        for kind, lower, upper in (
+            ("state", limits.state_lower, limits.state_upper),
+            ("input", limits.input_lower, limits.input_upper),
+        ):
+            if self.of in (kind, "both"):
+                rows += [(kind, i, 1.0, -float(v)) for i, v in enumerate(lower) if np.isfinite(v)]
+                rows += [(kind, i, -1.0, float(v)) for i, v in enumerate(upper) if np.isfinite(v)]
+        object.__setattr__(self, "rows", tuple(rows))
+        object.__setattr__(self, "groups", {"limits": slice(0, len(rows))})
+
+    @property
+    def size(self) -> int:
+        return len(self.rows)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return ca.vertcat(*[sign * (s.x if kind == "state" else s.u)[i] + c for kind, i, sign, c in self.rows])

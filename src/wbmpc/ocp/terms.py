@@ -1,0 +1,99 @@
+"""Named terms of an optimal control problem: costs and constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.ocp.norms import Norm, Quadratic, RelaxedBarrier
+from wbmpc.ocp.residuals import Residual
+from wbmpc.ocp.sets import Set, Zero
+
+Weight = float | Sequence[float] | Mapping[str, float | Sequence[float]]
+At = Literal["path", "terminal", "all"]
+_PLACES = ("path", "terminal", "all")
+
+
+def _check_place(name: str, at: str) -> None:
+    if at not in _PLACES:
+        raise unknown_name("place", at, _PLACES, where=f"term '{name}', at")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """``weight · norm(residual)``, integrated along the path or taken at the end of the horizon.
+
+    ``weight``: one number, one per row, or by the residual's groups. ``terminal_weight``: the same for the end (for
+    ``at="all"``; the path's weight when left out; its unit is that of the path's weight times a second).
+    ``modes``: the names of the modes in which the term counts; all when left out.
+    """
+
+    name: str
+    residual: Residual
+    weight: Weight = 1.0
+    norm: Norm = field(default_factory=Quadratic)
+    at: At = "path"
+    modes: tuple[str, ...] | None = None
+    terminal_weight: Weight | None = None
+
+    def __post_init__(self) -> None:
+        _check_place(self.name, self.at)
+        self.expand(self.weight)
+        if self.terminal_weight is not None:
+            self.expand(self.terminal_weight)
+
+    def expand(self, weight: Weight) -> np.ndarray:
+        """A weight as one number per row of the residual."""
+        return expand_rows(weight, self.residual, f"cost '{self.name}', weight")
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """``residual ∈ set``.
+
+    ``Zero`` on the path is a state-input equality and enters the Riccati recursion exactly; ``compliance`` (one number
+    for all rows) softens it: the residual may be compliance times its multiplier. Inequalities are relaxed barriers
+    (``penalty``); ``hard`` inequalities are refused until the interior point solver is there.
+    """
+
+    name: str
+    residual: Residual
+    set: Set = field(default_factory=Zero)
+    at: At = "path"
+    modes: tuple[str, ...] | None = None
+    penalty: RelaxedBarrier = field(default_factory=RelaxedBarrier)
+    hard: bool = False
+    compliance: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_place(self.name, self.at)
+        if isinstance(self.set, Zero) and self.at != "path":
+            raise InputError(f"constraint '{self.name}': an equality is possible at the path only, got at='{self.at}'")
+        if self.hard and not isinstance(self.set, Zero):
+            raise InputError(
+                f"constraint '{self.name}': hard inequalities are not supported yet; valid: hard=False (relaxed barrier)"
+            )
+        if self.compliance < 0.0:
+            raise InputError(f"constraint '{self.name}': compliance must not be negative, got {self.compliance}")
+
+
+def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:
+    """One non-negative number per row from a number, a sequence or a mapping by the residual's groups."""
+    if isinstance(value, Mapping):
+        rows = np.zeros(residual.size)
+        for group, entry in value.items():
+            if group not in residual.groups:
+                raise unknown_name("group", group, residual.groups, where=where)
+            rows[residual.groups[group]] = entry
+    else:
+        given = np.asarray(value, float)
+        if given.ndim and given.shape != (residual.size,):
+            raise InputError(f"{where}: one number or {residual.size} are needed, got {given.shape[0]}")
+        rows = np.broadcast_to(given, residual.size).copy()
+    if not np.isfinite(rows).all() or np.any(rows < 0.0):
+        raise InputError(f"{where}: must be finite and not negative, got {value}")
+    return rows

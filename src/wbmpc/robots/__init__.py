@@ -1,0 +1,27 @@
+"""Robot descriptions: YAML beside a URDF or MJCF. Built-in robots are data in ``robots/data``."""
+
+from wbmpc.robots.description import (
+    ArmDescription,
+    BallBaseDescription,
+    FixedBaseDescription,
+    LimitsDescription,
+    ModuleDescription,
+    RobotDescription,
+    SwerveBaseDescription,
+    available_robots,
+    load_description,
+    load_spec,
+)
+
+__all__ = [
+    "ArmDescription",
+    "BallBaseDescription",
+    "FixedBaseDescription",
+    "LimitsDescription",
+    "ModuleDescription",
+    "RobotDescription",
+    "SwerveBaseDescription",
+    "available_robots",
+    "load_description",
+    "load_spec",
+]

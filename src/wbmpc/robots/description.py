@@ -1,0 +1,257 @@
+"""What a robot's YAML says, checked; and its URDF or MJCF as one MuJoCo specification."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import mujoco
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from wbmpc import lie
+from wbmpc.errors import InputError, unknown_name
+
+DATA = Path(__file__).parent / "data"
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ModuleDescription(_Model):
+    """One swerve module: names of its joints; ``hinge`` is left out when the leg is fixed."""
+
+    hinge: str | None = None
+    steer: str
+    wheel: str
+
+
+class SwerveBaseDescription(_Model):
+    """A base on steered and driven wheels. ``wheel_radius`` [m]. ``orientation``: SE(2) state or a quaternion."""
+
+    type: Literal["swerve"]
+    body: str
+    orientation: Literal["yaw", "quaternion"] = "yaw"
+    wheel_radius: float = Field(gt=0)
+    modules: tuple[ModuleDescription, ...] = Field(min_length=2)
+
+
+class OmniWheelsDescription(_Model):
+    """Omni wheels on the ball: radius [m], zenith angle and azimuths [rad] of their contacts."""
+
+    radius: float = Field(gt=0)
+    zenith: float = Field(gt=0, lt=np.pi / 2)
+    azimuths: tuple[float, ...] = Field(min_length=3)
+
+
+class BallBaseDescription(_Model):
+    """A base that balances on a ball. ``contact``: a force at the hand as an input, or as a parameter ("none")."""
+
+    type: Literal["ball"]
+    body: str
+    ball: str
+    ball_radius: float = Field(gt=0)
+    wheels: OmniWheelsDescription
+    contact: Literal["none", "force"] = "none"
+
+
+class FixedBaseDescription(_Model):
+    """A base that does not move."""
+
+    type: Literal["fixed"]
+    body: str
+
+
+class ArmDescription(_Model):
+    """The arm's joints from base to hand, and the name of the hand's frame (site or body)."""
+
+    joints: tuple[str, ...] = Field(min_length=1)
+    tool: str
+
+
+class LimitsDescription(_Model):
+    """Limits by joint: velocity [rad/s], effort [N m], position [rad] (overrides the file's range).
+
+    ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels.
+    """
+
+    velocity: dict[str, float] = {}
+    effort: dict[str, float] = {}
+    position: dict[str, tuple[float, float]] = {}
+    base_linear: float = Field(default=1.0, gt=0)
+    base_angular: float = Field(default=1.0, gt=0)
+    wheel_effort: float = Field(default=np.inf, gt=0)
+
+
+class RobotDescription(_Model):
+    """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians."""
+
+    name: str
+    model: Path
+    base: Annotated[
+        SwerveBaseDescription | BallBaseDescription | FixedBaseDescription, Field(discriminator="type")
+    ]
+    arm: ArmDescription
+    lock: dict[str, float] = {}
+    home: dict[str, float] = {}
+    limits: LimitsDescription = LimitsDescription()
+    source: str = Field(default="", exclude=True)
+
+    def joints(self) -> list[str]:
+        """Names of all joints that the description uses."""
+        names = list(self.arm.joints)
+        if isinstance(self.base, SwerveBaseDescription):
+            names += [n for m in self.base.modules for n in (m.hinge, m.steer, m.wheel) if n]
+        return names
+
+
+def available_robots() -> list[str]:
+    """Names of the built-in robots."""
+    return sorted(p.stem for p in DATA.glob("*.yaml"))
+
+
+def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
+    """A built-in robot by name, or a YAML file. ``base`` replaces keys of its base section.
+
+    Raises :class:`InputError` naming file and key.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        if str(name_or_path) not in available_robots():
+            raise unknown_name("robot", str(name_or_path), [*available_robots(), "a path to a .yaml file"])
+        path = DATA / f"{name_or_path}.yaml"
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: a mapping of keys is needed")
+    if isinstance(data.get("base"), dict):
+        data["base"] = {**data["base"], **base}
+    try:
+        description = RobotDescription(**data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_fault(error)}") from error
+    model = description.model if description.model.is_absolute() else path.parent / description.model
+    description = description.model_copy(update={"model": model, "source": str(path)})
+    _check_names(description, load_spec(description))
+    return description
+
+
+def _first_fault(error: ValidationError) -> str:
+    """The first fault of a validation in plain words, without web links, and how many more there are."""
+    faults = error.errors(include_url=False)
+    fault = faults[0]
+    path = [str(k) for k in fault["loc"] if k not in ("swerve", "ball", "fixed")] or ["?"]
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    key = ".".join(path)
+    if fault["type"] == "extra_forbidden":
+        return str(unknown_name("key", key, _sibling_keys(fault["loc"], ".".join(path[:-1])))) + more
+    if fault["type"].startswith("union_tag"):
+        return f"key '{key}.type': valid: ball, fixed, swerve{more}"
+    given = "" if fault["type"] == "missing" else f", got {fault['input']!r}"
+    return f"key '{key}': {fault['msg'][0].lower()}{fault['msg'][1:]}{given}{more}"
+
+
+def _sibling_keys(location: tuple[int | str, ...], prefix: str) -> list[str]:
+    """The valid keys beside an unknown one, with the same dotted prefix."""
+    bases = {"swerve": SwerveBaseDescription, "ball": BallBaseDescription, "fixed": FixedBaseDescription}
+    inner = {
+        "modules": ModuleDescription,
+        "wheels": OmniWheelsDescription,
+        "arm": ArmDescription,
+        "limits": LimitsDescription,
+    }
+    model: type[BaseModel] = RobotDescription
+    for part in location[:-1]:
+        model = bases.get(str(part)) or inner.get(str(part)) or model
+    names = [n for n in model.model_fields if n != "source"]
+    return [f"{prefix}.{n}" if prefix else n for n in names]
+
+
+def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
+    joints = [j.name for j in spec.joints]
+    limits = description.limits
+    used = {
+        "joint": description.joints(),
+        "home": list(description.home),
+        "limits.velocity": list(limits.velocity),
+        "limits.effort": list(limits.effort),
+        "limits.position": list(limits.position),
+    }
+    for key, names in used.items():
+        for name in names:
+            if name not in joints:
+                raise unknown_name(f"joint (key '{key}')", name, joints, where=description.source)
+    frames = [s.name for s in spec.sites] + [b.name for b in spec.bodies]
+    if description.arm.tool not in frames:
+        raise unknown_name("frame (key 'arm.tool')", description.arm.tool, frames, where=description.source)
+    bodies = [b.name for b in spec.bodies]
+    for key in ("body", "ball"):
+        name = getattr(description.base, key, None)
+        if name is not None and name not in bodies:
+            raise unknown_name(f"body (key 'base.{key}')", name, bodies, where=description.source)
+
+
+def load_spec(description: RobotDescription) -> mujoco.MjSpec:
+    """The robot's file as an editable MuJoCo specification with its locked joints removed."""
+    path = description.model
+    if not path.is_file():
+        raise InputError(f"{description.source}: key 'model': there is no file {path}")
+    try:
+        spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
+    except (ValueError, ElementTree.ParseError) as error:
+        raise InputError(f"{path}: cannot be read: {str(error).strip().splitlines()[0]}") from error
+    for name, angle in description.lock.items():
+        _lock(spec, name, angle, description.source)
+    return spec
+
+
+def _urdf_spec(path: Path) -> mujoco.MjSpec:
+    """URDF without its meshes (planning needs none), with all links kept."""
+    root = ElementTree.parse(path).getroot()
+    for link in root.iter("link"):
+        for kind in ("visual", "collision"):
+            for element in link.findall(kind):
+                link.remove(element)
+    compiler = {"strippath": "false", "balanceinertia": "true", "fusestatic": "false", "discardvisual": "false"}
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(extension, "compiler", compiler)
+    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+
+
+def _lock(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None:
+    """Remove a hinge or slide joint after moving its body to the joint's ``value`` [rad or m]."""
+    joint = next((j for j in spec.joints if j.name == name), None)
+    if joint is None:
+        raise unknown_name("joint (key 'lock')", name, [j.name for j in spec.joints], where=source)
+    body = joint.parent
+    rotation = lie.quaternion_to_rotation(_body_quaternion(spec, body, source))
+    axis = np.asarray(joint.axis, float) / np.linalg.norm(joint.axis)
+    if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        turn = lie.quaternion_to_rotation(lie.quaternion_about(axis, value))
+        shift = np.asarray(joint.pos) - turn @ np.asarray(joint.pos)
+    elif joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        turn, shift = np.eye(3), value * axis
+    else:
+        raise InputError(f"{source}: key 'lock': joint '{name}' is neither a hinge nor a slide")
+    body.pos = np.asarray(body.pos) + rotation @ shift
+    body.quat = lie.rotation_to_quaternion(rotation @ turn)
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    spec.delete(joint)
+
+
+def _body_quaternion(spec: mujoco.MjSpec, body: mujoco.MjsBody, source: str) -> np.ndarray:
+    """Orientation of a body in its parent (or in the <frame> around it), also when the file gives Euler angles."""
+    if body.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        return np.asarray(body.quat, float) / np.linalg.norm(body.quat)
+    if body.frame is not None:
+        raise InputError(f"{source}: key 'lock': body '{body.name}' in a frame needs its orientation as a quat")
+    return np.array(spec.compile().body(body.name).quat, float)

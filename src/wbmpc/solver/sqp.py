@@ -1,0 +1,152 @@
+"""SQP by multiple shooting with a Riccati recursion: the solver that users hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.solver.solution import COLUMNS, Solution, Status
+from wbmpc.solver.workspace import LOG
+
+_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE)
+
+
+@dataclass(frozen=True)
+class SQP:
+    """Settings. ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation
+    (both with ``certify`` only);
+    ``smallest_step``: the line search gives up below it, and then takes the full step if ``force_step``; ``backend``: machine code, or the interpreted twin."""
+
+    iterations: int = 100
+    tolerance: float = 1e-8
+    feasibility: float = 1e-6
+    smallest_step: float = 1e-3
+    certify: bool = True
+    force_step: bool = False
+    backend: Literal["compiled", "interpreted"] = "compiled"
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise InputError(f"SQP: iterations must be at least 1, got {self.iterations}")
+        if self.backend not in ("compiled", "interpreted"):
+            raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
+
+
+@dataclass
+class SQPSolver:
+    """One problem bound to one solver: owns the kernel, the memory and the warm start."""
+
+    ocp: OptimalControlProblem
+    settings: SQP = field(default_factory=SQP)
+    use_cache: bool = True
+
+    def __post_init__(self) -> None:
+        from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
+        from wbmpc.solver.workspace import make_workspace
+
+        self.problem = Transcription(self.ocp)
+        self.kernel = None
+        if self.settings.backend == "compiled":
+            from wbmpc.kernel import build_kernel
+
+            self.kernel = build_kernel(self.problem, self.use_cache)
+            self.ws = make_workspace(self.kernel, self.problem)
+        else:
+            self.twin = InterpretedSolver(self.problem)
+            self.ws = self.twin.ws
+        nothing = Mode("default")
+        self.references: dict[str, Reference] = {}
+        self.schedule = ModeSchedule((nothing,))
+        self._tables = None
+        self.log = np.zeros((self.settings.iterations, len(LOG)))
+
+    # ------------------------------------------------------------------ data
+    def set_reference(self, name: str, reference: Reference) -> None:
+        """What the term ``name`` compares with from now on."""
+        places = self.problem.references.slices
+        if name not in places:
+            raise unknown_name("reference", name, places)
+        width = places[name].stop - places[name].start
+        if reference.values.shape[1] != width:
+            raise InputError(f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}")
+        self.references[name] = reference
+        self._tables = None
+
+    def set_schedule(self, schedule: ModeSchedule) -> None:
+        """The modes over absolute time."""
+        self.problem.mode_tables(schedule)
+        self.schedule = schedule
+        self._tables = None
+
+    def set_weight(self, name: str, weight: float | np.ndarray, place: Literal["path", "terminal"] = "path") -> None:
+        """Change a cost's weight without compiling."""
+        key = f"{place}.{name}"
+        costs = [k for k in self.problem.constant.slices if k != "parameters"]
+        if key not in costs:
+            raise unknown_name("weight", key, costs)
+        self.ws.w[self.problem.constant.slices[key]] = weight
+
+    def set_parameters(self, values: Mapping[str, np.ndarray] | np.ndarray) -> None:
+        """Set the model's parameters (constant over the horizon): by group, or the whole vector."""
+        part = self.problem.constant.slices["parameters"]
+        vector = self.ocp.dynamics.parameters.vector(values) if isinstance(values, Mapping) else np.asarray(values)
+        self.ws.w[part] = vector
+
+    def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
+        """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out."""
+        self.ws.x[:] = x
+        self.ws.u[:] = 0.0 if u is None else u
+
+    def tables(self):  # type: ignore[no-untyped-def]
+        """References and modes as the compiled code reads them."""
+        from wbmpc.solver.receding import make_tables
+
+        if self._tables is None:
+            self._tables = make_tables(self.problem, self.references, self.schedule)
+        return self._tables
+
+    # ------------------------------------------------------------------ solve
+    def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
+        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        from wbmpc.solver.receding import receding_solve
+
+        s = self.settings
+        if s.backend == "interpreted":
+            return self.twin.run(self.tables(), t0, delta, x0, s, self.log)
+        args = (t0, delta, x0, s.iterations, s.tolerance, s.feasibility, s.smallest_step, s.certify, s.force_step, self.log)
+        return receding_solve(self.ws.memory, self.ws.table, self.tables(), *args)  # type: ignore[no-any-return]
+
+    def solve(self, x0: np.ndarray, t0: float = 0.0) -> Solution:
+        """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s]."""
+        x0 = np.ascontiguousarray(x0, float)
+        nx = self.problem.nx
+        if x0.shape != (nx,):
+            raise InputError(f"initial state: {nx} numbers are needed, got shape {x0.shape}")
+        if not np.isfinite(x0).all():
+            bad = self.ocp.dynamics.state.names[int(np.argmax(~np.isfinite(x0)))]
+            raise InputError(f"initial state: '{bad}' is not finite")
+        start = time.perf_counter()
+        status, count = self.run(x0, t0)
+        return self._solution(status, count, time.perf_counter() - start)
+
+    def _solution(self, status: int, count: int, elapsed: float) -> Solution:
+        row = self.log[count - 1]
+        return Solution(
+            status=_STATUS[status],
+            times=self.ws.grid.copy(),
+            x=self.ws.x.copy(),
+            u=self.ws.u.copy(),
+            gain=self.ws.k[:, :, : self.problem.nx].copy(),
+            iterations=count,
+            cost=float(row[COLUMNS["cost"]]),
+            violation=float(row[COLUMNS["violation"]]),
+            kkt=float(row[COLUMNS["kkt"]]),
+            solve_time=elapsed,
+            log=self.log[:count].copy(),
+        )

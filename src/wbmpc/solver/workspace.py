@@ -1,0 +1,158 @@
+"""The solver's memory: one block of doubles, 64-byte aligned, and one table of integers that says where things are.
+
+Two flat arrays keep the compiled driver small (it compiles in seconds, once per machine, for problems of any size).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from wbmpc.kernel import Kernel
+from wbmpc.kernel.dense import pad
+from wbmpc.ocp import Transcription
+from wbmpc.ocp.transcription import BoxRow
+
+#: Columns of the iteration log.
+LOG = ("cost", "violation", "kkt", "step", "alpha", "defect", "equality")
+
+#: Entries of the integer table before the function addresses: dimensions, then offsets [doubles] into the memory.
+DIMENSIONS = ("n", "nx", "nu", "ng", "lx", "lz", "lg", "np", "rk4", "path_boxes", "terminal_boxes", "quaternions", "base")
+BLOCKS = (
+    "grid",  # (N + 1,) s
+    "x",  # (N + 1, nx)
+    "u",  # (N, nu)
+    "x_trial",
+    "u_trial",
+    "dx",  # (N + 1, lx), entry nx is 1
+    "du",  # (N, nu)
+    "p",  # (N + 1, np)
+    "w",
+    "ab",  # (N, nx + 1, lz): [A b B] of each node, last row unit
+    "h",  # (N, nz, lz): Hessian with the gradient in row and column nx
+    "e",  # equality rows of one node
+    "eps",  # (lg,)
+    "k",  # (N, nu, lx): gains, feed-forward in entry nx
+    "value",  # (nx + 1, lx): value function
+    "terminal",  # (nx + 1, lx)
+    "scratch",
+    "gradient",  # (N + 1, lz)
+    "j1",  # (nx, lz)
+    "j2",
+    "s1",
+    "s2",
+    "f",  # (6, lx)
+    "small",  # (16 + ng,)
+    "boxes",  # (rows, 4): sign, offset, μ, δ; path rows first
+)
+#: First index of the function addresses, of the pointer tables and of the boxes' indices in the integer table.
+OFFSETS = len(DIMENSIONS)
+ADDRESSES = OFFSETS + len(BLOCKS)
+POINTERS = ADDRESSES + 10
+INDICES = POINTERS + 16
+
+
+def aligned(count: int) -> np.ndarray:
+    """Zeros whose first element is at a multiple of 64 bytes."""
+    raw = np.zeros(count + 8)
+    start = (-raw.ctypes.data % 64) // 8
+    return raw[start : start + count]
+
+
+class BoxTable(NamedTuple):
+    """Relaxed barriers on h = sign z[index] + offset, z = [x; u]."""
+
+    index: np.ndarray
+    sign: np.ndarray
+    offset: np.ndarray
+    mu: np.ndarray
+    delta: np.ndarray
+
+
+def box_table(rows: list[BoxRow]) -> BoxTable:
+    """Rows of a transcription as arrays."""
+    table = np.array(rows, float).reshape(-1, 5)
+    return BoxTable(table[:, 0].astype(np.int64), *(np.ascontiguousarray(table[:, i]) for i in range(1, 5)))
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """``memory`` and ``table`` go to the compiled code; the other fields are views into the memory."""
+
+    memory: np.ndarray
+    table: np.ndarray
+    grid: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+    p: np.ndarray
+    w: np.ndarray
+    k: np.ndarray
+    value: np.ndarray
+    dx: np.ndarray
+    du: np.ndarray
+
+
+def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]]:
+    s, n = kernel.sizes, problem.ocp.intervals
+    rows = len(problem.path_boxes) + len(problem.terminal_boxes)
+    jacobian = (s.nx, s.lz)
+    return {
+        "grid": (n + 1,),
+        "x": (n + 1, s.nx),
+        "u": (n, s.nu),
+        "x_trial": (n + 1, s.nx),
+        "u_trial": (n, s.nu),
+        "dx": (n + 1, s.lx),
+        "du": (n, s.nu),
+        "p": (n + 1, max(problem.node.size, 1)),
+        "w": (max(problem.constant.size, 1),),
+        "ab": (n, s.nx + 1, s.lz),
+        "h": (n, s.nz, s.lz),
+        "e": (max(s.equality_buffer(), 1),),
+        "eps": (s.lg,),
+        "k": (n, s.nu, s.lx),
+        "value": (s.nx + 1, s.lx),
+        "terminal": (s.nx + 1, s.lx),
+        "scratch": (s.scratch()["total"],),
+        "gradient": (n + 1, s.lz),
+        "j1": jacobian,
+        "j2": jacobian,
+        "s1": jacobian,
+        "s2": jacobian,
+        "f": (6, s.lx),
+        "small": (16 + s.ng,),
+        "boxes": (max(rows, 1), 4),
+    }
+
+
+def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
+    """Memory for ``problem`` with its default weights, zero trajectories and no references."""
+    s, shapes = kernel.sizes, _shapes(kernel, problem)
+    offsets, total = {}, 0
+    for name in BLOCKS:
+        offsets[name] = total
+        total += pad(int(np.prod(shapes[name])))
+    memory = aligned(total)
+    view = {n: memory[offsets[n] : offsets[n] + int(np.prod(shapes[n]))].reshape(shapes[n]) for n in BLOCKS}
+    view["grid"][:] = problem.ocp.grid
+    view["ab"][:, s.nx, s.nx] = 1.0
+    view["dx"][:, s.nx] = 1.0
+    view["eps"][: s.ng] = problem.compliance + 1e-14
+    weights = problem.default_weights()
+    view["w"][: weights.size] = weights
+    boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
+    if boxes.index.size:
+        view["boxes"][:] = np.stack(boxes[1:], axis=1)
+    index = np.where(boxes.index >= s.nx, boxes.index + 1, boxes.index)  # the constant 1 sits between x and u
+    quaternions = list(problem.ocp.dynamics.unit_quaternions)
+    dimensions = [
+        problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
+        len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
+    ]  # fmt: skip
+    table = np.array(
+        [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *index, *quaternions], dtype=np.int64
+    )
+    public = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du")
+    return Workspace(memory, table, **{n: view[n] for n in public})

@@ -1,0 +1,43 @@
+"""Time grids of the horizon."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def uniform_grid(horizon: float, intervals: int) -> Array:
+    """Times of the ``intervals + 1`` nodes [s], equally spaced, from 0 to ``horizon``."""
+    _check(horizon, intervals)
+    return np.linspace(0.0, horizon, intervals + 1)
+
+
+def geometric_grid(horizon: float, intervals: int, first: float) -> Array:
+    """Times of the nodes [s] of a grid that is fine near now and coarse far away.
+
+    The first interval is ``first`` [s]; each interval is a constant ratio longer than the one before it, and the
+    ratio is chosen so that the last node is at ``horizon``.
+    """
+    _check(horizon, intervals)
+    if not 0.0 < first <= horizon / intervals:
+        raise InputError(
+            f"first interval: {first:g} s must be positive and at most horizon / intervals = {horizon / intervals:g} s"
+        )
+    low, high = 1.0, 2.0 + horizon / first
+    for _ in range(200):
+        ratio = 0.5 * (low + high)
+        length = first * np.sum(ratio ** np.arange(intervals)) if ratio ** (intervals - 1) < 1e12 else np.inf
+        low, high = (ratio, high) if length < horizon else (low, ratio)
+    steps = first * low ** np.arange(intervals)
+    return np.concatenate([[0.0], np.cumsum(steps * horizon / steps.sum())])
+
+
+def _check(horizon: float, intervals: int) -> None:
+    if intervals < 1:
+        raise InputError(f"intervals: a horizon needs at least one interval, got {intervals}")
+    if not (np.isfinite(horizon) and horizon > 0.0):
+        raise InputError(f"horizon: must be a positive time in seconds, got {horizon}")
