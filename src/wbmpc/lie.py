@@ -64,15 +64,16 @@ def quaternion_to_rotation(q: Any) -> Any:
 def quaternion_error_vector(q: Any) -> Any:
     """Vector part times the sign of the scalar part: ½ of the rotation vector for small rotations, flat at 180°."""
     if isinstance(q, (ca.SX, ca.MX)):
-        return ca.if_else(q[0] < 0, -1.0, 1.0) * q[1:4]
+        sign: Any = ca.if_else(q[0] < 0, -1.0, 1.0)
+        return sign * q[1:4]
     return (-1.0 if q[0] < 0 else 1.0) * np.asarray(q[1:4], float)
 
 
 def quaternion_log(q: Any) -> Any:
     """Rotation vector [rad] of a unit quaternion, of length at most π; smooth at the identity."""
     if isinstance(q, (ca.SX, ca.MX)):
-        v, w = quaternion_error_vector(q), ca.fabs(q[0])
-        square = ca.dot(v, v)
+        v: Any = quaternion_error_vector(q)
+        w, square = ca.fabs(q[0]), ca.dot(v, v)
         length = ca.sqrt(ca.fmax(square, 1e-12))
         # 2 asin(s) / s = 2 + s²/3 + … below 1e-6 rad, where the quotient loses its derivative
         factor = ca.if_else(square > 1e-12, 2.0 * ca.atan2(length, w) / length, 2.0 + square / 3.0)
@@ -80,6 +81,16 @@ def quaternion_log(q: Any) -> Any:
     v = quaternion_error_vector(q)
     length = float(np.linalg.norm(v))
     return (2.0 if length < 1e-9 else 2.0 * np.arctan2(length, abs(q[0])) / length) * v
+
+
+def slerp(a: ArrayLike, b: ArrayLike, s: float) -> Array:
+    """The rotation a share ``s`` of the shortest way from a to b (Shoemake 1985)."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    v = s * quaternion_log(quaternion_multiply(quaternion_conjugate(a), b))
+    angle = float(np.linalg.norm(v))
+    if angle < 1e-12:
+        return a.copy()
+    return quaternion_multiply(a, quaternion_about(v / angle, angle))  # type: ignore[no-any-return]
 
 
 def rotation_to_quaternion(r: ArrayLike) -> Array:
@@ -122,10 +133,8 @@ def rotation_angle(a: ArrayLike, b: ArrayLike) -> float:
 def se2_exp(delta: ArrayLike) -> Array:
     """Pose (x, y, yaw) reached from the origin by a constant body twist with integral ``delta`` = (dx, dy, dyaw)."""
     dx, dy, w = np.asarray(delta, float)
-    if abs(w) < 1e-6:
-        s, c = 1.0 - w * w / 6.0, 0.5 * w
-    else:
-        s, c = np.sin(w) / w, (1.0 - np.cos(w)) / w
+    # sin(w) / w and (1 − cos(w)) / w, without cancellation at small w
+    s, c = np.sinc(w / np.pi), 0.5 * w * np.sinc(w / (2 * np.pi)) ** 2
     return np.array([s * dx - c * dy, c * dx + s * dy, w])
 
 
@@ -139,3 +148,6 @@ def se2_compose(a: ArrayLike, b: ArrayLike) -> Array:
 def se2_step(pose: ArrayLike, delta: ArrayLike) -> Array:
     """``pose`` moved by a body twist whose integral is ``delta``, exactly."""
     return se2_compose(pose, se2_exp(delta))
+
+
+se2_exp_step = se2_step

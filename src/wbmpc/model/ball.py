@@ -72,6 +72,10 @@ class BallBase:
         z = self.base.wheels.zenith
         return np.array([[np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)] for b in self.base.wheels.azimuths]).T
 
+    def wheel_torque_map(self) -> NDArray[np.float64]:
+        """Torque (3, wheels) on the ball in base axes per unit wheel torque; the base feels the opposite."""
+        return -self.radius / self.base.wheels.radius * self.wheel_axes()
+
     def wheel_speeds(self, q: ca.SX, v: ca.SX) -> ca.SX:
         """Speeds (wheels) [rad/s] of the omni wheels relative to the base for rates v."""
         chain = self.chain(q)
@@ -80,8 +84,7 @@ class BallBase:
         _, omega = chain.frame_velocity(base, rates, ca.SX(3, 1), ca.SX(3, 1))
         spin = ca.vertcat(-v[1] / self.radius, v[0] / self.radius, ca.SX(1, 1))
         rotation = chain.link_pose(4).rotation
-        ratio = self.radius / self.base.wheels.radius
-        return -ratio * ca.DM(self.wheel_axes().T) @ (rotation.T @ (spin - omega))
+        return ca.DM(self.wheel_torque_map().T) @ (rotation.T @ (spin - omega))
 
     # ------------------------------------------------------------------ dynamics
     def mass_matrix(self, q: ca.SX) -> ca.SX:
@@ -90,9 +93,10 @@ class BallBase:
 
     def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
         """M a + h: generalised forces (nq) for accelerations a."""
-        by_link = lambda vector: {link: vector[k] for k, link in enumerate(self._moving)}  # noqa: E731
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        accelerations = {link: a[k] for k, link in enumerate(self._moving)}
         spin = self.spin_mass * ca.vertcat(a[0], a[1], ca.SX(self.nq - 2, 1))
-        return self.chain(q).inverse_dynamics(by_link(v), by_link(a)) + spin
+        return self.chain(q).inverse_dynamics(rates, accelerations) + spin
 
     def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
         """S(q)ᵀ τ + Jᵀ F + disturbance, by virtual power."""

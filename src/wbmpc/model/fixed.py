@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.model.symbolic import Chain, FramePose, constant
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
@@ -13,8 +14,8 @@ from wbmpc.robots import RobotDescription
 class FixedBase:
     """Kinematic arm: state joint angles, input joint rates."""
 
-    def __init__(self, description: RobotDescription, tree: Tree, position: np.ndarray) -> None:
-        self.tree, self.position = tree, position
+    def __init__(self, description: RobotDescription, tree: Tree, position: np.ndarray, quaternion: np.ndarray) -> None:
+        self.tree, self.position, self.quaternion = tree, position, quaternion
         arm = list(description.arm.joints)
         self._joints = [tree.joint(n) for n in arm]
         self.state, self.input = {"arm": arm}, {"arm": arm}
@@ -24,7 +25,8 @@ class FixedBase:
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state."""
-        root = FramePose(constant(self.position), constant(np.array([1.0, 0, 0, 0])), constant(np.eye(3)))
+        rotation = constant(lie.quaternion_to_rotation(self.quaternion))
+        root = FramePose(constant(self.position), constant(self.quaternion), rotation)
         return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._joints)}, root)
 
     def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:

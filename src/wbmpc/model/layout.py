@@ -60,4 +60,6 @@ class Layout:
     def split(self, vector: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """The parts of a vector (size,) by group."""
         vector = np.asarray(vector, float)
+        if vector.shape != (self.size,):
+            raise InputError(f"a vector of {self.size} entries is needed ({', '.join(self.groups)}), got {vector.shape}")
         return {group: vector[part] for group, part in self._slices.items()}

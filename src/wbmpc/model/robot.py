@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +18,7 @@ from wbmpc.model.fixed import FixedBase
 from wbmpc.model.layout import Layout
 from wbmpc.model.swerve import SwerveBase
 from wbmpc.model.symbolic import FramePose
-from wbmpc.model.tree import Link, read_tree
+from wbmpc.model.tree import read_tree
 from wbmpc.robots import (
     BallBaseDescription,
     RobotDescription,
@@ -70,21 +71,29 @@ class RobotModel:
         self.tree = self.base.tree
         self.state, self.input = Layout(self.base.state), Layout(self.base.input)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
+        self._check_home()
 
-    def _make_base(self, spec: Any) -> Any:
+    def _check_home(self) -> None:
+        for group, names in self.state.groups.items():
+            for i, name in enumerate(names, start=self.state[group].start):
+                value = self.description.home.get(name, 0.0)
+                low, high = self.limits.state_lower[i], self.limits.state_upper[i]
+                if name in self.description.joints() and not low <= value <= high:
+                    raise InputError(
+                        f"{self.description.source}: key 'home.{name}': {value:g} is outside its limits {low:g} to {high:g}"
+                    )
+
+    def _make_base(self, spec: mujoco.MjSpec) -> Any:
         d = self.description
         if isinstance(d.base, BallBaseDescription):
-            ball = next(body for body in spec.bodies if body.name == d.base.ball)
-            tree = read_tree(spec, d.base.body, without=(d.base.ball,))
-            inertia = np.diag(np.asarray(ball.inertia, float))
-            zero = np.zeros(3)
-            link = Link(d.base.ball, -1, None, "fixed", zero, zero, np.eye(3), float(ball.mass), zero, inertia)
-            return BallBase(d, tree, link)
+            ball = d.base.ball
+            inside = read_tree(spec, ball).links[0]
+            return BallBase(d, read_tree(spec, d.base.body, without=(ball,)), inside)
         tree = read_tree(spec, d.base.body)
-        root = next(body for body in spec.bodies if body.name == d.base.body)
         if isinstance(d.base, SwerveBaseDescription):
-            return SwerveBase(d, tree, float(root.pos[2]))
-        return FixedBase(d, tree, np.asarray(root.pos, float))
+            return SwerveBase(d, tree)
+        compiled = spec.compile().body(d.base.body)
+        return FixedBase(d, tree, compiled.pos.copy(), compiled.quat.copy())
 
     # ------------------------------------------------------------------ data
     @property
@@ -109,7 +118,7 @@ class RobotModel:
             if group != "base"
         }
         x = self.state.vector(values)
-        if self.state.groups["base"][3:4] == ("qw",):
+        if isinstance(self.base, SwerveBase) and self.base.quaternion:
             x[self.state["base"]] = [0, 0, self.base.height, 1, 0, 0, 0]
         return x
 
@@ -184,6 +193,14 @@ class RobotModel:
             self._functions["M"] = ca.Function("M", [s], [ca.densify(base.mass_matrix(s))])
         return np.array(self._functions["M"](np.asarray(q, float)))
 
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """M a + h (nq): the generalised forces of a ball robot's motion."""
+        base = self._ball()
+        if "tau" not in self._functions:
+            s = [ca.SX.sym(n, base.nq) for n in "qva"]
+            self._functions["tau"] = ca.Function("tau", s, [ca.densify(base.inverse_dynamics(*s))])
+        return np.array(self._functions["tau"](*(np.asarray(value, float) for value in (q, v, a)))).ravel()
+
     def equilibrium(self, arm: ArrayLike, yaw: float = 0.0, force: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
         """State (nx) and torques (wheels + arm) at which a ball robot rests with a force (3) [N] of the world on its hand."""
         from scipy.optimize import root
@@ -196,15 +213,23 @@ class RobotModel:
             w = ca.SX.zeros(n) if base.contact else ca.vertcat(ca.SX.zeros(n), f)
             rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.generalised_force(q, given, w)
             self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
-        rest_of, arm = self._functions["rest"], np.asarray(arm, float)
-        wheels = len(base.input["wheel"])
+        rest_of, angles, push = self._functions["rest"], np.asarray(arm, float), np.asarray(force, float)
+        if angles.shape != (n - 5,) or push.shape != (3,):
+            raise InputError(f"{self.description.name}: an equilibrium needs {n - 5} arm angles and 3 forces")
+
+        def joints(z: Array) -> Array:
+            return np.concatenate([[0, 0, yaw], z[:2], angles])
+
+        def unbalanced(z: Array) -> Array:
+            return np.array(rest_of(joints(z), z[2:], push)).ravel()
+
         # With more than three wheels the torques are not unique: the least-norm ones come from starting at zero.
-        joint = lambda z: np.concatenate([[0, 0, yaw], z[:2], arm])  # noqa: E731
-        found = root(lambda z: np.array(rest_of(joint(z), z[2:], force)).ravel(), np.zeros(2 + wheels + n - 5), method="lm")
-        if not found.success or np.abs(found.fun).max() > 1e-8:
-            raise InputError(f"{self.description.name}: no equilibrium for the arm at {arm} with force {force}")
+        start = np.zeros(2 + len(base.input["wheel"]) + n - 5)
+        found = root(unbalanced, start, method="lm", options={"xtol": 1e-14, "ftol": 1e-14})
+        if np.abs(found.fun).max() > 1e-8:
+            raise InputError(f"{self.description.name}: no equilibrium for the arm at {angles} with force {push}")
         x = self.state.vector({})
-        x[:n] = joint(found.x)
+        x[:n] = joints(found.x)
         return x, found.x[2:]
 
 

@@ -12,19 +12,26 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc import lie
+from wbmpc.errors import InputError
 from wbmpc.model.symbolic import Chain, FramePose, constant, rotation_about
 from wbmpc.model.tree import Tree
-from wbmpc.robots import RobotDescription, SwerveBaseDescription
+from wbmpc.robots import ModuleDescription, RobotDescription, SwerveBaseDescription
 
 Array = NDArray[np.float64]
+
+
+# A wheel whose contact lies farther from the steer axis is a caster, which these equations do not describe.
+_LARGEST_OFFSET = 0.005
 
 
 @dataclass(frozen=True)
 class SwerveGeometry:
     """Numbers of a swerve base, in the body frame. n modules.
 
-    ``hinge`` (n, 2) [m]; ``leg_length`` (n,) from hinge to steer axis [m] (0 for fixed legs, whose hinge is the steer
-    axis); ``leg_heading`` (n,) of the leg and ``wheel_heading`` (n,) of the wheel at zero joint angles [rad].
+    ``hinge`` (n, 2) [m]; ``leg_length`` (n,) from hinge to steer axis [m]; ``leg_heading`` (n,) of the leg and
+    ``wheel_heading`` (n,) of the wheel at zero joint angles [rad]. Fixed legs have their angle in the headings; joint
+    angles and rates of legs have no effect on them.
     """
 
     hinge: Array
@@ -36,35 +43,74 @@ class SwerveGeometry:
 
     @property
     def modules(self) -> int:
+        """Number of modules n."""
         return len(self.hinge)
+
+    def leg_angles(self, leg: ArrayLike) -> Array:
+        """Leg angles (n,) or rates as far as the legs can turn: zero for fixed legs."""
+        return np.broadcast_to(np.asarray(leg, float) * self.has_hinge, self.modules)
 
     def steer_axes(self, leg: ArrayLike) -> Array:
         """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""
-        a = self.leg_heading + np.asarray(leg, float)
+        a = self.leg_heading + self.leg_angles(leg)
         return self.hinge + self.leg_length[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1)
 
 
-def read_geometry(tree: Tree, base: SwerveBaseDescription) -> SwerveGeometry:
-    """Geometry from the tree at zero joint angles."""
-    poses: list[tuple[Array, Array]] = []
-    for link in tree.links:
-        position, rotation = (np.zeros(3), np.eye(3)) if link.parent < 0 else poses[link.parent]
-        poses.append((position + rotation @ link.position, rotation @ link.rotation))
-    rows = []
+def read_geometry(description: RobotDescription, tree: Tree) -> tuple[SwerveGeometry, float]:
+    """Geometry from the tree at zero joint angles, and the height [m] of the body's frame above the ground.
+
+    Raises :class:`InputError` for modules that this model does not describe.
+    """
+    base = description.base
+    assert isinstance(base, SwerveBaseDescription)
+    poses = tree.zero_poses()
+    hinged = [m.hinge is not None for m in base.modules]
+    if any(hinged) != all(hinged):
+        raise InputError(f"{description.source}: key 'base.modules': either all modules or none have a 'hinge'")
+    hinge, length, leg, wheel, height = [], [], [], [], []
     for module in base.modules:
-        steer_position, steer_rotation = poses[tree.joint(module.steer)]
-        hinge = steer_position if module.hinge is None else poses[tree.joint(module.hinge)][0]
-        arm = (steer_position - hinge)[:2]
-        length = float(np.hypot(*arm))
-        rows.append((hinge[:2], length, np.arctan2(arm[1], arm[0]), np.arctan2(steer_rotation[1, 0], steer_rotation[0, 0])))
-    hinge, length, leg, wheel = (np.array(v, float) for v in zip(*rows, strict=True))
-    return SwerveGeometry(hinge, length, leg, wheel, base.wheel_radius, base.modules[0].hinge is not None)
+        steer, rolling = tree.joint(module.steer), tree.joint(module.wheel)
+        # The parent of a steer joint is the leg, on its hinge or fixed; without a leg the steer axis is on the body.
+        mount = tree.joint(module.hinge) if module.hinge else tree.links[steer].parent
+        start = poses[steer][0] if tree.links[mount].parent < 0 else poses[mount][0]
+        along = (poses[steer][0] - start)[:2]
+        axle = poses[rolling][1] @ tree.links[rolling].axis
+        _check_module(description, tree, module, poses)
+        hinge.append(start[:2])
+        length.append(float(np.hypot(*along)))
+        leg.append(float(np.arctan2(along[1], along[0])))
+        wheel.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
+        height.append(base.wheel_radius - float(poses[rolling][0][2]))
+    if np.ptp(height) > 0.01:
+        raise InputError(f"{description.source}: key 'base.modules': the wheels do not stand on one level {height}")
+    geometry = SwerveGeometry(
+        hinge=np.array(hinge),
+        leg_length=np.array(length),
+        leg_heading=np.array(leg),
+        wheel_heading=np.array(wheel),
+        wheel_radius=base.wheel_radius,
+        has_hinge=all(hinged),
+    )
+    return geometry, float(np.mean(height))
+
+
+def _check_module(
+    description: RobotDescription, tree: Tree, module: ModuleDescription, poses: list[tuple[Array, Array]]
+) -> None:
+    steer, wheel = tree.joint(module.steer), tree.joint(module.wheel)
+    for name in (module.hinge, module.steer):
+        if name and (poses[tree.joint(name)][1] @ tree.links[tree.joint(name)].axis)[2] < 1.0 - 1e-6:
+            raise InputError(f"{description.source}: joint '{name}' must turn about the body's +z axis")
+    if abs((poses[wheel][1] @ tree.links[wheel].axis)[2]) > 1e-6:
+        raise InputError(f"{description.source}: joint '{module.wheel}' must have a horizontal axis")
+    if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > _LARGEST_OFFSET:
+        raise InputError(f"{description.source}: wheel '{module.wheel}' must stand under the axis of '{module.steer}'")
 
 
 def wheel_velocities(geometry: SwerveGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:
     """Velocities (n, 2) [m/s] of the steer axes in the body frame for a twist (vx, vy, ω) and leg rates (n,)."""
     s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float)
-    swing = (s - geometry.hinge) * np.broadcast_to(np.asarray(leg_rate, float), geometry.modules)[:, None]
+    swing = (s - geometry.hinge) * geometry.leg_angles(leg_rate)[:, None]
     return np.stack([vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]], axis=1)
 
 
@@ -74,7 +120,7 @@ def rolling_inverse_kinematics(
     """Steering angles (n,) [rad] (the branch nearest to ``steer``) and wheel speeds (n,) [rad/s] that roll a motion."""
     v = wheel_velocities(geometry, leg, twist, leg_rate)
     steer = np.asarray(steer, float)
-    heading = geometry.wheel_heading + np.asarray(leg, float) * geometry.has_hinge + steer
+    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
     change = np.arctan2(v[:, 1], v[:, 0]) - heading
     change = (change + np.pi / 2) % np.pi - np.pi / 2
     still = np.hypot(v[:, 0], v[:, 1]) < 1e-9
@@ -87,19 +133,20 @@ def rolling_inverse_kinematics(
 class SwerveBase:
     """Kinematic model: the input is the body twist and all joint rates; rolling is a constraint."""
 
-    def __init__(self, description: RobotDescription, tree: Tree, height: float) -> None:
+    def __init__(self, description: RobotDescription, tree: Tree) -> None:
         assert isinstance(description.base, SwerveBaseDescription)
         self.base = description.base
-        self.tree, self.height = tree, height
-        self.geometry = read_geometry(tree, self.base)
+        self.tree = tree
+        self.geometry, self.height = read_geometry(description, tree)
         modules, arm = self.base.modules, description.arm.joints
-        legs = {"leg": [m.hinge for m in modules]} if self.geometry.has_hinge else {}
+        hinges = [m.hinge for m in modules if m.hinge]
+        legs = {"leg": hinges} if hinges else {}
         joints = {**legs, "steer": [m.steer for m in modules], "wheel": [m.wheel for m in modules], "arm": list(arm)}
         self.quaternion = self.base.orientation == "quaternion"
         pose = ["x", "y", "z", "qw", "qx", "qy", "qz"] if self.quaternion else ["x", "y", "yaw"]
-        self.state = {"base": pose, **joints}
-        self.input = {"base": ["vx", "vy", "wz"], **joints}
-        self.mode = {"brake": [f"brake_{m.hinge}" for m in modules]} if legs else {}
+        self.state: dict[str, list[str]] = {"base": pose, **joints}
+        self.input: dict[str, list[str]] = {"base": ["vx", "vy", "wz"], **joints}
+        self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
         self.parameters: dict[str, list[str]] = {}
         self.unit_quaternions = (3,) if self.quaternion else ()
         self._start = len(pose)
@@ -107,7 +154,8 @@ class SwerveBase:
 
     def slices(self, vector: ca.SX, state: bool) -> dict[str, ca.SX]:
         """Parts of a state or an input by group."""
-        out, start = {}, 0
+        out: dict[str, ca.SX] = {}
+        start = 0
         for group, names in (self.state if state else self.input).items():
             out[group] = vector[start : start + len(names)]
             start += len(names)
@@ -116,13 +164,10 @@ class SwerveBase:
     def root(self, x: ca.SX) -> FramePose:
         """Pose of the body's frame."""
         if self.quaternion:
-            from wbmpc.lie import quaternion_to_rotation
-
-            return FramePose(x[0:3], x[3:7], quaternion_to_rotation(x[3:7]))
-        half = x[2] / 2
-        quaternion = ca.vertcat(ca.cos(half), ca.SX(2, 1), ca.sin(half))
+            return FramePose(x[0:3], x[3:7], lie.quaternion_to_rotation(x[3:7]))
+        up = np.array([0.0, 0.0, 1.0])
         position = ca.vertcat(x[0], x[1], self.height)
-        return FramePose(position, quaternion, rotation_about(np.array([0.0, 0.0, 1.0]), x[2]))
+        return FramePose(position, ca.sparsify(lie.quaternion_about(up, x[2])), rotation_about(up, x[2]))
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state."""
@@ -142,9 +187,8 @@ class SwerveBase:
             rates = ca.vertcat(m[0:n] * u[3 : 3 + n], u[3 + n :])
         if self.quaternion:
             velocity = self.root(x).rotation @ ca.vertcat(u[0], u[1], ca.SX(1, 1))
-            half = u[2] / 2
-            turn = ca.vertcat(-half * x[6], half * x[5], -half * x[4], half * x[3])
-            return ca.vertcat(velocity, turn, rates)
+            rate = ca.vertcat(ca.SX(3, 1), u[2])
+            return ca.vertcat(velocity, 0.5 * lie.quaternion_multiply(x[3:7], rate), rates)
         c, s = ca.cos(x[2]), ca.sin(x[2])
         return ca.vertcat(c * u[0] - s * u[1], s * u[0] + c * u[1], u[2], rates)
 
@@ -155,11 +199,8 @@ class SwerveBase:
         for i in range(g.modules):
             leg = state["leg"][i] if g.has_hinge else 0.0
             rate = m[i] * given["leg"][i] if g.has_hinge else 0.0
-            if g.leg_length[i] > 0.0:
-                angle = float(g.leg_heading[i]) + leg
-                arm = float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
-            else:
-                arm = ca.SX(2, 1)
+            angle = float(g.leg_heading[i]) + leg
+            arm = float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
             s = constant(g.hinge[i]) + arm
             vx = u[0] - u[2] * s[1] - rate * arm[1]
             vy = u[1] + u[2] * s[0] + rate * arm[0]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.model.tree import Frame, Link
@@ -18,10 +19,11 @@ from wbmpc.model.tree import Frame, Link
 SX = ca.SX
 
 
-def constant(value: np.ndarray) -> SX:
-    """A numeric array as a sparse SX; what is below 1e-14 becomes a structural zero."""
-    value = np.asarray(value, float)
-    return SX(ca.sparsify(ca.DM(np.where(np.abs(value) < 1e-14, 0.0, value))))
+def constant(value: ArrayLike) -> SX:
+    """A numeric array as a sparse SX; rounding errors about 0 and ±1 are removed, since both make expressions shorter."""
+    array = np.asarray(value, float)
+    whole = np.round(array)
+    return SX(ca.sparsify(ca.DM(np.where((np.abs(array - whole) < 1e-14) & (np.abs(whole) <= 1), whole, array))))
 
 
 def rotation_about(axis: np.ndarray, angle: SX) -> SX:

@@ -9,9 +9,13 @@ import mujoco
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, unknown_name
 
-_KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "revolute", mujoco.mjtJoint.mjJNT_SLIDE: "prismatic"}
+Kind = Literal["fixed", "revolute", "prismatic"]
+_KINDS: dict[mujoco.mjtJoint, Kind] = {
+    mujoco.mjtJoint.mjJNT_HINGE: "revolute",
+    mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
+}
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Link:
     name: str
     parent: int
     joint: str | None
-    kind: Literal["fixed", "revolute", "prismatic"]
+    kind: Kind
     axis: np.ndarray
     position: np.ndarray
     rotation: np.ndarray
@@ -54,7 +58,18 @@ class Tree:
 
     def joint(self, name: str) -> int:
         """Index of the link behind the joint of that name."""
-        return next(i for i, link in enumerate(self.links) if link.joint == name)
+        place = next((i for i, link in enumerate(self.links) if link.joint == name), None)
+        if place is None:
+            raise unknown_name("joint below the base's body", name, [k.joint for k in self.links if k.joint])
+        return place
+
+    def zero_poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Position (3) [m] and rotation (3, 3) of every link in the root's frame at zero joint values."""
+        poses: list[tuple[np.ndarray, np.ndarray]] = []
+        for link in self.links:
+            position, rotation = (np.zeros(3), np.eye(3)) if link.parent < 0 else poses[link.parent]
+            poses.append((position + rotation @ link.position, rotation @ link.rotation))
+        return poses
 
 
 def read_tree(spec: mujoco.MjSpec, root: str, without: tuple[str, ...] = ()) -> Tree:
@@ -101,14 +116,24 @@ def _links_of_body(model: mujoco.MjModel, body: int, parent: int, first: int, is
         joint = model.joint(j).name
         if kind is None:
             raise InputError(f"joint '{joint}': only hinge and slide joints are possible in the tree of the arm and legs")
-        limits = tuple(model.jnt_range[j]) if model.jnt_limited[j] else (-np.inf, np.inf)
+        low, high = model.jnt_range[j]
         last = k == count - 1
         if kind == "revolute" and np.any(model.jnt_pos[j]):
             raise InputError(f"joint '{joint}': its axis must go through the origin of its body")
         data = body_data if last else nothing
         links.append(
-            Link(name if last else f"{name}.{joint}", parent if k == 0 else first + k - 1, joint, kind,
-                 model.jnt_axis[j].copy(), position if k == 0 else np.zeros(3), rotation if k == 0 else np.eye(3),
-                 *data, limits)  # fmt: skip
+            Link(
+                name=name if last else f"{name}.{joint}",
+                parent=parent if k == 0 else first + k - 1,
+                joint=joint,
+                kind=kind,
+                axis=model.jnt_axis[j].copy(),
+                position=position if k == 0 else np.zeros(3),
+                rotation=rotation if k == 0 else np.eye(3),
+                mass=data[0],
+                com=data[1],
+                inertia=data[2],
+                range=(float(low), float(high)) if model.jnt_limited[j] else (-np.inf, np.inf),
+            )
         )
     return links

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -160,8 +160,12 @@ def _first_fault(error: ValidationError) -> str:
 
 def _sibling_keys(location: tuple[int | str, ...], prefix: str) -> list[str]:
     """The valid keys beside an unknown one, with the same dotted prefix."""
-    bases = {"swerve": SwerveBaseDescription, "ball": BallBaseDescription, "fixed": FixedBaseDescription}
-    inner = {
+    bases: dict[str, type[BaseModel]] = {
+        "swerve": SwerveBaseDescription,
+        "ball": BallBaseDescription,
+        "fixed": FixedBaseDescription,
+    }
+    inner: dict[str, type[BaseModel]] = {
         "modules": ModuleDescription,
         "wheels": OmniWheelsDescription,
         "arm": ArmDescription,
@@ -178,7 +182,8 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     joints = [j.name for j in spec.joints]
     limits = description.limits
     used = {
-        "joint": description.joints(),
+        "arm.joints": list(description.arm.joints),
+        "base.modules": description.joints()[len(description.arm.joints) :],
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
         "limits.effort": list(limits.effort),
@@ -193,9 +198,9 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         raise unknown_name("frame (key 'arm.tool')", description.arm.tool, frames, where=description.source)
     bodies = [b.name for b in spec.bodies]
     for key in ("body", "ball"):
-        name = getattr(description.base, key, None)
-        if name is not None and name not in bodies:
-            raise unknown_name(f"body (key 'base.{key}')", name, bodies, where=description.source)
+        body = getattr(description.base, key, None)
+        if body is not None and body not in bodies:
+            raise unknown_name(f"body (key 'base.{key}')", body, bodies, where=description.source)
 
 
 def load_spec(description: RobotDescription) -> mujoco.MjSpec:

@@ -127,3 +127,16 @@ def receding_solve(m, o, tables, t0, delta, x0, iterations, tolerance, feasibili
         shift(m, o, delta)
     sample_all(m, o, tables, t0)
     return driver.solve(m, o, x0, iterations, tolerance, feasibility, smallest, certify, force, log)
+
+
+@compiled
+def simulate(m, o, x, u, h, out):  # type: ignore[no-untyped-def]
+    """One Runge-Kutta step of the model with the parameters of node 0."""
+    xt, ut, end = o[driver.XT], o[driver.UT], o[driver.F] + 5 * o[driver.LX]
+    for i in range(o[driver.NX]):
+        m[xt + i] = x[i]
+    for i in range(o[driver.NU]):
+        m[ut + i] = u[i]
+    driver.integrate(m, o, xt, ut, o[driver.P], h, end)
+    for i in range(o[driver.NX]):
+        out[i] = m[end + i]

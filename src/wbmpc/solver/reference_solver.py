@@ -103,6 +103,15 @@ class InterpretedSolver:
         self._normalise(end, total)
         return end, total
 
+    def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """One Runge-Kutta step with the parameters of node 0."""
+        saved = self.ws.grid
+        self.ws.grid = np.array([0.0, h])
+        try:
+            return self.step(np.asarray(x, float), np.asarray(u, float), 0)[0]
+        finally:
+            self.ws.grid = saved
+
     def _merit(self, x: np.ndarray, u: np.ndarray, x0: np.ndarray) -> tuple[float, float]:
         ws, n = self.ws, len(u)
         violation = np.abs(x0 - x[0]).sum()

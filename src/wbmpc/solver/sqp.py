@@ -122,6 +122,16 @@ class SQPSolver:
         args = (t0, delta, x0, s.iterations, s.tolerance, s.feasibility, s.smallest_step, s.certify, s.force_step, self.log)
         return receding_solve(self.ws.memory, self.ws.table, self.tables(), *args)  # type: ignore[no-any-return]
 
+    def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
+        if self.settings.backend == "interpreted":
+            return self.twin.simulate(x, u, h)
+        from wbmpc.solver.receding import simulate
+
+        out = np.empty(self.problem.nx)
+        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x), np.ascontiguousarray(u), h, out)
+        return out
+
     def solve(self, x0: np.ndarray, t0: float = 0.0) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s]."""
         x0 = np.ascontiguousarray(x0, float)
@@ -133,9 +143,10 @@ class SQPSolver:
             raise InputError(f"initial state: '{bad}' is not finite")
         start = time.perf_counter()
         status, count = self.run(x0, t0)
-        return self._solution(status, count, time.perf_counter() - start)
+        return self.solution(status, count, time.perf_counter() - start)
 
-    def _solution(self, status: int, count: int, elapsed: float) -> Solution:
+    def solution(self, status: int, count: int, elapsed: float) -> Solution:
+        """What the last :meth:`run` left in the memory."""
         row = self.log[count - 1]
         return Solution(
             status=_STATUS[status],

@@ -1,0 +1,35 @@
+"""Policies in force and on their way."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from wbmpc.mpc import Policy
+
+
+class Plans:
+    """A queue of policies with the time at which each comes into force (several when computing takes long)."""
+
+    def __init__(self) -> None:
+        self.current: Policy | None = None
+        self._queue: deque[tuple[float, Policy]] = deque()
+
+    def add(self, t: float, policy: Policy) -> None:
+        """``policy`` comes into force at time ``t`` [s]; the very first one at once."""
+        if self.current is None:
+            self.current = policy
+        else:
+            self._queue.append((t, policy))
+
+    def activate(self, t: float) -> None:
+        """Make the newest policy that is due at time ``t`` the current one."""
+        while self._queue and self._queue[0][0] <= t + 1e-9:
+            self.current = self._queue.popleft()[1]
+
+    def at(self, t: float) -> Policy | None:
+        """The policy that will be in force at time ``t``."""
+        found = self.current
+        for start, policy in self._queue:
+            if start <= t + 1e-9:
+                found = policy
+        return found

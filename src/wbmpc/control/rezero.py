@@ -1,0 +1,73 @@
+"""From measured states to observations and torques of a ball robot: delay and drive lag compensated, offset-free."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from wbmpc.control.plans import Plans
+from wbmpc.estimation import DisturbanceObserver
+from wbmpc.model import RobotModel
+from wbmpc.mpc import MPC, Observation
+from wbmpc.plant import RezeroCommand, RezeroMeasurement
+
+
+class RezeroAgent:
+    """Prediction, disturbance observer and Riccati policy at the controller's rate.
+
+    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
+    """
+
+    def __init__(self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True) -> None:
+        self.robot, self.mpc, self.period = robot, mpc, period
+        self.limit = robot.limits.input_upper[: torque.size]
+        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._torques: deque[np.ndarray] = deque([torque.copy()] * 64, maxlen=64)
+        self.observer: DisturbanceObserver | None = None
+        if observer:
+            self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
+        self.disturbance = np.zeros(robot.base.nq)
+        self.measured: RezeroMeasurement | None = None
+
+    def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        return self.mpc.solver.simulate(x, u, h)
+
+    def measure(self, measurement: RezeroMeasurement) -> None:
+        """Take in this tick's (late) state; update the disturbance."""
+        self.measured = measurement
+        if self.observer is not None:
+            past = self._torques[-1 - self._late()]
+            self.disturbance = self.observer.update(measurement.time, measurement.state, past, self.period)
+            self.mpc.solver.set_parameters({"disturbance": self.disturbance})
+
+    def _late(self) -> int:
+        assert self.measured is not None
+        return round(self.measured.age / self.period)
+
+    def state(self) -> np.ndarray:
+        """The measured state brought up to now by the torques that have acted since."""
+        assert self.measured is not None
+        x, late = self.measured.state, self._late()
+        for k in range(late):
+            x = self._step(x, self._torques[k - late], self.period)
+        return x
+
+    def predict(self, t: float, until: float, plans: Plans) -> Observation:
+        """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
+        x, torque = self.state(), self._torques[-1]
+        for k in range(round((until - t) / self.period)):
+            policy = plans.at(t + k * self.period)
+            if policy is None:
+                break
+            wanted = np.clip(policy(t + k * self.period, x)[: self.limit.size], -self.limit, self.limit)
+            torque = torque + self._blend * (wanted - torque)
+            x = self._step(x, torque, self.period)
+        return Observation(until, x)
+
+    def command(self, t: float, plans: Plans) -> RezeroCommand:
+        """Torques of the feedback policy at the predicted present state."""
+        assert plans.current is not None
+        torque = np.clip(plans.current(t, self.state())[: self.limit.size], -self.limit, self.limit)
+        self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
+        return RezeroCommand(torque)

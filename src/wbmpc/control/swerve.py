@@ -1,0 +1,87 @@
+"""From policies to drive commands of a swerve robot, and from encoders to observations.
+
+The MPC's state holds the *planned* steering angles; a servo closes their difference to the measured ones. (With measured
+angles the rolling rows of four wheels are never exactly consistent, and their only exact solution is standstill.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.control.plans import Plans
+from wbmpc.estimation import WheelOdometry
+from wbmpc.model import RobotModel
+from wbmpc.mpc import Observation
+from wbmpc.plant import SwerveCommand, SwerveMeasurement
+
+
+class SwerveAgent:
+    """Estimation, prediction and tracking of a swerve robot at the controller's rate.
+
+    ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s].
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        pose: np.ndarray,
+        period: float,
+        brakes: Callable[[float], np.ndarray] | None = None,
+        steer_gain: float = 5.0,
+        planned_steering: bool = True,
+    ) -> None:
+        self.robot, self.period, self.steer_gain = robot, period, steer_gain
+        self.planned_steering = planned_steering
+        self.odometry = WheelOdometry(robot.base.geometry, pose)
+        hinges = len(robot.state.groups.get("leg", ()))
+        self.brakes = brakes or (lambda t: np.zeros(hinges))
+        self.measured: SwerveMeasurement | None = None
+
+    def measure(self, measurement: SwerveMeasurement) -> None:
+        """Take in the encoders of this tick."""
+        self.measured = measurement
+        self.odometry.update(measurement.leg, measurement.steer, measurement.wheel)
+
+    def state(self) -> np.ndarray:
+        """Estimated state (nx), with the measured steering angles."""
+        m = self.measured
+        assert m is not None
+        parts = {"base": self.odometry.pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
+        return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+
+    def predict(self, t: float, until: float, plans: Plans) -> Observation:
+        """The state at time ``until``, by the inputs that will be applied from ``t`` on."""
+        state, given = self.robot.state, self.robot.input
+        x = self.state()
+        if plans.current is not None and self.planned_steering:
+            x[state["steer"]] = plans.current.state(t)[state["steer"]]
+        for k in range(round((until - t) / self.period)):
+            now = t + (k + 0.5) * self.period
+            policy = plans.at(now)
+            if policy is None:
+                break
+            u = policy.feedforward(now)
+            x[state["base"]] = lie.se2_step(x[state["base"]], u[given["base"]] * self.period)
+            for group in ("leg", "steer", "wheel", "arm"):
+                if group in state:
+                    rate = u[given[group]] * (self.brakes(now) if group == "leg" else 1.0)
+                    x[state[group]] += rate * self.period
+        return Observation(until, x)
+
+    def command(self, t: float, plans: Plans) -> SwerveCommand:
+        """Drive speeds for this tick; a stop once the plan has run out."""
+        policy, m, given = plans.current, self.measured, self.robot.input
+        assert policy is not None and m is not None
+        if t > policy.end:
+            n = len(m.steer)
+            return SwerveCommand(np.zeros(n), np.zeros(n), np.zeros(len(m.arm)), np.zeros(len(self.brakes(t))))
+        u = policy.feedforward(t)
+        planned = policy.state(t)[self.robot.state["steer"]]
+        steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
+        wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
+        # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
+        wheel = wheel / max(1.0, float(np.max(np.abs(wheel) / limit)))
+        return SwerveCommand(wheel, steer, u[given["arm"]], self.brakes(t))

@@ -1,0 +1,31 @@
+"""Experiments: one file each; the registry maps their names to what the command line runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from wbmpc.experiments import rezero_steps, swerve_track
+from wbmpc.result import RunResult
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A name, a line about it, its settings and ``run(settings, seed, progress)``."""
+
+    name: str
+    summary: str
+    config_type: type[BaseModel]
+    run: Callable[[Any, int, Callable[[float, str], None] | None], RunResult]
+
+
+REGISTRY: dict[str, Experiment] = {
+    m.NAME: Experiment(m.NAME, m.SUMMARY, settings, m.run)  # type: ignore[attr-defined]
+    for m, settings in (
+        (swerve_track, swerve_track.SwerveTrackSettings),
+        (rezero_steps, rezero_steps.RezeroStepsSettings),
+    )
+}

@@ -1,0 +1,77 @@
+"""The whole-body problem of the ball robot: one set of weights for hand tasks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.experiments.settings import MpcSettings, Settings, Weight
+from wbmpc.model import RobotModel
+from wbmpc.mpc import MPC
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.solver import SQP
+
+
+class HandCost(Settings):
+    """Weights of the hand: position [1/m²], pitch and yaw and (not controllable at rest) roll-like error [1/rad²]."""
+
+    weight: Weight = 300.0
+    orientation: Weight = 60.0
+    twist: Weight = 1.0
+    angular: Weight = 0.2
+
+
+class BodyCost(Settings):
+    """Weights of ball position and speed, yaw and its rate, tilt rate, arm rate, per second."""
+
+    ball: Weight = 0.0
+    ball_speed: Weight = 1.0
+    yaw: Weight = 1.0
+    yaw_rate: Weight = 0.5
+    tilt_rate: Weight = 2.0
+    arm_rate: Weight = 0.2
+
+
+class TorqueCost(Settings):
+    """Weights of wheel and arm torques against those of the equilibrium."""
+
+    wheel: Weight = 0.05
+    arm: Weight = 0.005
+
+
+class RezeroCost(Settings):
+    """All weights; the end of the horizon counts like one second (``terminal``) of it."""
+
+    hand: HandCost = HandCost()
+    body: BodyCost = BodyCost()
+    torque: TorqueCost = TorqueCost()
+    terminal: Weight = 1.0
+
+
+def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); soft limits."""
+    first = settings.first_interval or None
+    ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
+    h, b, t = cost.hand, cost.body, cost.torque
+    pose = np.array([h.weight] * 3 + [h.orientation] * 3)
+    twist = np.array([h.twist] * 3 + [h.angular] * 3)
+    speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
+    body = {"base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "base_velocity": speeds, "arm_velocity": b.arm_rate}
+    end = {g: list(cost.terminal * np.atleast_1d(v)) if g != "arm_velocity" else cost.terminal * b.arm_rate for g, v in body.items()}
+    ocp.add(Cost("hand", residuals.FramePose(robot, robot.tool), list(pose), at="all", terminal_weight=list(cost.terminal * pose)))
+    frame_twist = residuals.FrameTwist(robot, robot.tool)
+    ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
+    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
+    ocp.add(Cost("torque", residuals.Input(robot), {"wheel": t.wheel, "arm": t.arm}))
+    limits = robot.limits
+    free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
+    barrier = RelaxedBarrier(settings.barrier_mu, 0.02)
+    ocp.add(Constraint("ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier))
+    barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
+    ocp.add(Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier))
+    return ocp
+
+
+def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
+    """The MPC of that problem with its real-time settings."""
+    solver = SQP(iterations=settings.iterations, certify=False, smallest_step=0.2, force_step=True)
+    return MPC(rezero_problem(robot, settings, cost), solver, settings.rate)

@@ -1,0 +1,224 @@
+"""`rezero-steps`: the ball robot takes steps of the hand's pose with its base free (Minniti et al. 2019, Fig. 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.control import RezeroAgent
+from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.settings import ExperimentSettings, MpcSettings
+from wbmpc.log import Log
+from wbmpc.loop import Progress, Timing, run_lockstep
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.plant import RezeroPlant
+from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
+
+NAME = "rezero-steps"
+SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
+
+IDEALISATIONS = [
+    "there is no state estimator yet: the controller gets the simulator's state, 5 ms old, with noise of 1 mm and 2 mrad "
+    "(speeds 0.01 m/s and 0.02 rad/s); the estimated frame is therefore the world",
+    "the arm's geometry and masses are assumed (not published)",
+    "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
+    "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
+]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change of the hand's pose: translation [m] in the world, or a rotation about a world or hand axis [rad]."""
+
+    name: str
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: tuple[float, float, float] | None = None
+    angle: float = 0.0
+
+
+STEPS = (
+    Step("+x 0.2 m", (0.2, 0.0, 0.0)),
+    Step("-x 0.2 m", (-0.2, 0.0, 0.0)),
+    Step("+y 0.2 m", (0.0, 0.2, 0.0)),
+    Step("-y 0.2 m", (0.0, -0.2, 0.0)),
+    Step("+z 0.1 m", (0.0, 0.0, 0.1)),
+    Step("-z 0.1 m", (0.0, 0.0, -0.1)),
+    Step("yaw 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6),
+    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9),
+)
+
+
+class RezeroStepsSettings(ExperimentSettings):
+    """``hold`` [s] of each step and of home between them; ``preview``: whether the MPC sees a step before it comes;
+    ``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes."""
+
+    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=1e-2)
+    cost: RezeroCost = RezeroCost()
+    hold: float = Field(5.0, ge=1.0)
+    settle: float = Field(3.0, ge=0.5)
+    preview: bool = True
+    observer: bool = True
+    drive_lag: float = Field(0.020, ge=0)
+
+
+def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The hand's pose after a step from home; yaw about the world's vertical, pitch about the hand's own axis."""
+    if step.axis is None:
+        return position + np.array(step.move), quaternion
+    turn = lie.quaternion_about(step.axis, step.angle)
+    first = step.axis[2] != 0.0
+    turned = lie.quaternion_multiply(turn, quaternion) if first else lie.quaternion_multiply(quaternion, turn)
+    return position, turned
+
+
+@dataclass(frozen=True)
+class _Schedule:
+    """Home for ``settle``, then the steps one after another, each from the last home: times and poses that hold."""
+
+    times: np.ndarray
+    positions: np.ndarray
+    quaternions: np.ndarray
+    duration: float
+
+    @classmethod
+    def of(cls, settings: RezeroStepsSettings, robot: RobotModel) -> _Schedule:
+        position, quaternion = robot.pose(robot.home)
+        poses = [(position, quaternion)] + [target(s, position, quaternion) for s in STEPS]
+        times = [0.0, *(settings.settle + settings.hold * np.arange(len(STEPS)))]
+        duration = settings.settle + settings.hold * len(STEPS)
+        return cls(np.array(times), np.array([p for p, _ in poses]), np.array([q for _, q in poses]), duration)
+
+    def reference(self) -> Reference:
+        return Reference.poses(self.times, self.positions, self.quaternions, hold=True)
+
+    def at(self, t: float) -> int:
+        return int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
+
+
+def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray) -> None:
+    """Rest at home for body, twist and torques."""
+    mpc.reference["body"] = Reference.constant(robot.home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)
+
+
+def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run over all steps."""
+    robot = load_robot("rezero")
+    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    schedule = _Schedule.of(settings, robot)
+    mpc = rezero_mpc(robot, settings.mpc, settings.cost)
+    set_home_references(mpc, robot, torque)
+    mpc.reference["hand"] = schedule.reference()
+    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer)
+    mpc.reset(home, torque)
+    log = Log()
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        if not settings.preview:
+            _hide_future(mpc, schedule, t + timing.delay * timing.period)
+        truth = plant.truth()
+        log.add("state", t, plant.state())
+        log.add("hand", t, truth.tool)
+        log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
+        log.add("tilt", t, truth.tilt)
+        log.add("torque", t, command.torque)
+        log.add("disturbance", t, agent.disturbance)
+
+    reason = run_lockstep(plant, agent, mpc, timing, schedule.duration, record, progress)
+    statistics = MpcStatistics.of(settings.mpc.rate, mpc.statistics.solve_times)
+    return RunResult(
+        NAME, seed, not reason, reason, _metrics(log, schedule, settings, bool(reason)), statistics, log,
+        _plots(log, schedule, robot, mpc), IDEALISATIONS, settings.model_dump(mode="json"),
+    )  # fmt: skip
+
+
+def _hide_future(mpc: MPC, schedule: _Schedule, t: float) -> None:
+    """Without preview the present target holds for the whole horizon."""
+    i = schedule.at(t)
+    mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
+
+
+def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> np.ndarray:
+    """How much of a step is done: 0 before, 1 after it; from where the hand was asked to be before."""
+    i = step + 1
+    before, after = schedule.positions[i - 1], schedule.positions[i]
+    if np.linalg.norm(after - before) > 1e-6:
+        way = after - before
+        return (log.array("hand")[use] - before) @ way / (way @ way)
+    rotations = [lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q) for q in log.array("hand_quaternion")[use]]
+    whole = lie.quaternion_log(
+        lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), schedule.quaternions[i])
+    )
+    return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
+
+
+def _rise(t: np.ndarray, done: np.ndarray) -> float:
+    """Time from 10 to 90 % [s]; infinite if it never gets there."""
+    low, high = np.flatnonzero(done > 0.1), np.flatnonzero(done > 0.9)
+    return float(t[high[0]] - t[low[0]]) if low.size and high.size else float("inf")
+
+
+def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
+    t, hand = log.times("hand"), log.array("hand")
+    rises, steady, turned = [], [], []
+    lead = settings.mpc.horizon if settings.preview else 0.0
+    for k in range(len(STEPS)):
+        start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
+        if t[-1] < end - 0.1:
+            continue
+        window = (t >= start - lead) & (t < end - (lead if k + 1 < len(STEPS) else 0.0))
+        rises.append(_rise(t[window], _progress_of(k, log, schedule, window)))
+        # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
+        late = end - (lead if k + 1 < len(STEPS) else 0.0)
+        last = (t >= late - 1.0) & (t < late)
+        steady.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
+        wanted = lie.quaternion_conjugate(schedule.quaternions[k + 1])
+        mean = np.mean([lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[last]], axis=0)
+        turned.append(float(np.linalg.norm(mean)))
+    worst = lambda values: max(values) if values else float("inf")  # noqa: E731
+    return {
+        "rise_time_max": Metric(worst(rises), "s", goal=1.2),
+        "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),
+        "steady_position_error_world_max": Metric(worst(steady), "m"),
+        "steady_orientation_error_max": Metric(worst(turned), "rad"),
+        "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+        "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),
+        "fell": Metric(float(fell), "1", goal=0.0),
+    }
+
+
+def _plots(log: Log, schedule: _Schedule, robot: RobotModel, mpc: MPC) -> list[Plot]:
+    t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
+    asked = schedule.positions[[schedule.at(v) for v in t]]
+    solve = 1e3 * np.array(mpc.statistics.solve_times)
+    limit = robot.limits.input_upper[: torque.shape[1]]
+    lines = [Series(n, t, hand[:, i]) for i, n in enumerate("xyz")]
+    goals = [Series(f"{n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
+    velocity = robot.state["arm_velocity"]
+    ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
+    degrees = np.rad2deg(state[:, 2:5])
+    return [
+        Plot("Hand position and its reference", "time [s]", "position [m]", [*lines, *goals]),
+        Plot("Hand position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(hand - asked, axis=1))]),
+        Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
+        Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(("yaw", "pitch", "roll"))]),
+        Plot("Torques over their limits", "time [s]", "|torque| / limit", [
+            Series(n, t, np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
+        ]),
+        Plot("Arm speeds over their limits", "time [s]", "|speed| / limit", [
+            Series(n, t, ratio[:, i]) for i, n in enumerate(robot.state.groups["arm_velocity"])
+        ]),
+        Plot("Estimated disturbance", "time [s]", "generalised force [N, N m]", [
+            Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])
+        ]),
+        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
+    ]  # fmt: skip

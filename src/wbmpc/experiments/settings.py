@@ -1,0 +1,44 @@
+"""Settings that experiments share. Every key can be set from the command line (``--set mpc.rate=100``)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wbmpc.plant.perturbation import Perturbation
+
+Weight = Annotated[float, Field(ge=0)]
+
+
+class Settings(BaseModel):
+    """Base of all settings: unknown keys are errors, values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MpcSettings(Settings):
+    """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
+    ``delay`` [s]: modelled computation time; ``iterations`` per update; ``barrier_mu`` of the soft limits."""
+
+    rate: float = Field(50.0, gt=0)
+    horizon: float = Field(10.0, gt=0)
+    intervals: int = Field(50, ge=1, le=1000)
+    first_interval: float = Field(0.017, ge=0)
+    delay: float = Field(0.010, ge=0)
+    iterations: int = Field(1, ge=1, le=50)
+    barrier_mu: float = Field(1e-3, gt=0)
+
+
+class ControlSettings(Settings):
+    """``rate`` [Hz] of the tracking controller."""
+
+    rate: float = Field(400.0, gt=0)
+
+
+class ExperimentSettings(Settings):
+    """What every experiment has."""
+
+    mpc: MpcSettings = MpcSettings()
+    control: ControlSettings = ControlSettings()
+    plant: Perturbation = Perturbation()

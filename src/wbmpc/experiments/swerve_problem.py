@@ -1,0 +1,86 @@
+"""The whole-body problem of the swerve robots: one set of weights for all their experiments."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.experiments.settings import MpcSettings, Settings, Weight
+from wbmpc.model import RobotModel
+from wbmpc.mpc import MPC
+from wbmpc.mpc.mpc import Guess
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.solver import SQP
+
+
+class HandCost(Settings):
+    """Weights of the hand: position [1/m²], orientation [1/rad²], per second."""
+
+    weight: Weight = 1000.0
+    orientation: Weight = 200.0
+
+
+class StateCost(Settings):
+    """Weights of base position, base yaw, leg angles, steering angles and arm posture, per second."""
+
+    position: Weight = 1.0
+    yaw: Weight = 5.0
+    leg: Weight = 1.0
+    steer: Weight = 0.0
+    arm: Weight = 0.05
+
+
+class InputCost(Settings):
+    """Weights of the body twist (against the reference), leg, steering, wheel and arm rates, per second."""
+
+    base: Weight = 0.5
+    leg: Weight = 1.0
+    steer: Weight = 0.05
+    wheel: Weight = 0.001
+    arm: Weight = 0.1
+
+
+class SwerveCost(Settings):
+    """All weights; ``terminal``: seconds by which the state's weights are multiplied at the end of the horizon."""
+
+    hand: HandCost = HandCost()
+    state: StateCost = StateCost()
+    input: InputCost = InputCost()
+    terminal: Weight = 10.0
+
+
+def swerve_problem(
+    robot: RobotModel, settings: MpcSettings, cost: SwerveCost, side_compliance: float = 0.0
+) -> OptimalControlProblem:
+    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as relaxed barriers."""
+    first = settings.first_interval or None
+    ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
+    hand = np.array([cost.hand.weight] * 3 + [cost.hand.orientation] * 3)
+    s, i = cost.state, cost.input
+    state = residuals.State(robot)
+    posture = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}
+    posture = {g: v for g, v in posture.items() if g in robot.state}
+    rates = {"base": i.base, "leg": i.leg, "steer": i.steer, "wheel": i.wheel, "arm": i.arm}
+    rates = {g: v for g, v in rates.items() if g in robot.input}
+    end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
+    frame = residuals.FramePose(robot, robot.tool)
+    ocp.add(Cost("hand", frame, list(hand), at="all", terminal_weight=list(cost.terminal * hand)))
+    ocp.add(Cost("state", state, posture, at="all", terminal_weight=end))
+    ocp.add(Cost("input", residuals.Input(robot), rates))
+    ocp.add(Constraint("rolling", residuals.WheelRolling(robot), compliance=side_compliance))
+    if "leg" in robot.input:
+        ocp.add(Constraint("brakes", residuals.BrakedLegs(robot)))
+    barrier = RelaxedBarrier(settings.barrier_mu, 0.02)
+    limits = robot.limits
+    free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
+    box = sets.Box(limits.state_lower, limits.state_upper)
+    ocp.add(Constraint("positions", free_state, box, at="all", penalty=barrier))
+    ocp.add(Constraint("speeds", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier))
+    return ocp
+
+
+def swerve_mpc(
+    robot: RobotModel, settings: MpcSettings, cost: SwerveCost, guess: Guess | None = None, side_compliance: float = 0.0
+) -> MPC:
+    """The MPC of that problem with its real-time settings."""
+    solver = SQP(iterations=settings.iterations, certify=False, smallest_step=0.2, force_step=True)
+    return MPC(swerve_problem(robot, settings, cost, side_compliance), solver, settings.rate, guess=guess)

@@ -1,0 +1,200 @@
+"""`swerve-track`: the hand follows a long sine while the base drives (Pankert et al. 2022, section IV-C, Fig. 9)."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.control import SwerveAgent
+from wbmpc.estimation import ReleaseOdometry
+from wbmpc.experiments.paths import SinePath, nearest_distance
+from wbmpc.experiments.settings import ExperimentSettings
+from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
+from wbmpc.log import Log
+from wbmpc.loop import Progress, Timing, run_lockstep
+from wbmpc.model import load_robot
+from wbmpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.plant import SwervePlant
+from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
+
+NAME = "swerve-track"
+SUMMARY = "the hand follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
+
+IDEALISATIONS = [
+    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+    "the arm's joints are velocity servos with the arm's own weight fed forward",
+    "encoders of one message are synchronous (the message as a whole is up to 2 ms old)",
+    "the computation takes a constant 10 ms; legs' and arm's encoder offsets are not calibrated",
+]
+
+
+class SwerveTrackSettings(ExperimentSettings):
+    """``path``: periods of the sine (6 periods are the paper's 15.96 m), its amplitude and z or y direction."""
+
+    cost: SwerveCost = SwerveCost()
+    robot: Literal["swerve-ur10", "swerve-fixed-ur10"] = "swerve-ur10"
+    variant: Literal["horizontal", "vertical"] = "horizontal"
+    periods: int = Field(6, ge=1, le=20)
+    speed: float = Field(0.255, gt=0, le=0.8)
+    amplitude: float = Field(0.498, gt=0, le=0.6)
+
+
+#: Length of one period [m] (15.96 m for six) and heights, offsets of the hand's path [m].
+PERIOD_LENGTH, HEIGHT, SIDE, AHEAD = 15.96 / 6, 0.80, 0.65, 0.30
+
+
+class _References:
+    """Hand and base paths over time."""
+
+    def __init__(self, settings: SwerveTrackSettings) -> None:
+        s = settings
+        amplitude = s.amplitude if s.variant == "horizontal" else min(s.amplitude, 0.3)
+        self.path = SinePath(amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=0.5, ramp=2.0)
+        self.vertical = s.variant == "vertical"
+        self.duration = float(np.ceil((self.path.end + 0.5) * 10.0) / 10.0)
+
+    def hand(self, t: np.ndarray) -> np.ndarray:
+        along, across = self.path.point(t)
+        return self._place(along, across)
+
+    def _place(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        side, up = (0.0 * across, across) if self.vertical else (across, 0.0 * across)
+        return np.stack([along + AHEAD, SIDE + side, HEIGHT + up], axis=1)
+
+    def curve(self) -> np.ndarray:
+        return self._place(*self.path.curve())
+
+    def base(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position along x [m] and speed [m/s]: the sine's mean line, as fast as the arc goes."""
+        s, rate = self.path.arc(t)
+        share = self.path.length / self.path.arc_length
+        return s * share, rate * share
+
+    def set(self, mpc: MPC, home: np.ndarray) -> None:
+        robot_state, robot_input = mpc.ocp.dynamics.state, mpc.ocp.dynamics.input
+        t = np.arange(0.0, self.duration + 0.02, 0.02)
+        mpc.reference["hand"] = Reference.poses(t, self.hand(t), HAND_ORIENTATION)
+        x, speed = self.base(t)
+        states = np.tile(home, (t.size, 1))
+        states[:, robot_state["base"]] = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
+        mpc.reference["state"] = Reference(t, states)
+        inputs = np.zeros((t.size, robot_input.size))
+        inputs[:, robot_input["base"].start] = speed
+        mpc.reference["input"] = Reference(t, inputs)
+
+
+#: The tool's axis points to the left of the base.
+HAND_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
+
+
+def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run; metrics are those of section "Names of the metrics" in docs/experiments.md."""
+    robot = load_robot(settings.robot)
+    references = _References(settings)
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost)
+    references.set(mpc, robot.home)
+    plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    pose0 = plant.truth().pose
+    agent = SwerveAgent(robot, pose0, timing.period)
+    release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
+    mpc.reset(robot.home)
+    log = Log()
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        m = agent.measured
+        release.update(m.leg, m.steer, m.wheel)
+        if round(t / timing.period) % 4:
+            return
+        truth = plant.truth()
+        pose = agent.odometry.pose
+        log.add("base", t, truth.pose)
+        log.add("base_odometry", t, pose)
+        log.add("base_release", t, release.pose)
+        log.add("hand", t, truth.tool)
+        log.add("hand_odometry", t, _in_frame(pose, truth.tool_in_base, truth.tool[2]))
+        log.add("hand_rotation", t, lie.rotation_angle(_turn(pose[2]) @ truth.tool_rotation_in_base, HAND_ROTATION))
+        log.add("hand_reference", t, references.hand(np.array([t]))[0])
+        log.add("input", t, plans.current.feedforward(t))
+        log.add("wheel_command", t, command.wheel)
+        log.add("steer", t, m.steer)
+        log.add("arm", t, m.arm)
+        log.add("wheel_slip", t, truth.slip)
+
+    reason = run_lockstep(plant, agent, mpc, timing, references.duration, record, progress)
+    statistics = MpcStatistics.of(settings.mpc.rate, mpc.statistics.solve_times)
+    return RunResult(
+        NAME, seed, not reason, reason, _metrics(log, references), statistics, log, _plots(log, robot, mpc, references),
+        IDEALISATIONS, settings.model_dump(mode="json"),
+    )  # fmt: skip
+
+
+def _turn(yaw: float) -> np.ndarray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _in_frame(pose: np.ndarray, tool_in_base: np.ndarray, height: float) -> np.ndarray:
+    """The hand in the estimated frame: estimated base pose, true forward kinematics."""
+    placed = _turn(pose[2]) @ tool_in_base
+    return np.array([pose[0] + placed[0], pose[1] + placed[1], height])
+
+
+def _metrics(log: Log, references: _References) -> dict[str, Metric]:
+    t = log.times("hand")
+    use = t >= 2.0
+    reference = log.array("hand_reference")
+    estimated = np.linalg.norm(log.array("hand_odometry") - reference, axis=1)
+    world = np.linalg.norm(log.array("hand") - reference, axis=1)
+    if not use.any():
+        use[:] = True
+    nearest = nearest_distance(log.array("hand_odometry")[use], references.curve())
+    base, odometry, release = (log.array(n) for n in ("base", "base_odometry", "base_release"))
+    travelled = float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T)))
+    drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / max(travelled, 1e-9)  # noqa: E731
+    hand_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
+    return {
+        "hand_error_mean_odometry": Metric(float(estimated[use].mean()), "m", paper=0.0167, goal=0.003),
+        "hand_error_max_odometry": Metric(float(estimated[use].max()), "m"),
+        "hand_error_mean_nearest": Metric(float(nearest.mean()), "m", paper=0.0167),
+        "hand_error_mean_world": Metric(float(world[use].mean()), "m"),
+        "hand_orientation_error_max": Metric(float(log.array("hand_rotation")[use].max()), "rad"),
+        "path_length": Metric(hand_travel, "m", paper=20.53),
+        "base_path_length": Metric(travelled, "m", paper=15.96),
+        "odometry_drift_ratio": Metric(drift(odometry), "1", paper=0.161 / 15.96, goal=0.006),
+        "odometry_drift_ratio_release": Metric(drift(release), "1"),
+        "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
+    }
+
+
+def _plots(log: Log, robot: Any, mpc: MPC, references: _References) -> list[Plot]:
+    t, hand, reference = log.times("hand"), log.array("hand"), log.array("hand_reference")
+    estimated, base, odometry = log.array("hand_odometry"), log.array("base"), log.array("base_odometry")
+    curve = references.curve()[::40]
+    axis, name = (2, "z [m]") if references.vertical else (1, "y [m]")
+    ratio = np.abs(log.array("input")) / robot.limits.input_upper
+    groups = [g for g in ("base", "steer", "wheel", "arm") if g in robot.input]
+    solve = 1e3 * np.array(mpc.statistics.solve_times)
+    error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)  # noqa: E731
+    return [
+        Plot("Hand path and its reference", "x [m]", name, [
+            Series("reference", curve[:, 0], curve[:, axis], dashed=True),
+            Series("hand, estimated frame", estimated[:, 0], estimated[:, axis]),
+            Series("hand, world", hand[:, 0], hand[:, axis]),
+        ], equal_axes=True),
+        Plot("Hand error", "time [s]", "error [mm]", [
+            Series("estimated frame", t, error(estimated)), Series("world", t, error(hand)),
+        ]),
+        Plot("Base path", "x [m]", "y [m]", [
+            Series("true", base[:, 0], base[:, 1]), Series("odometry", odometry[:, 0], odometry[:, 1], dashed=True),
+        ], equal_axes=True),
+        Plot("Planned speeds over their limits", "time [s]", "largest |speed| / limit", [
+            Series(g, t, ratio[:, robot.input[g]].max(axis=1)) for g in groups
+        ]),
+        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
+    ]  # fmt: skip

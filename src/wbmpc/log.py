@@ -1,0 +1,39 @@
+"""Recording: named channels of rows over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+
+class Log:
+    """Channels, each with rows of the same width and their times [s]."""
+
+    def __init__(self) -> None:
+        self._times: dict[str, list[float]] = {}
+        self._rows: dict[str, list[np.ndarray]] = {}
+
+    def add(self, channel: str, t: float, value: object) -> None:
+        """Append a row."""
+        self._times.setdefault(channel, []).append(float(t))
+        self._rows.setdefault(channel, []).append(np.array(value, float))
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of all channels."""
+        return list(self._rows)
+
+    def times(self, channel: str) -> np.ndarray:
+        """Times (n,) of a channel [s]."""
+        return np.array(self._times[channel])
+
+    def array(self, channel: str) -> np.ndarray:
+        """Rows of a channel, (n, width) or (n,) for scalars."""
+        return np.array(self._rows[channel])
+
+    def save(self, path: Path) -> None:
+        """Write a NumPy archive: CHANNEL and CHANNEL.time for each channel."""
+        arrays = {c: self.array(c) for c in self._rows}
+        arrays |= {f"{c}.time": self.times(c) for c in self._rows}
+        np.savez_compressed(path, **arrays)  # type: ignore[arg-type]

@@ -1,0 +1,30 @@
+"""Simulated robots in MuJoCo, perturbed against the planner's model."""
+
+from wbmpc.plant.perturbation import Draw, Perturbation
+from wbmpc.plant.protocol import (
+    Plant,
+    RezeroCommand,
+    RezeroMeasurement,
+    SwerveCommand,
+    SwerveMeasurement,
+    Truth,
+    scale_wheels,
+)
+from wbmpc.plant.rezero import RezeroPlant
+from wbmpc.plant.swerve import SwervePlant
+from wbmpc.plant.world import TIMESTEP
+
+__all__ = [
+    "TIMESTEP",
+    "Draw",
+    "Perturbation",
+    "Plant",
+    "RezeroCommand",
+    "RezeroMeasurement",
+    "RezeroPlant",
+    "SwerveCommand",
+    "SwerveMeasurement",
+    "SwervePlant",
+    "Truth",
+    "scale_wheels",
+]

@@ -1,0 +1,150 @@
+"""How the simulated robot differs from the planner's model, and how its sensors and drives misbehave."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+Array = NDArray[np.float64]
+
+
+class Perturbation(BaseModel):
+    """Spreads of the differences between plant and model; each is drawn uniformly within ± its value, per seed.
+
+    Bodies: ``mass`` and ``inertia`` relative, ``com`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
+    ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
+    ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
+    drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``friction`` of the
+    floor: a range, or one number. ``encoder_jitter`` [s]: the values of a message are up to this old.
+    ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
+    ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
+    order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
+    [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    mass: float = Field(0.05, ge=0, lt=0.5)
+    inertia: float = Field(0.10, ge=0, lt=0.5)
+    com: float = Field(0.010, ge=0)
+    joint_offset: float = Field(0.002, ge=0)
+    steer_zero: float = Field(0.003, ge=0)
+    wheel_radius: float = Field(0.002, ge=0, lt=0.2)
+    wheel_radius_each: float = Field(0.0, ge=0, lt=0.2)
+    drive_lag: float = Field(0.020, ge=0)
+    drive_lag_spread: float = Field(0.30, ge=0, lt=1)
+    joint_loss: float = Field(0.0, ge=0)
+    friction: tuple[float, float] = (0.6, 0.9)
+    encoder_jitter: float = Field(0.002, ge=0)
+    encoder_counts: int = Field(2**14, ge=0)
+    arm_counts: int = Field(2**17, ge=0)
+    steer_noise: float = Field(0.0, ge=0)
+    gyro_noise: float = Field(2e-4, ge=0)
+    gyro_bias: float = Field(0.01, ge=0)
+    gyro_walk: float = Field(2e-5, ge=0)
+    accel_noise: float = Field(1e-3, ge=0)
+    accel_bias: float = Field(0.01, ge=0)
+    accel_walk: float = Field(3e-3, ge=0)
+    state_age: float = Field(0.005, ge=0)
+    position_noise: float = Field(1e-3, ge=0)
+    angle_noise: float = Field(2e-3, ge=0)
+    speed_noise: float = Field(0.01, ge=0)
+    rate_noise: float = Field(0.02, ge=0)
+
+    @field_validator("friction", mode="before")
+    @classmethod
+    def _one_number_is_a_range(cls, value: Any) -> Any:
+        return (value, value) if isinstance(value, (int, float)) else value
+
+    @field_validator("friction")
+    @classmethod
+    def _range_in_order(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 <= value[0] <= value[1]:
+            raise ValueError("needs 0 ≤ lower ≤ upper")
+        return value
+
+    @classmethod
+    def none(cls, **changes: Any) -> Perturbation:
+        """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
+        kept = {"drive_lag": 0.020, "friction": 0.8}
+        return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
+
+    def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:
+        """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints."""
+
+        def around(spread: float, *size: int) -> Array:
+            return rng.uniform(-spread, spread, size)
+
+        def lag(size: int) -> Array:
+            return self.drive_lag * (1.0 + around(self.drive_lag_spread, size))
+
+        return Draw(
+            mass={name: 1.0 + float(around(self.mass)) for name in bodies},
+            inertia={name: 1.0 + float(around(self.inertia)) for name in bodies},
+            com={name: around(self.com, 3) for name in bodies},
+            friction=float(rng.uniform(*self.friction)),
+            radius=(1.0 + around(self.wheel_radius)) * (1.0 + around(self.wheel_radius_each, wheels)),
+            leg_offset=around(self.joint_offset, wheels),
+            steer_offset=around(self.steer_zero, wheels),
+            arm_offset=around(self.joint_offset, arm),
+            wheel_lag=lag(wheels),
+            steer_lag=lag(wheels),
+            arm_lag=lag(arm),
+            gyro_bias=around(self.gyro_bias, 3),
+            accel_bias=around(self.accel_bias, 3),
+        )
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The numbers of one plant: factors by body, shifts (3) [m] of centres of mass in the body's frame, and the rest
+    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]."""
+
+    mass: dict[str, float]
+    inertia: dict[str, float]
+    com: dict[str, Array]
+    friction: float
+    radius: Array
+    leg_offset: Array
+    steer_offset: Array
+    arm_offset: Array
+    wheel_lag: Array
+    steer_lag: Array
+    arm_lag: Array
+    gyro_bias: Array
+    accel_bias: Array
+
+    def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
+        """Other masses, inertias and centres of mass of a specification, in place.
+
+        Bodies that are ``balanced`` (wheels, the ball: they turn) keep their centres of mass. An inertia is scaled as a
+        whole: scaling its moments one by one can break the triangle inequality.
+        """
+        nominal = spec.compile()
+        for body in spec.bodies:
+            name = body.name
+            if name not in self.mass:
+                continue
+            b = nominal.body(name).id
+            if nominal.body_mass[b] <= 0.0:
+                continue
+            body.explicitinertial = True
+            body.fullinertia = np.full(6, np.nan)
+            body.mass = float(nominal.body_mass[b]) * self.mass[name]
+            body.inertia = nominal.body_inertia[b] * self.inertia[name]
+            body.iquat = nominal.body_iquat[b]
+            body.ipos = nominal.body_ipos[b] + (0.0 if name in balanced else self.com[name])
+
+
+def quantise(values: Array, counts: int) -> Array:
+    """Angles [rad] as an encoder with ``counts`` per turn reports them (0: exact)."""
+    if counts == 0:
+        return values
+    step = 2.0 * np.pi / counts
+    return np.round(values / step) * step

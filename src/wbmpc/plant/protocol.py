@@ -1,0 +1,126 @@
+"""What plants take and give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def finite(name: str, values: ArrayLike, size: int) -> Array:
+    """``values`` as an array of ``size`` finite numbers, or :class:`InputError`."""
+    array = np.asarray(values, float)
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(f"command: '{name}' needs {size} finite numbers, got {array}")
+    return array
+
+
+def scale_wheels(wheel: ArrayLike, limit: float) -> tuple[Array, float]:
+    """Wheel speeds (n) [rad/s] scaled together to ``limit``, and the factor (at most 1).
+
+    The factor applies to the whole motion of the base: wheels that are clipped one by one drag each other.
+    """
+    wheel = np.asarray(wheel, float)
+    factor = min(1.0, limit / max(float(np.abs(wheel).max(initial=0.0)), 1e-12))
+    return wheel * factor, factor
+
+
+@dataclass(frozen=True)
+class SwerveCommand:
+    """Speeds of wheels (n), steering (n) and arm joints [rad/s]; brakes (n, or 0 for fixed legs), 1 = open."""
+
+    wheel: Array
+    steer: Array
+    arm: Array
+    brake: Array
+
+    @classmethod
+    def stop(cls, modules: int = 4, arm: int = 6) -> SwerveCommand:
+        """Everything at rest, brakes closed."""
+        return cls(np.zeros(modules), np.zeros(modules), np.zeros(arm), np.zeros(modules))
+
+
+@dataclass(frozen=True)
+class SwerveMeasurement:
+    """Positions [rad] as the encoders report them at ``time`` [s] (``leg`` is empty for fixed legs).
+
+    ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: inertial unit, axes of the base; at rest ``accel`` points up.
+    """
+
+    time: float
+    leg: Array
+    steer: Array
+    wheel: Array
+    arm: Array
+    gyro: Array = field(default_factory=lambda: np.zeros(3))
+    accel: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class RezeroCommand:
+    """Torques [N m]: omni wheels, then arm joints."""
+
+    torque: Array
+
+
+@dataclass(frozen=True)
+class RezeroMeasurement:
+    """State (16) of the minimal model as the simulator gives it, ``age`` [s] old, with noise: idealised."""
+
+    time: float
+    state: Array
+    age: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really is.
+
+    ``pose`` (x, y, yaw) of the base, yaw not wrapped; ``tilt`` [rad] of its z axis; ``tool`` (3) [m] and
+    ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is the floor; for a ball robot the ball's centre);
+    ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
+    layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
+    ``slip_along`` (n, 2) its parts along the wheel and along its axle; ``wheel_force`` (n) [N], vertical forces of
+    the ground in the last physics step.
+    """
+
+    time: float
+    pose: Array
+    tool: Array
+    tool_rotation: Array
+    tool_in_base: Array
+    tool_rotation_in_base: Array
+    tilt: float
+    state: Array
+    joints: dict[str, float]
+    slip: Array = field(default_factory=lambda: np.zeros(0))
+    slip_along: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    wheel_force: Array = field(default_factory=lambda: np.zeros(0))
+
+
+CommandT = TypeVar("CommandT", contravariant=True)
+MeasurementT = TypeVar("MeasurementT", covariant=True)
+
+
+class Plant(Protocol[CommandT, MeasurementT]):
+    """A simulated robot. ``timestep`` [s]; ``step`` holds a command for n steps; ``measure`` belongs to ``time``."""
+
+    timestep: float
+
+    @property
+    def time(self) -> float: ...
+
+    @property
+    def fell(self) -> bool: ...
+
+    def measure(self) -> MeasurementT: ...
+
+    def step(self, command: CommandT, steps: int = 1) -> None: ...
+
+    def truth(self) -> Truth: ...

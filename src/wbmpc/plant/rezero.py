@@ -1,0 +1,235 @@
+"""The ball robot in MuJoCo: free base, ball on a ball joint, three drives between them, floor contact with spin friction.
+
+The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model with
+rolling exactly. Until its estimator exists the measurement is the simulator's state, late and with noise.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.plant.perturbation import Perturbation
+from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
+from wbmpc.plant.world import ROBOT, TIMESTEP, Array, Edit, Hook, World, add_drive, add_floor, set_options, unwrap
+from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
+
+#: Spin friction of the ball on the floor [m]: about 2.4 N m of yaw torque for 25 kg.
+SPIN_FRICTION = 0.01
+#: Contact softness of the ball (time constant [s], damping ratio).
+CONTACT = [0.005, 1.0]
+
+
+def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Array, arm_rate: Array) -> Array:
+    """(x, y, yaw, pitch, roll, arm; their rates) of a free body's pose and velocity.
+
+    ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s] (MuJoCo's
+    convention), ``position`` (3) of the ball's centre.
+    """
+    yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
+    wx, wy, wz = velocity[3:6]
+    s, c = np.sin(roll), np.cos(roll)
+    yaw_rate = (s * wy + c * wz) / np.cos(pitch)
+    rates = [yaw_rate, c * wy - s * wz, wx + np.sin(pitch) * yaw_rate]
+    return np.array([position[0], position[1], yaw, pitch, roll, *arm, velocity[0], velocity[1], *rates, *arm_rate])
+
+
+def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
+    """Angular velocity (3) [rad/s] in body axes for ZYX Euler angles and their rates (yaw, pitch, roll)."""
+    _, pitch, roll = np.asarray(yaw_pitch_roll, float)
+    yaw_rate, pitch_rate, roll_rate = np.asarray(rates, float)
+    s, c = np.sin(roll), np.cos(roll)
+    return np.array(
+        [
+            roll_rate - np.sin(pitch) * yaw_rate,
+            c * pitch_rate + s * np.cos(pitch) * yaw_rate,
+            -s * pitch_rate + c * np.cos(pitch) * yaw_rate,
+        ]
+    )
+
+
+class RezeroPlant:
+    """Physics and drives of a ball robot.
+
+    ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm
+    at the description's home); ``torque`` (6): what the drives give at the start (left out: none on the ball, the arm's
+    weight on the arm). ``payload`` [kg]: a mass at the tool. ``edit`` changes the specification before it is compiled;
+    ``external`` is called before every physics step with (model, data).
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        state: ArrayLike | None = None,
+        torque: ArrayLike | None = None,
+        perturbation: Perturbation | None = None,
+        seed: int = 0,
+        timestep: float = TIMESTEP,
+        *,
+        payload: float = 0.0,
+        edit: Edit | None = None,
+    ) -> None:
+        if not isinstance(description.base, BallBaseDescription):
+            raise InputError(f"{description.name}: this plant needs a ball base")
+        self.description, self.base, self.timestep = description, description.base, timestep
+        p = self.perturbation = perturbation or Perturbation()
+        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        arm, spec = list(description.arm.joints), load_spec(description)
+        bodies = [b.name for b in spec.bodies if b.name != "world"]
+        self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
+        self._build(spec, payload, edit)
+        self.world = World(spec, self.base.body, description.arm.tool, arm)
+        self.model, self.data = self.world.model, self.world.data
+        self._arm_q = np.array([self.model.joint(n).qposadr[0] for n in arm])
+        self._arm_v = np.array([self.model.joint(n).dofadr[0] for n in arm])
+        self._ball = self.model.joint(self._ball_joint)
+        n = len(arm)
+        spread = [p.position_noise] * 2 + [p.angle_noise] * (3 + n) + [p.speed_noise] * 2 + [p.rate_noise] * (3 + n)
+        self._spread = np.array(spread)
+        # a constant error of the arm's encoders; they are not in the state's speeds
+        self._offset = np.zeros(10 + 2 * n)
+        self._offset[5 : 5 + n] = self.draw.arm_offset
+        self._history: deque[tuple[Array, Array]] = deque(maxlen=1 + round(p.state_age / timestep))
+        self._last: RezeroMeasurement | None = None
+        self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
+        home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
+        self._place(finite("state", home if state is None else state, 10 + 2 * n), torque)
+
+    # ------------------------------------------------------------------ building
+    def _build(self, spec: mujoco.MjSpec, payload: float, edit: Edit | None) -> None:
+        base, draw, limits = self.base, self.draw, self.description.limits
+        draw.apply_to_bodies(spec, balanced=(base.ball,))
+        set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        friction = [draw.friction, SPIN_FRICTION, 1e-4]
+        add_floor(spec, 4, friction, CONTACT)
+        spec.body(base.body).add_freejoint(name="root")
+        ball = spec.body(base.ball)
+        ball.add_geom(
+            name="contact_ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[base.ball_radius, 0, 0], mass=0, condim=4,
+            friction=friction, solref=CONTACT, rgba=[0, 0, 0, 0], group=3, **ROBOT,
+        )  # fmt: skip
+        self._ball_joint = next(j.name for j in spec.joints if j.parent.name == base.ball)
+        for i, b in enumerate(base.wheels.azimuths):
+            z, ratio = base.wheels.zenith, base.ball_radius / (base.wheels.radius * float(draw.radius[i]))
+            axis = np.array([np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)])
+            kind, gear = mujoco.mjtTrn.mjTRN_JOINTINPARENT, [*(-ratio * axis), 0, 0, 0]
+            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, draw.wheel_lag[i])
+        for k, name in enumerate(self.description.arm.joints):
+            kind, gear = mujoco.mjtTrn.mjTRN_JOINT, [1.0, 0, 0, 0, 0, 0]
+            self._motor(spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k])
+        if payload > 0.0:
+            self._add_payload(spec, payload)
+        if edit is not None:
+            edit(spec)
+
+    @staticmethod
+    def _motor(
+        spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float, lag: float
+    ) -> None:
+        actuator = add_drive(spec, name, joint, kind, limit, lag)
+        actuator.gear = gear
+        if np.isfinite(limit):
+            actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+
+    def _add_payload(self, spec: mujoco.MjSpec, mass: float) -> None:
+        """A ball of 5 cm radius at the tool."""
+        tool = self.description.arm.tool
+        site = next((s for s in spec.sites if s.name == tool), None)
+        parent, pos = (spec.body(tool), np.zeros(3)) if site is None else (site.parent, site.pos)
+        body = parent.add_body(name="payload", pos=pos)
+        body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, [0, 0, 0], [mass * 0.4 * 0.05**2] * 3
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], mass=0, contype=0, conaffinity=0, rgba=[0.9, 0.6, 0.1, 1]
+        )
+
+    def _place(self, state: Array, torque: ArrayLike | None) -> None:
+        d, n, r = self.data, self._arm_q.size, self.base.ball_radius
+        state = state - self._offset
+        rotation = lie.euler_zyx_to_rotation(*state[2:5])
+        omega = body_rates(state[2:5], state[7 + n : 10 + n])
+        vx, vy = state[5 + n : 7 + n]
+        d.qpos[0:3], d.qpos[3:7] = [state[0], state[1], r], lie.rotation_to_quaternion(rotation)
+        d.qpos[self._arm_q] = state[5 : 5 + n]
+        d.qvel[0:6] = [vx, vy, 0.0, *omega]
+        # rolling without spin: the ball's angular velocity is (−ẏ / r, ẋ / r, 0) in the world
+        ball = int(self._ball.dofadr[0])
+        d.qvel[ball : ball + 3] = rotation.T @ np.array([-vy / r, vx / r, 0.0]) - omega
+        d.qvel[self._arm_v] = state[10 + n :]
+        mujoco.mj_forward(self.model, d)
+        rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
+        d.ctrl[:] = rest if torque is None else finite("torque", torque, self.model.nu)
+        if d.act.size:
+            d.act[:] = d.ctrl if d.act.size == self.model.nu else 0.0
+        self.world.restart()
+        self._record()
+
+    def _record(self) -> None:
+        self._history.append((self.data.qpos.copy(), self.data.qvel.copy()))
+
+    # ------------------------------------------------------------------ running
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.world.time
+
+    @property
+    def fell(self) -> bool:
+        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
+        return self.world.fell
+
+    @property
+    def external(self) -> Hook | None:
+        """Called before every physics step with (model, data)."""
+        return self.world.external
+
+    @external.setter
+    def external(self, hook: Hook | None) -> None:
+        self.world.external = hook
+
+    def push(
+        self, force: ArrayLike, torque: ArrayLike = (0.0, 0.0, 0.0), body: str | None = None, point: ArrayLike | None = None
+    ) -> None:
+        """Push a body until changed: see :meth:`World.push`."""
+        self.world.push(force, torque, body, point)
+
+    def _state_of(self, q: Array, v: Array) -> Array:
+        return minimal_state(q[3:7], v[0:6], q[0:3], q[self._arm_q], v[self._arm_v])
+
+    def state(self) -> Array:
+        """The true state (16) in the planner's minimal coordinates, yaw not wrapped."""
+        state = self._state_of(self.data.qpos, self.data.qvel)
+        state[2] = self.world.yaw
+        return state
+
+    def measure(self) -> RezeroMeasurement:
+        """The state of ``state_age`` ago with noise. Asking twice at the same time gives the same message."""
+        if self._last is not None and self._last.time == self.time:
+            return self._last
+        state = self._state_of(*self._history[0])
+        state[2] = unwrap(state[2], self.world.yaw)
+        state = state + self._offset + self._spread * self._noise.normal(size=state.size)
+        self._last = RezeroMeasurement(self.time, state, (len(self._history) - 1) * self.timestep)
+        return self._last
+
+    def step(self, command: RezeroCommand, steps: int = 1) -> None:
+        """Hold torques for ``steps`` physics steps; drives clip at their limits."""
+        self.data.ctrl[:] = finite("torque", command.torque, self.model.nu)
+        for _ in range(steps):
+            self.world.advance()
+            self._record()
+        self.world.check()
+
+    def truth(self) -> Truth:
+        """Poses of base and tool, joints."""
+        return Truth(
+            time=self.time,
+            **self.world.frames(height=self.base.ball_radius),
+            tilt=self.world.tilt,
+            state=self.state(),
+            joints=self.world.joints(),
+        )

@@ -1,0 +1,219 @@
+"""What both MuJoCo plants share: the floor, the free base, time, pushes, reading frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError, unknown_name
+
+Array = NDArray[np.float64]
+#: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
+Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
+#: Changes the specification before it is compiled: blocks, cables, doors, a payload.
+Edit = Callable[[mujoco.MjSpec], None]
+
+#: Physics step [s]: 400, 80 and 50 Hz and a drive loop of 2 kHz are whole numbers of steps.
+TIMESTEP = 5e-4
+#: Tilt [rad] at which a robot counts as fallen.
+FALL_TILT = 0.9
+#: Contact bits: floors and obstacles touch wheels, balls and tips (type 1 against affinity 2 and the reverse).
+GROUND, ROBOT = {"contype": 1, "conaffinity": 2}, {"contype": 2, "conaffinity": 1}
+
+
+def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtIntegrator) -> None:
+    """Physics options: elliptic friction cones, stiff friction (impratio 10), no silent reset on divergence."""
+    o = spec.option
+    o.timestep, o.integrator = timestep, integrator
+    o.cone, o.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
+    spec.visual.quality.shadowsize = 4096
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
+    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+
+
+def add_floor(spec: mujoco.MjSpec, condim: int, friction: list[float], solref: list[float]) -> None:
+    """A flat floor with a grid of 1 m squares, a light and a sky."""
+    texture = mujoco.mjtTexture
+    spec.add_texture(
+        name="sky", type=texture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.98], rgb2=[0.62, 0.72, 0.84], width=256, height=256,
+    )  # fmt: skip
+    spec.add_texture(
+        name="grid", type=texture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, width=512, height=512,
+        rgb1=[0.80, 0.82, 0.85], rgb2=[0.72, 0.745, 0.78], mark=mujoco.mjtMark.mjMARK_EDGE, markrgb=[0.62, 0.65, 0.69],
+    )  # fmt: skip
+    # one texture holds 2 x 2 squares of the checker
+    material = spec.add_material(name="grid", texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.04)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
+    world = spec.worldbody
+    world.add_light(
+        pos=[0, 0, 6], dir=[-0.35, 0.45, -0.85], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.7, 0.7, 0.7], specular=[0.2, 0.2, 0.2], castshadow=True,
+    )  # fmt: skip
+    world.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], condim=condim, friction=friction,
+        solref=solref, material="grid", **GROUND,
+    )  # fmt: skip
+
+
+def add_drive(
+    spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, limit: float, lag: float, gain: float = 0.0
+) -> mujoco.MjsActuator:
+    """A motor on a joint (a velocity servo with ``gain`` [N m s/rad] if not 0) with a force limit and a first-order lag
+    [s] of its command (exact filter)."""
+    actuator = spec.add_actuator(name=name, target=joint, trntype=kind)
+    if gain > 0.0:
+        actuator.set_to_velocity(kv=gain)
+    else:
+        actuator.set_to_motor()
+    if np.isfinite(limit):
+        actuator.forcerange, actuator.forcelimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+    if lag > 0.0:
+        actuator.dyntype, actuator.dynprm[0], actuator.actdim = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag, 1
+    return actuator
+
+
+def unwrap(angle: float, near: float) -> float:
+    """``angle`` plus the whole turns that bring it nearest to ``near``."""
+    return angle + 2.0 * np.pi * round((near - angle) / (2.0 * np.pi))
+
+
+class World:
+    """A compiled model with its data: time, pushes, and sensor readings that belong to the present state.
+
+    One physics step is ``mj_step1`` (positions, velocities, sensors of the present state), the controls, ``mj_step2``.
+    ``refresh`` does the first half when it has not been done, so that what is read never belongs to the step before.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, body: str, tool: str, joints: list[str]) -> None:
+        self.model: mujoco.MjModel = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.timestep = float(self.model.opt.timestep)
+        self.external: Hook | None = None
+        m = self.model
+        self.body, self.site = m.body(body).id, self._tool(tool)
+        self._joints = {name: int(m.joint(name).qposadr[0]) for name in joints}
+        self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
+        self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
+
+    def _tool(self, name: str) -> tuple[bool, int]:
+        """The tool's frame: (it is a site, id)."""
+        try:
+            return True, self.model.site(name).id
+        except KeyError:
+            return False, self.model.body(name).id
+
+    # ------------------------------------------------------------------ time
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._steps * self.timestep
+
+    def restart(self) -> None:
+        """The present state becomes that of time 0."""
+        self._steps, self.data.time = 0, 0.0
+        self._yaw = self._wrapped_yaw()
+        self._fresh = False
+
+    def refresh(self) -> None:
+        """Positions, velocities and sensors of the present state."""
+        if not self._fresh and not self._lost:
+            mujoco.mj_step1(self.model, self.data)
+            self._fresh = True
+
+    def advance(self, control: Callable[[], None] | None = None) -> None:
+        """One physics step; ``control`` may write what depends on the present state."""
+        self._steps += 1
+        if self._lost:
+            return
+        self.refresh()
+        if control is not None:
+            control()
+        if self._pushes:
+            self._apply_pushes()
+        if self.external is not None:
+            self.external(self.model, self.data)
+        mujoco.mj_step2(self.model, self.data)
+        self._fresh = False
+
+    def check(self) -> None:
+        """After a command's steps: note whether numbers are still finite, count the turns of the base."""
+        self._lost = self._lost or not bool(np.isfinite(self.data.qpos).all())
+        if not self._lost:
+            self._yaw = unwrap(self._wrapped_yaw(), self._yaw)
+
+    # ------------------------------------------------------------------ pushes
+    def push(
+        self, force: ArrayLike, torque: ArrayLike = (0.0, 0.0, 0.0), body: str | None = None, point: ArrayLike | None = None
+    ) -> None:
+        """Push a body (the base when left out) with a force (3) [N] and torque (3) [N m] in world axes, until changed.
+
+        The force acts at ``point`` (3) [m] of the body's frame, or at its centre of mass. Zeros end the push.
+        """
+        names = [self.model.body(i).name for i in range(1, self.model.nbody)]
+        if body is not None and body not in names:
+            raise unknown_name("body", body, names)
+        index = self.body if body is None else self.model.body(body).id
+        f, t = np.asarray(force, float), np.asarray(torque, float)
+        p = None if point is None else np.asarray(point, float)
+        if f.shape != (3,) or t.shape != (3,) or not np.isfinite([f, t]).all():
+            raise InputError(f"push: force and torque need 3 finite numbers each, got {f} and {t}")
+        self.data.xfrc_applied[index] = 0.0
+        self._pushes.pop(index, None)
+        if f.any() or t.any():
+            self._pushes[index] = (f, t, p)
+
+    def _apply_pushes(self) -> None:
+        d = self.data
+        for body, (force, torque, point) in self._pushes.items():
+            if point is not None:
+                at = d.xpos[body] + d.xmat[body].reshape(3, 3) @ point
+                torque = torque + np.cross(at - d.xipos[body], force)
+            d.xfrc_applied[body, :3], d.xfrc_applied[body, 3:] = force, torque
+
+    # ------------------------------------------------------------------ what is true
+    def _wrapped_yaw(self) -> float:
+        w, x, y, z = self.data.qpos[3:7]
+        return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+    @property
+    def yaw(self) -> float:
+        """Yaw of the base [rad], not wrapped."""
+        return unwrap(self._wrapped_yaw(), self._yaw)
+
+    @property
+    def tilt(self) -> float:
+        """Angle [rad] between the base's z axis and the vertical."""
+        q = self.data.qpos[3:7]
+        return float(np.arccos(np.clip(1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2) / float(q @ q), -1.0, 1.0)))
+
+    @property
+    def fell(self) -> bool:
+        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
+        return self._lost or not bool(np.isfinite(self.data.qpos).all()) or self.tilt > FALL_TILT
+
+    def frames(self, height: float) -> dict[str, Array]:
+        """Base and tool as :class:`Truth` wants them; ``height`` [m] of the planner's z = 0 above the floor."""
+        self.refresh()
+        d = self.data
+        base, rotation = d.xpos[self.body].copy(), d.xmat[self.body].reshape(3, 3).copy()
+        is_site, index = self.site
+        tool = (d.site_xpos if is_site else d.xpos)[index].copy()
+        tool_rotation = (d.site_xmat if is_site else d.xmat)[index].reshape(3, 3).copy()
+        return {
+            "pose": np.array([d.qpos[0], d.qpos[1], self.yaw]),
+            "tool": tool - [0.0, 0.0, height],
+            "tool_rotation": tool_rotation,
+            "tool_in_base": rotation.T @ (tool - base),
+            "tool_rotation_in_base": rotation.T @ tool_rotation,
+        }
+
+    def joints(self) -> dict[str, float]:
+        """True joint angles [rad] by name."""
+        return {name: float(self.data.qpos[i]) for name, i in self._joints.items()}
