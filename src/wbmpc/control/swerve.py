@@ -21,7 +21,8 @@ from wbmpc.plant import SwerveCommand, SwerveMeasurement
 class SwerveAgent:
     """Estimation, prediction and tracking of a swerve robot at the controller's rate.
 
-    ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s].
+    ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
+    ``gyro``: the yaw comes from the gyro (its bias averaged at rest), else from the wheels too.
     """
 
     def __init__(
@@ -32,10 +33,14 @@ class SwerveAgent:
         brakes: Callable[[float], np.ndarray] | None = None,
         steer_gain: float = 5.0,
         planned_steering: bool = True,
+        gyro: bool = False,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
         self.odometry = WheelOdometry(robot.base.geometry, pose)
+        self.wheels_alone = WheelOdometry(robot.base.geometry, pose)
+        self.gyro, self.gyro_bias = gyro, 0.0
+        self._rest: list[float] = []
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
@@ -43,7 +48,15 @@ class SwerveAgent:
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick."""
         self.measured = measurement
-        self.odometry.update(measurement.leg, measurement.steer, measurement.wheel)
+        encoders = (measurement.leg, measurement.steer, measurement.wheel)
+        turn = (float(measurement.gyro[2]) - self.gyro_bias) * self.period if self.gyro else None
+        self.odometry.update(*encoders, turn)
+        self.wheels_alone.update(*encoders)
+
+    def rest(self, measurement: SwerveMeasurement) -> None:
+        """Take in a message while the robot stands: the gyro's bias is the mean of what it reads then."""
+        self._rest.append(float(measurement.gyro[2]))
+        self.gyro_bias = float(np.mean(self._rest))
 
     def state(self) -> np.ndarray:
         """Estimated state (nx), with the measured steering angles."""

@@ -1,5 +1,6 @@
-"""Estimators: where the base is."""
+"""Estimators: where the base is, and which forces disturb it."""
 
-from wbmpc.estimation.odometry import WheelOdometry
+from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 
-__all__ = ["WheelOdometry"]
+__all__ = ["DisturbanceObserver", "ReleaseOdometry", "WheelOdometry"]

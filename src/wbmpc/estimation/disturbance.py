@@ -31,7 +31,7 @@ class DisturbanceObserver:
         self._held_until = -np.inf
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """Estimate (nq,) after a measured state x (2 nq) at time t [s] with the input u that acts from then for h [s]."""
+        """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s]."""
         n = self.size
         q, v = x[:n], x[n:]
         if self._speed is None:

@@ -18,7 +18,7 @@ from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.plant import SwervePlant
+from wbmpc.plant import SwerveCommand, SwervePlant
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
 
 NAME = "swerve-track"
@@ -33,7 +33,8 @@ IDEALISATIONS = [
 
 
 class SwerveTrackSettings(ExperimentSettings):
-    """``path``: periods of the sine (6 periods are the paper's 15.96 m), its amplitude and z or y direction."""
+    """``path``: periods of the sine (6 periods are the paper's 15.96 m), its amplitude [m] and direction; ``speed`` along
+    it [m/s]; ``gyro``: the odometry's yaw comes from the gyro, whose bias is averaged over ``rest`` [s] of standing."""
 
     cost: SwerveCost = SwerveCost()
     robot: Literal["swerve-ur10", "swerve-fixed-ur10"] = "swerve-ur10"
@@ -41,6 +42,8 @@ class SwerveTrackSettings(ExperimentSettings):
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, gt=0, le=0.8)
     amplitude: float = Field(0.498, gt=0, le=0.6)
+    gyro: bool = True
+    rest: float = Field(20.0, ge=0, le=120)
 
 
 #: Length of one period [m] (15.96 m for six) and heights, offsets of the hand's path [m].
@@ -101,7 +104,8 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     pose0 = plant.truth().pose
-    agent = SwerveAgent(robot, pose0, timing.period)
+    agent = SwerveAgent(robot, pose0, timing.period, gyro=settings.gyro and settings.rest > 0.0)
+    _stand(plant, agent, timing, settings.rest)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()
@@ -115,6 +119,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         pose = agent.odometry.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
+        log.add("base_wheels", t, agent.wheels_alone.pose)
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, _in_frame(pose, truth.tool_in_base, truth.tool[2]))
@@ -132,6 +137,13 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         NAME, seed, not reason, reason, _metrics(log, references), statistics, log, _plots(log, robot, mpc, references),
         IDEALISATIONS, settings.model_dump(mode="json"),
     )  # fmt: skip
+
+
+def _stand(plant: SwervePlant, agent: SwerveAgent, timing: Timing, seconds: float) -> None:
+    """Let the robot stand with closed brakes while the gyro's bias is averaged; ends before the run's time 0."""
+    for _ in range(round(seconds / timing.period)):
+        agent.rest(plant.measure())
+        plant.step(SwerveCommand.stop(), timing.steps)
 
 
 def _turn(yaw: float) -> np.ndarray:
@@ -154,7 +166,8 @@ def _metrics(log: Log, references: _References) -> dict[str, Metric]:
     if not use.any():
         use[:] = True
     nearest = nearest_distance(log.array("hand_odometry")[use], references.curve())
-    base, odometry, release = (log.array(n) for n in ("base", "base_odometry", "base_release"))
+    names = ("base", "base_odometry", "base_wheels", "base_release")
+    base, odometry, wheels, release = (log.array(n) for n in names)
     travelled = float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T)))
     drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / max(travelled, 1e-9)  # noqa: E731
     hand_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
@@ -167,6 +180,7 @@ def _metrics(log: Log, references: _References) -> dict[str, Metric]:
         "path_length": Metric(hand_travel, "m", paper=20.53),
         "base_path_length": Metric(travelled, "m", paper=15.96),
         "odometry_drift_ratio": Metric(drift(odometry), "1", paper=0.161 / 15.96, goal=0.006),
+        "odometry_drift_ratio_wheels": Metric(drift(wheels), "1", paper=0.161 / 15.96),
         "odometry_drift_ratio_release": Metric(drift(release), "1"),
         "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
     }

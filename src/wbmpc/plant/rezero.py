@@ -1,7 +1,7 @@
-"""The ball robot in MuJoCo: free base, ball on a ball joint, three drives between them, floor contact with spin friction.
+"""The ball robot in MuJoCo: free base, ball on a ball joint, drives between them, floor contact with spin friction.
 
-The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model with
-rolling exactly. Until its estimator exists the measurement is the simulator's state, late and with noise.
+The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model
+with rolling. Until its estimator exists the measurement is the simulator's state, late and with noise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,20 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
-from wbmpc.plant.world import ROBOT, TIMESTEP, Array, Edit, Hook, World, add_drive, add_floor, set_options, unwrap
+from wbmpc.plant.world import (
+    NO_TORQUE,
+    ROBOT,
+    TIMESTEP,
+    Array,
+    Edit,
+    Hook,
+    World,
+    add_drive,
+    add_floor,
+    add_light,
+    set_options,
+    unwrap,
+)
 from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
 
 #: Spin friction of the ball on the floor [m]: about 2.4 N m of yaw torque for 25 kg.
@@ -28,8 +41,8 @@ CONTACT = [0.005, 1.0]
 def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Array, arm_rate: Array) -> Array:
     """(x, y, yaw, pitch, roll, arm; their rates) of a free body's pose and velocity.
 
-    ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s] (MuJoCo's
-    convention), ``position`` (3) of the ball's centre.
+    ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s]
+    (MuJoCo's convention), ``position`` (3) of the ball's centre.
     """
     yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
     wx, wy, wz = velocity[3:6]
@@ -108,6 +121,7 @@ class RezeroPlant:
         friction = [draw.friction, SPIN_FRICTION, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
         spec.body(base.body).add_freejoint(name="root")
+        add_light(spec.body(base.body))
         ball = spec.body(base.ball)
         ball.add_geom(
             name="contact_ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[base.ball_radius, 0, 0], mass=0, condim=4,
@@ -144,8 +158,9 @@ class RezeroPlant:
         body = parent.add_body(name="payload", pos=pos)
         body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, [0, 0, 0], [mass * 0.4 * 0.05**2] * 3
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], mass=0, contype=0, conaffinity=0, rgba=[0.9, 0.6, 0.1, 1]
-        )
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], mass=0, contype=0, conaffinity=0,
+            rgba=[0.9, 0.6, 0.1, 1],
+        )  # fmt: skip
 
     def _place(self, state: Array, torque: ArrayLike | None) -> None:
         d, n, r = self.data, self._arm_q.size, self.base.ball_radius
@@ -192,7 +207,7 @@ class RezeroPlant:
         self.world.external = hook
 
     def push(
-        self, force: ArrayLike, torque: ArrayLike = (0.0, 0.0, 0.0), body: str | None = None, point: ArrayLike | None = None
+        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
     ) -> None:
         """Push a body until changed: see :meth:`World.push`."""
         self.world.push(force, torque, body, point)

@@ -1,9 +1,9 @@
 """The swerve base with its arm in MuJoCo.
 
-Choices (measured with MuJoCo 4.0): ellipsoid wheels with three-dimensional contacts; velocity servos under the `discrete`
-integrator; brakes as switched dry friction of 200 N m on the hinges with stiff constraint settings; tyres as contact
-softness; arm servos with the arm's weight fed forward (as a joint torque: MuJoCo's own gravity compensation would take
-the weight off the wheels).
+Choices (measured with MuJoCo 4.0): ellipsoid wheels with three-dimensional contacts; velocity servos under the
+`discrete` integrator; brakes as switched dry friction of 200 N m on the hinges with stiff constraint settings; tyres as
+contact softness; arm servos with the arm's weight fed forward (as a joint torque: MuJoCo's own gravity compensation
+would take the weight off the wheels).
 """
 
 from __future__ import annotations
@@ -19,7 +19,19 @@ from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
-from wbmpc.plant.world import ROBOT, TIMESTEP, Array, Edit, Hook, World, add_drive, add_floor, set_options
+from wbmpc.plant.world import (
+    NO_TORQUE,
+    ROBOT,
+    TIMESTEP,
+    Array,
+    Edit,
+    Hook,
+    World,
+    add_drive,
+    add_floor,
+    add_light,
+    set_options,
+)
 from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
 
 #: Torque limits [N m] of wheel and steer drives, brake torque [N m] (Pankert et al., RA-L 2022, and its release).
@@ -40,9 +52,10 @@ _IMU_INTERVAL = 0.0025
 class SwervePlant:
     """Physics, drives, brakes and sensors of a swerve robot.
 
-    ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector of
-    the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the specification
-    before it is compiled; ``lift`` [m] raises the start; ``settle`` [s] is the time to sink into the tyres before time 0.
+    ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
+    of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
+    specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
+    before time 0. ``external`` is called before every physics step with (model, data).
     """
 
     def __init__(
@@ -88,6 +101,7 @@ class SwervePlant:
         friction = [draw.friction, 0.005, 1e-4]
         add_floor(spec, 3, friction, TYRE)
         spec.body(self.base.body).add_freejoint(name="root")
+        add_light(spec.body(self.base.body))
         for i, module in enumerate(self.base.modules):
             radius = self.base.wheel_radius * float(draw.radius[i])
             spec.joint(module.wheel).parent.add_geom(
@@ -134,7 +148,8 @@ class SwervePlant:
         self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._all = np.concatenate(list(self._q.values()))
-        self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in ("wheel", "steer", "arm")}
+        driven = ("wheel", "steer", "arm")
+        self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in driven}
         speed = self.description.limits.velocity
         self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
@@ -214,7 +229,7 @@ class SwervePlant:
         self.world.external = hook
 
     def push(
-        self, force: ArrayLike, torque: ArrayLike = (0.0, 0.0, 0.0), body: str | None = None, point: ArrayLike | None = None
+        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
     ) -> None:
         """Push a body until changed: see :meth:`World.push`."""
         self.world.push(force, torque, body, point)
@@ -271,7 +286,9 @@ class SwervePlant:
         noise, walk = self._density[name]
         draws = self._noise.normal(size=(2, 3))
         self._bias[name] = self._bias[name] + walk * np.sqrt(interval) * draws[0]
-        return self.data.sensordata[self._imu[name]] + self._bias[name] + noise / np.sqrt(interval) * draws[1]
+        true: Array = self.data.sensordata[self._imu[name]]
+        reading: Array = true + self._bias[name] + noise / np.sqrt(interval) * draws[1]
+        return reading
 
     # ------------------------------------------------------------------ truth
     def truth(self) -> Truth:
@@ -297,7 +314,8 @@ class SwervePlant:
         Of several contacts of one wheel the deepest counts; a wheel in the air has none.
         """
         d, contacts = self.data, self.data.contact
-        slip, depth, velocity = np.zeros((len(self._wheel_geoms), 2)), np.full(len(self._wheel_geoms), np.inf), np.zeros(6)
+        n = len(self._wheel_geoms)
+        slip, depth, velocity = np.zeros((n, 2)), np.full(n, np.inf), np.zeros(6)
         geoms, distance, at, frame = contacts.geom, contacts.dist, contacts.pos, contacts.frame
         for c in range(d.ncon):
             i = self._wheel_of.get(int(geoms[c, 0]), self._wheel_of.get(int(geoms[c, 1])))

@@ -20,6 +20,7 @@ Edit = Callable[[mujoco.MjSpec], None]
 TIMESTEP = 5e-4
 #: Tilt [rad] at which a robot counts as fallen.
 FALL_TILT = 0.9
+NO_TORQUE = (0.0, 0.0, 0.0)
 #: Contact bits: floors and obstacles touch wheels, balls and tips (type 1 against affinity 2 and the reverse).
 GROUND, ROBOT = {"contype": 1, "conaffinity": 2}, {"contype": 2, "conaffinity": 1}
 
@@ -38,7 +39,7 @@ def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtInte
 
 
 def add_floor(spec: mujoco.MjSpec, condim: int, friction: list[float], solref: list[float]) -> None:
-    """A flat floor with a grid of 1 m squares, a light and a sky."""
+    """A flat floor with a grid of 1 m squares, and a sky."""
     texture = mujoco.mjtTexture
     spec.add_texture(
         name="sky", type=texture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
@@ -52,13 +53,19 @@ def add_floor(spec: mujoco.MjSpec, condim: int, friction: list[float], solref: l
     material = spec.add_material(name="grid", texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.04)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
     world = spec.worldbody
-    world.add_light(
-        pos=[0, 0, 6], dir=[-0.35, 0.45, -0.85], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        diffuse=[0.7, 0.7, 0.7], specular=[0.2, 0.2, 0.2], castshadow=True,
-    )  # fmt: skip
     world.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], condim=condim, friction=friction,
         solref=solref, material="grid", **GROUND,
+    )  # fmt: skip
+
+
+def add_light(body: mujoco.MjsBody) -> None:
+    """The sun, which goes with a body so that its shadow map covers the robot wherever it is."""
+    direction = np.array([-0.35, 0.45, -0.82])
+    body.add_light(
+        pos=-4.0 * direction, dir=direction, mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.7, 0.7, 0.7], specular=[0.2, 0.2, 0.2],
+        castshadow=True,
     )  # fmt: skip
 
 
@@ -150,7 +157,7 @@ class World:
 
     # ------------------------------------------------------------------ pushes
     def push(
-        self, force: ArrayLike, torque: ArrayLike = (0.0, 0.0, 0.0), body: str | None = None, point: ArrayLike | None = None
+        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
     ) -> None:
         """Push a body (the base when left out) with a force (3) [N] and torque (3) [N m] in world axes, until changed.
 

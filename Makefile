@@ -1,0 +1,50 @@
+# make demo   sets up everything and runs the two experiments
+# make test   sets up everything and runs the tests
+PYTHON ?= python3
+VENV ?= .venv
+WORKERS ?= 2
+BIN := $(VENV)/bin
+ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+.PHONY: demo test bench study lint format pictures clean
+
+demo: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/wbmpc demo
+
+test: $(VENV)/.tested
+	$(ENVIRONMENT) $(BIN)/python -m pytest -n $(WORKERS) $(PYTEST_ARGS)
+
+bench: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/wbmpc bench
+
+# the reporting seeds of both experiments (minutes)
+study: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/seeds.py
+
+lint: $(VENV)/.tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.tested
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+pictures: $(VENV)/.installed
+	$(BIN)/python scripts/pictures.py
+
+$(VENV)/bin/python:
+	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "wbmpc needs Python 3.11 or newer, and '$(PYTHON)' is $$($(PYTHON) -V 2>&1): call 'make PYTHON=/path/to/newer/python3'." >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "This Python has no 'venv': install it (on Debian and Ubuntu: apt-get install python3-venv)." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.tested: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@ $(VENV)/.installed
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist src/*.egg-info

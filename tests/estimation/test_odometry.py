@@ -1,0 +1,171 @@
+"""Wheel odometry. Truth: rigid-body motion integrated by another integrator, with its own wheel kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from wbmpc.errors import InputError
+from wbmpc.estimation import ReleaseOdometry, WheelOdometry
+from wbmpc.model import load_robot
+
+ROBOT = load_robot("swerve-ur10")
+GEOMETRY = ROBOT.base.geometry
+FIXED = load_robot("swerve-fixed-ur10").base.geometry
+CLOSED = np.array([0.5, -0.4, -0.6, 0.7])
+
+
+def twist(t: float) -> np.ndarray:
+    """A smooth planar motion (vx, vy, ω) that never stops."""
+    return np.array([0.30 + 0.05 * np.sin(1.1 * t), 0.08 * np.sin(0.7 * t), 0.15 * np.cos(0.9 * t)])
+
+
+def swinging(t: float) -> np.ndarray:
+    return CLOSED + 0.2 * np.sin(0.5 * t + np.arange(4.0))
+
+
+def swing_rates(t: float) -> np.ndarray:
+    return 0.1 * np.cos(0.5 * t + np.arange(4.0))
+
+
+def axle_velocities(geometry, leg, rate, v) -> np.ndarray:
+    """Velocities of the steer axes in the base, by complex numbers."""
+    hinge = geometry.hinge[:, 0] + 1j * geometry.hinge[:, 1]
+    arm = geometry.leg_length * np.exp(1j * (geometry.leg_heading + leg))
+    return v[0] + 1j * v[1] + 1j * v[2] * (hinge + arm) + 1j * rate * arm
+
+
+def roll_out(geometry, duration: float, period: float, leg, rate):
+    """Poses and (leg, steer, wheel) samples of wheels that roll without slip; steering follows the velocity."""
+    times = np.arange(round(duration / period) + 1) * period
+
+    def speed(t, leg_angle):
+        velocity = axle_velocities(geometry, leg_angle, rate(t), twist(t))
+        heading = np.angle(velocity) - geometry.wheel_heading - leg_angle * geometry.has_hinge
+        return np.abs(velocity) / geometry.wheel_radius, heading
+
+    def rates(t, z):
+        v, c, s = twist(t), np.cos(z[2]), np.sin(z[2])
+        return [c * v[0] - s * v[1], s * v[0] + c * v[1], v[2], *speed(t, leg(t))[0]]
+
+    start = np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0, 4.0])
+    z = solve_ivp(rates, (0.0, times[-1]), start, t_eval=times, rtol=1e-11, atol=1e-12).y.T
+    steer = np.unwrap([speed(t, leg(t))[1] for t in times], axis=0)
+    return z[:, :3], [(leg(t), steer[k], z[k, 3:]) for k, t in enumerate(times)]
+
+
+MOTIONS = {
+    "legs swing": (GEOMETRY, swinging, swing_rates),
+    "brakes closed": (GEOMETRY, lambda t: CLOSED, lambda t: np.zeros(4)),
+    "fixed legs": (FIXED, lambda t: np.zeros(4), lambda t: np.zeros(4)),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_exact_data_give_the_pose(motion):
+    geometry, leg, rate = MOTIONS[motion]
+    poses, samples = roll_out(geometry, 5.0, 0.0025, leg, rate)
+    odometry = WheelOdometry(geometry, poses[0])
+    slip = []
+    for sample in samples:
+        odometry.update(*sample)
+        slip.append(odometry.slip)
+    assert np.abs(odometry.pose - poses[-1]).max() < 1e-6
+    assert np.hypot(*(poses[-1] - poses[0])[:2]) > 1.0
+    assert max(slip) < 1e-8
+
+
+def test_error_is_of_second_order_in_the_sampling_period():
+    errors = []
+    for period in (0.05, 0.025):
+        poses, samples = roll_out(GEOMETRY, 5.0, period, swinging, swing_rates)
+        odometry = WheelOdometry(GEOMETRY, poses[0])
+        for sample in samples:
+            odometry.update(*sample)
+        errors.append(np.hypot(*(odometry.pose - poses[-1])[:2]))
+    assert 3.0 < errors[0] / errors[1] < 5.0
+
+
+@pytest.mark.parametrize("v", [(0.4, 0.1, 0.0), (0.2, -0.3, 0.8), (0.0, 0.0, 1.0), (0.1, 0.0, 1e-9)])
+def test_constant_twists_are_integrated_exactly_in_one_step(v):
+    duration = 2.0
+    velocity = axle_velocities(GEOMETRY, CLOSED, np.zeros(4), v)
+    steer = np.angle(velocity) - GEOMETRY.wheel_heading - CLOSED
+    odometry = WheelOdometry(GEOMETRY)
+    odometry.update(CLOSED, steer, np.zeros(4))
+    pose = odometry.update(CLOSED, steer, np.abs(velocity) * duration / GEOMETRY.wheel_radius)
+    moved = expm(duration * np.array([[0.0, -v[2], v[0]], [v[2], 0.0, v[1]], [0.0, 0.0, 0.0]]))
+    assert pose == pytest.approx([moved[0, 2], moved[1, 2], v[2] * duration], abs=1e-12)
+    assert odometry.slip < 1e-12
+
+
+def test_legs_that_swing_under_a_standing_base_do_not_move_it():
+    rolled = lambda a, b: GEOMETRY.leg_length * (b - a) / GEOMETRY.wheel_radius
+    odometry = WheelOdometry(GEOMETRY)
+    leg, wheel = CLOSED, np.zeros(4)
+    across = GEOMETRY.leg_heading + np.pi / 2 - GEOMETRY.wheel_heading
+    odometry.update(leg, across, wheel)
+    for _ in range(100):
+        new = leg + 0.005
+        wheel = wheel + rolled(leg, new)
+        odometry.update(new, across, wheel)
+        leg = new
+    assert np.abs(odometry.pose).max() < 1e-9
+
+
+def test_residual_shows_the_wheel_that_slips():
+    odometry = WheelOdometry(GEOMETRY)
+    steer = -CLOSED - GEOMETRY.wheel_heading
+    odometry.update(CLOSED, steer, np.zeros(4))
+    odometry.update(CLOSED, steer, np.array([0.1, 0.1, 0.2, 0.1]))
+    assert np.argmax(np.linalg.norm(odometry.residual, axis=1)) == 2
+    assert odometry.slip > 1e-3
+
+
+def test_calibration_repairs_radii_and_zeros():
+    poses, samples = roll_out(GEOMETRY, 3.0, 0.0025, swinging, swing_rates)
+    factor, leg_zero, steer_zero = np.array([1.01, 0.99, 1.0, 1.02]), 0.01 * np.arange(4), 0.02 * np.ones(4)
+    told = [(leg + leg_zero, steer + steer_zero, wheel / factor) for leg, steer, wheel in samples]
+    right = WheelOdometry(
+        GEOMETRY, poses[0], wheel_radius=GEOMETRY.wheel_radius * factor, leg_zero=leg_zero, steer_zero=steer_zero
+    )
+    wrong = WheelOdometry(GEOMETRY, poses[0])
+    for sample in told:
+        right.update(*sample)
+        wrong.update(*sample)
+    assert np.abs(right.pose - poses[-1]).max() < 1e-6
+    assert np.hypot(*(wrong.pose - poses[-1])[:2]) > 5e-3
+
+
+def test_a_given_yaw_increment_replaces_that_of_the_wheels():
+    poses, samples = roll_out(GEOMETRY, 3.0, 0.0025, swinging, swing_rates)
+    bent = [(leg, steer + np.array([0.01, -0.01, -0.01, 0.01]), wheel) for leg, steer, wheel in samples]
+    wheels, fused = WheelOdometry(GEOMETRY, poses[0]), WheelOdometry(GEOMETRY, poses[0])
+    for k, sample in enumerate(bent):
+        wheels.update(*sample)
+        fused.update(*sample, yaw_increment=poses[k, 2] - poses[max(k - 1, 0), 2])
+    assert abs(fused.pose[2] - poses[-1, 2]) < 1e-12
+    assert np.hypot(*(fused.pose - poses[-1])[:2]) < np.hypot(*(wheels.pose - poses[-1])[:2])
+
+
+def test_the_releases_odometry_drifts_where_steering_turns_and_not_on_straight_lines():
+    poses, samples = roll_out(GEOMETRY, 5.0, 0.0025, lambda t: CLOSED, lambda t: np.zeros(4))
+    release, straight = ReleaseOdometry(GEOMETRY, poses[0], 0.0025), ReleaseOdometry(GEOMETRY, [0, 0, 0], 0.0025)
+    for sample in samples:
+        release.update(*sample)
+    assert np.hypot(*(release.pose - poses[-1])[:2]) > 1e-3
+    heading = -CLOSED - GEOMETRY.wheel_heading
+    for k in range(101):
+        straight.update(CLOSED, heading, np.full(4, 0.1 * k))
+    assert straight.pose == pytest.approx([10.0 * GEOMETRY.wheel_radius, 0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), np.array([0.0, 0.0, np.nan, 0.0])])
+def test_wrong_samples_are_refused(bad):
+    odometry = WheelOdometry(replace(GEOMETRY))
+    with pytest.raises(InputError, match="steer"):
+        odometry.update(np.zeros(4), bad, np.zeros(4))

@@ -1,0 +1,99 @@
+"""Perturbations. Truth: the ranges of the protocol, MuJoCo's compiled bodies."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from wbmpc.plant import Perturbation
+from wbmpc.plant.perturbation import quantise
+from wbmpc.robots import load_description, load_spec
+
+BODIES = [b.name for b in load_spec(load_description("swerve-ur10")).bodies if b.name != "world"]
+
+
+def draws(count: int, **settings):
+    p = Perturbation(**settings)
+    return [p.draw(np.random.default_rng(k), BODIES, 4, 6) for k in range(count)]
+
+
+def test_draws_fill_their_ranges():
+    many = draws(200)
+
+    def span(values) -> tuple[float, float]:
+        flat = np.concatenate([np.ravel(v) for v in values])
+        return float(flat.min()), float(flat.max())
+
+    expected = {
+        "mass": (span(list(d.mass.values()) for d in many), (0.95, 1.05)),
+        "inertia": (span(list(d.inertia.values()) for d in many), (0.9, 1.1)),
+        "com": (span(list(d.com.values()) for d in many), (-0.01, 0.01)),
+        "friction": (span(d.friction for d in many), (0.6, 0.9)),
+        "radius": (span(d.radius for d in many), (0.998, 1.002)),
+        "leg": (span(d.leg_offset for d in many), (-0.002, 0.002)),
+        "arm": (span(d.arm_offset for d in many), (-0.002, 0.002)),
+        "steer": (span(d.steer_offset for d in many), (-0.003, 0.003)),
+        "lag": (span([*d.wheel_lag, *d.steer_lag, *d.arm_lag] for d in many), (0.014, 0.026)),
+    }
+    for name, ((low, high), (least, most)) in expected.items():
+        width = most - least
+        assert least <= low < least + 0.05 * width, name
+        assert most - 0.05 * width < high <= most, name
+
+
+def test_the_radius_factor_is_common_unless_asked_otherwise():
+    assert all(np.ptp(d.radius) == 0.0 for d in draws(5))
+    assert all(np.ptp(d.radius) > 0.0 for d in draws(5, wheel_radius_each=0.002))
+
+
+def test_bodies_change_as_drawn_and_balanced_ones_keep_their_centre():
+    description = load_description("swerve-ur10")
+    nominal, spec = load_spec(description).compile(), load_spec(description)
+    draw = draws(1)[0]
+    draw.apply_to_bodies(spec, balanced=("wheel_LF",))
+    changed = spec.compile()
+    for name in BODIES:
+        b = nominal.body(name).id
+        assert changed.body_mass[b] == pytest.approx(draw.mass[name] * nominal.body_mass[b])
+        if nominal.body_mass[b] > 0.0:
+            assert changed.body_inertia[b] == pytest.approx(draw.inertia[name] * nominal.body_inertia[b])
+            moved = changed.body_ipos[b] - nominal.body_ipos[b]
+            assert moved == pytest.approx(np.zeros(3) if name == "wheel_LF" else draw.com[name], abs=1e-15)
+            quat = nominal.body_iquat[b] @ changed.body_iquat[b]
+            assert abs(quat) == pytest.approx(1.0)
+
+
+def test_every_field_can_be_zero_and_none_is_the_model():
+    zero = Perturbation(**dict.fromkeys(Perturbation.model_fields, 0))
+    draw = zero.draw(np.random.default_rng(0), BODIES, 4, 6)
+    assert set(draw.mass.values()) == {1.0} and not np.any(list(draw.com.values())) and draw.friction == 0.0
+    none = Perturbation.none(mass=0.01)
+    assert (none.mass, none.com, none.drive_lag, none.friction) == (0.01, 0.0, 0.02, (0.8, 0.8))
+
+
+def test_friction_may_be_one_number():
+    assert Perturbation(friction=0.6).friction == (0.6, 0.6)
+
+
+@pytest.mark.parametrize("bad", [{"masss": 0.1}, {"mass": -0.1}, {"friction": (0.9, 0.6)}, {"drive_lag": np.nan}])
+def test_bad_settings_are_refused(bad):
+    with pytest.raises(ValidationError):
+        Perturbation(**bad)
+
+
+def test_quantisation_is_within_half_a_count():
+    angles = np.random.default_rng(0).uniform(-10, 10, 1000)
+    step = 2 * np.pi / 2**14
+    read = quantise(angles, 2**14)
+    assert np.abs(read - angles).max() <= step / 2 + 1e-12
+    assert read / step == pytest.approx(np.round(read / step), abs=1e-6)
+    assert quantise(angles, 0) is angles
+
+
+def test_specifications_are_fresh_for_every_plant():
+    description = load_description("rezero")
+    first, second = load_spec(description), load_spec(description)
+    first.body("base").mass = 1.0
+    assert isinstance(first, mujoco.MjSpec) and second.body("base").mass == pytest.approx(18.66)
