@@ -1,6 +1,8 @@
 """``python -m wbmpc``."""
 
+import sys
+
 from wbmpc.cli import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

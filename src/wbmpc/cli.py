@@ -6,29 +6,48 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wbmpc import __version__
-from wbmpc.errors import InputError, WbmpcError, unknown_name
+from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiments import Experiment
     from wbmpc.result import RunResult
 
-# One thread: linear algebra of this size only loses time by waking others (stalls of 40 ms were seen).
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 app = typer.Typer(
-    name="wbmpc", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    name="wbmpc", add_completion=False, pretty_exceptions_enable=False,
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
-_debug = False
+
+
+@dataclass(frozen=True)
+class _Session:
+    """What :func:`main` hands to the commands; without a registry the library's own one is loaded when it is needed."""
+
+    given: Mapping[str, Experiment] | None = None
+
+    @property
+    def registry(self) -> Mapping[str, Experiment]:
+        if self.given is not None:
+            return self.given
+        from wbmpc.experiments import REGISTRY
+
+        return REGISTRY
+
+    def find(self, name: str) -> Experiment:
+        if name not in self.registry:
+            raise unknown_name("experiment", name, self.registry)
+        return self.registry[name]
 
 
 def _version(wanted: bool) -> None:
@@ -37,27 +56,15 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def options(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
     """Options before the command."""
-    global _debug
-    _debug = _debug or debug
-
-
-def _experiments() -> dict[str, Experiment]:
-    from wbmpc.experiments import REGISTRY
-
-    return REGISTRY
-
-
-def _find(name: str) -> Experiment:
-    registry = _experiments()
-    if name not in registry:
-        raise unknown_name("experiment", name, registry)
-    return registry[name]
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @contextmanager
@@ -75,29 +82,50 @@ def _progress(title: str, show: bool) -> Iterator[Callable[[float, str], None] |
         yield lambda fraction, note: bar.update(task, completed=fraction, note=note)
 
 
-def _fresh(base: Path) -> Path:
-    """``base``, or ``base-2``, ``base-3`` … when it is there: a run never overwrites another one."""
-    path, k = base, 1
-    while path.exists():
-        k += 1
-        path = base.with_name(f"{base.name}-{k}")
-    return path
+def _reserve(base: Path) -> Path:
+    """Make ``base``, or ``base-2``, ``base-3`` … when it is there: a run never overwrites another one."""
+    for k in count(1):
+        path = base if k == 1 else base.with_name(f"{base.name}-{k}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return path
+    raise AssertionError("unreachable")
 
 
-def _execute(name: str, seed: int, assignments: list[str], out: Path | None, show: bool) -> tuple[RunResult, dict[str, str]]:
+def _directory(out: Path | None, name: str, seed: int) -> Path:
+    """Where the files go. Made before the run, so that a bad path is found at once and not after minutes."""
+    if out is None:
+        return _reserve(Path("runs") / f"{name}-seed{seed}")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out: '{out}' is a file; give a directory")
+    out.mkdir(parents=True, exist_ok=True)
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise InputError(f"--out: cannot write into '{out}'")
+    return out
+
+
+def _execute(
+    session: _Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool
+) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.configuration import configure
     from wbmpc.report import write_run
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
-    experiment = _find(name)
+    experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
-    directory = _fresh(Path("runs") / f"{name}-seed{seed}") if out is None else out
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"--out: {directory} is not a directory")
-    with _progress(name, show) as progress:
-        result = experiment.run(settings, seed, progress)
-    return result, write_run(result, directory)
+    ours = out is None or not out.exists()
+    directory = _directory(out, name, seed)
+    try:
+        with _progress(name, show) as progress:
+            result = experiment.run(settings, seed, progress)
+        return result, write_run(result, directory)
+    finally:
+        if ours:
+            with suppress(OSError):
+                directory.rmdir()  # succeeds only if nothing was written
 
 
 def _table(results: list[RunResult]) -> None:
@@ -106,20 +134,24 @@ def _table(results: list[RunResult]) -> None:
 
     from wbmpc.report import number
 
-    table = Table(title="Ours is simulated (MuJoCo, perturbed plant); the paper's figures are of the real robot")
-    for column, justify in (("experiment", "left"), ("metric", "left"), ("ours", "right"), ("paper", "right"), ("goal", "right")):
-        table.add_column(column, justify=justify)  # type: ignore[arg-type]
-    table.add_column("")
+    table = Table(title="Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
+    for column in ("experiment", "metric"):
+        table.add_column(column, overflow="fold")
+    table.add_column("unit", no_wrap=True)
+    for column in ("ours", "paper", "goal"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for result in results:
         for k, (name, m) in enumerate(result.metrics.items()):
-            unit = "" if m.unit == "1" else f" {m.unit}"
-            given = ["" if v is None else f"{number(v)}{unit}" for v in (m.paper, m.goal)]
+            figures = ["" if v is None else number(v) for v in (m.value, m.paper, m.goal)]
             verdict = {True: "reached", False: "missed", None: ""}[m.met]
-            table.add_row(result.experiment if k == 0 else "", name, f"{number(m.value)}{unit}", *given, verdict)
-        solve = result.mpc.solve_ms
-        mpc = f"{result.mpc.rate_hz:g} Hz, {number(solve['median'])} ms median, {number(solve['max'])} ms max"
-        table.add_row("", "MPC rate and solve time", mpc, "", "", "", end_section=True)
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, verdict)
+        mpc = result.mpc
+        table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
+        for kind, milliseconds in mpc.solve_ms.items():
+            table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
+        table.add_section()
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
 
 
 def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
@@ -127,56 +159,61 @@ def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> N
 
     if as_json:
         objects = [to_json(r, f) for r, f in results]
-        typer.echo(json.dumps(objects[0] if len(objects) == 1 else objects))
+        typer.echo(json.dumps(objects[0] if len(objects) == 1 else {"runs": objects}, allow_nan=False))
     else:
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
                 typer.echo(f"{result.experiment} ended early: {result.reason}")
-            typer.echo(f"{result.experiment}: open {files['report']}")
+            typer.echo(f"{result.experiment}: the report page is {files['report']}")
     if not all(r.completed for r, _ in results):
-        raise typer.Exit(1)
+        raise typer.Exit(ABORTED)
 
 
 @app.command("list")
-def list_experiments(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+def list_experiments(
+    context: typer.Context,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+) -> None:
     """List the experiments and the robots."""
     from wbmpc.robots import available_robots
 
-    registry = _experiments()
+    registry = context.obj.registry
     if as_json:
         names = [{"name": e.name, "summary": e.summary} for e in registry.values()]
         typer.echo(json.dumps({"experiments": names, "robots": available_robots()}))
         return
     typer.echo("experiments:")
     for e in registry.values():
-        typer.echo(f"  {e.name:14s} {e.summary}")
+        typer.echo(f"  {e.name:{max(map(len, registry))}s}  {e.summary}")
     typer.echo("robots:\n  " + "\n  ".join(available_robots()))
 
 
 @app.command()
 def run(
+    context: typer.Context,
     name: Annotated[str, typer.Argument(help="Name of the experiment (see 'wbmpc list').")],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Directory for the files (default: runs/NAME-seedN).")] = None,
+    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz and report.html."""
-    _finish([_execute(name, seed, assignments or [], out, not as_json)], as_json)
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json)], as_json)
 
 
 @app.command()
 def demo(
+    context: typer.Context,
     seed: Annotated[int, typer.Option(help="Seed of the plants and of all noise.")] = 200,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run both main experiments and print one table."""
     results = []
     for name in ("swerve-track", "rezero-steps"):
         if not as_json:
-            typer.echo(f"running {name} ...", err=True)
-        results.append(_execute(name, seed, [], None, not as_json))
+            typer.echo(f"running {name} …", err=True)
+        results.append(_execute(context.obj, name, seed, [], None, not as_json))
     _finish(results, as_json)
 
 
@@ -193,22 +230,48 @@ def bench(
     typer.echo(json.dumps(figures)) if as_json else print_table(figures)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Entry point: bad input is one sentence and exit status 2."""
-    global _debug
+def _complain(error: Exception, debug: bool) -> None:
+    """One sentence on standard error, whatever the message looked like; the traceback only on request."""
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    else:
+        text = str(error)
+        if hasattr(error, "format_message"):
+            text = f"{error.format_message().rstrip('.')}; see 'wbmpc --help' and 'wbmpc COMMAND --help'"
+    typer.echo(f"wbmpc: {' '.join(text.split())}", err=True)
+
+
+def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] | None = None) -> int:
+    """Entry point; returns the exit status. Bad input is one sentence and status 2.
+
+    ``registry``: experiments to use in place of the library's.
+    """
+    # One thread: linear algebra of this size only loses time by waking others (stalls of 40 ms were seen).
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     given = sys.argv[1:] if arguments is None else arguments
-    _debug = "--debug" in given
-    # --debug is understood anywhere on the line
-    given = [a for a in given if a != "--debug"]
+    debug = "--debug" in given
+    given = [a for a in given if a != "--debug"]  # understood anywhere on the line
     try:
-        app(args=given, prog_name="wbmpc", standalone_mode=True)
+        status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry))
+        return status if isinstance(status, int) else COMPLETED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader has gone: let Python flush into nothing
+        return ABORTED
+    except RunAborted as error:
+        _complain(error, debug)
+        return ABORTED
     except (WbmpcError, OSError) as error:
-        if _debug:
-            traceback.print_exc()
-        typer.echo(f"wbmpc: {error}", err=True)
-        sys.exit(2)
-    except KeyboardInterrupt:
+        _complain(error, debug)
+        return BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort):
         typer.echo("wbmpc: interrupted", err=True)
-        sys.exit(130)
-
-
+        return INTERRUPTED
+    except Exception as error:
+        # mistakes on the command line itself; their base class is typer's or click's, by typer's version
+        if not hasattr(error, "format_message"):
+            raise
+        _complain(error, debug)
+        return BAD_INPUT

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError, did_you_mean
 
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:
@@ -27,14 +28,47 @@ def keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     return out
 
 
-def _parse(assignment: str) -> tuple[str, Any]:
+def _unknown(key: str, valid: list[str], where: str) -> InputError:
+    """The error for a key that does not exist: lists the section that was meant, not all fifty keys."""
+    section = key
+    while section and not any(k.startswith(f"{section}.") for k in valid):
+        section = section.rpartition(".")[0]
+    inside = [k[len(section) + 1 :] if section else k for k in valid if not section or k.startswith(f"{section}.")]
+    choices = dict.fromkeys(f"{k.split('.')[0]}.…" if "." in k else k for k in inside)
+    place = f"valid in {section}" if section else "valid"
+    if key == section:
+        return InputError(f"{where}: --set: '{key}' is a section and takes no value; {place}: {', '.join(choices)}")
+    # a key of the right name in the wrong section is nearer than its letters say
+    elsewhere = [k for k in valid if k.split(".")[-1] == key.split(".")[-1]]
+    hint = f" (did you mean '{elsewhere[0]}'?)" if elsewhere else did_you_mean(key, valid)
+    return InputError(f"{where}: --set: unknown key '{key}'{hint}; {place}: {', '.join(choices)}")
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return all(map(_finite, value.values()))
+    if isinstance(value, (list, tuple)):
+        return all(map(_finite, value))
+    if isinstance(value, str):
+        # YAML reads nan, inf and 1e3 as text; pydantic would make numbers of them
+        try:
+            value = float(value)
+        except ValueError:
+            return True
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _parse(assignment: str, where: str) -> tuple[str, Any]:
     key, equals, text = assignment.partition("=")
-    if not equals or not key.strip():
-        raise InputError(f"--set {assignment}: the form is key=value, e.g. mpc.rate=100")
+    if not equals or not key.strip() or not text.strip():
+        raise InputError(f"{where}: --set '{assignment}': the form is key=value, e.g. mpc.rate=100")
     try:
-        return key.strip(), yaml.safe_load(text)
+        value = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise InputError(f"--set {key}: the value '{text}' cannot be read") from error
+        raise InputError(f"{where}: --set {key.strip()}: the value '{text}' cannot be read") from error
+    if not _finite(value):
+        raise InputError(f"{where}: --set {key.strip()}={text.strip()}: the value must be a finite number")
+    return key.strip(), value
 
 
 def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -45,26 +79,30 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
 
 
 def describe(error: ValidationError) -> str:
-    """All faults of a validation as one sentence, without web links."""
+    """All faults of a validation as one sentence, without web links: ``key=value: what is wrong; ...``."""
     faults = []
-    for fault in error.errors(include_url=False):
+    for fault in error.errors(include_url=False, include_context=False):
         key = ".".join(str(k) for k in fault["loc"])
-        faults.append(f"{key}={fault['input']!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}")
+        # a fault between several settings carries its whole section, and a missing one has no value of its own
+        shown = "" if isinstance(fault["input"], (Mapping, BaseModel)) or fault["type"] == "missing" else f"={fault['input']!r}"
+        text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))
     return "; ".join(faults)
 
 
 def configure(model: type[BaseModel], assignments: Iterable[str], where: str) -> Any:
-    """An instance of ``model`` with its defaults and the given ``key=value`` assignments.
+    """An instance of ``model`` with its defaults and the given ``key=value`` assignments (a later one wins).
 
+    Values are written as in YAML: ``100``, ``true``, ``[0.6, 0.9]``.
     Raises :class:`InputError` naming ``where`` (the experiment), the key and the valid choices.
     """
-    valid, defaults = keys(model), model().model_dump()
+    valid, settings = keys(model), model().model_dump()
     for assignment in assignments:
-        key, value = _parse(assignment)
+        key, value = _parse(assignment, where)
         if key not in valid:
-            raise unknown_name("key", key, valid, where=f"{where}: --set")
-        _insert(defaults, key, value)
+            raise _unknown(key, valid, where)
+        _insert(settings, key, value)
     try:
-        return model.model_validate(defaults)
+        return model.model_validate(settings)
     except ValidationError as error:
         raise InputError(f"{where}: --set {describe(error)}") from error

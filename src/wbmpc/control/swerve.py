@@ -22,7 +22,7 @@ class SwerveAgent:
     """Estimation, prediction and tracking of a swerve robot at the controller's rate.
 
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
-    ``gyro``: the yaw comes from the gyro (its bias averaged at rest), else from the wheels too.
+    ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
     """
 
     def __init__(
@@ -33,13 +33,13 @@ class SwerveAgent:
         brakes: Callable[[float], np.ndarray] | None = None,
         steer_gain: float = 5.0,
         planned_steering: bool = True,
-        gyro: bool = False,
+        gyro_share: float = 0.0,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
         self.odometry = WheelOdometry(robot.base.geometry, pose)
         self.wheels_alone = WheelOdometry(robot.base.geometry, pose)
-        self.gyro, self.gyro_bias = gyro, 0.0
+        self.gyro_share, self.gyro_bias = gyro_share, 0.0
         self._rest: list[float] = []
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
@@ -49,9 +49,10 @@ class SwerveAgent:
         """Take in the encoders of this tick."""
         self.measured = measurement
         encoders = (measurement.leg, measurement.steer, measurement.wheel)
-        turn = (float(measurement.gyro[2]) - self.gyro_bias) * self.period if self.gyro else None
-        self.odometry.update(*encoders, turn)
         self.wheels_alone.update(*encoders)
+        turn = (float(measurement.gyro[2]) - self.gyro_bias) * self.period
+        own = float(self.wheels_alone.increment[2])
+        self.odometry.update(*encoders, self.gyro_share * turn + (1.0 - self.gyro_share) * own)
 
     def rest(self, measurement: SwerveMeasurement) -> None:
         """Take in a message while the robot stands: the gyro's bias is the mean of what it reads then."""

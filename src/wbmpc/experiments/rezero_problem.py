@@ -32,10 +32,11 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights of wheel and arm torques against those of the equilibrium."""
+    """Weights of wheel and arm torques against those of the equilibrium, and of the hand's force where it is an input."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
+    force: Weight = 1.0
 
 
 class RezeroCost(Settings):
@@ -61,7 +62,8 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    ocp.add(Cost("torque", residuals.Input(robot), {"wheel": t.wheel, "arm": t.arm}))
+    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force}
+    ocp.add(Cost("torque", residuals.Input(robot), {g: v for g, v in inputs.items() if g in robot.input}))
     limits = robot.limits
     free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
     barrier = RelaxedBarrier(settings.barrier_mu, 0.02)

@@ -129,7 +129,8 @@ class _Emitter:
             negative = self.new(f"fcmp olt double {v[0]}, {zero}")
             low = self.new(f"select i1 {negative}, double {literal(-1.0)}, double {v[0]}")
             return self.new(f"select i1 {positive}, double {literal(1.0)}, double {low}")
-        raise KernelError(f"function '{self.name}': SX operation {op} cannot be compiled")
+        name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
+        raise KernelError(f"function '{self.name}': the SX operation {name} cannot be compiled")
 
     def emit(self) -> str:
         f = self.f

@@ -127,6 +127,7 @@ class MPC:
         if self._policy is None:
             raise RunAborted(f"the first solve failed: {solution}")
         self.solver.guess(self._policy.x, self._policy.u)
+        self._t = float(self._policy.times[0])  # the next update shifts that plan from where it starts
         return self._policy
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wbmpc.errors import InputError
+
 
 @dataclass(frozen=True)
 class Zero:
@@ -27,7 +29,11 @@ class Box:
 
     def bounds(self, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """``lower`` and ``upper`` as arrays of ``rows`` numbers."""
-        return np.broadcast_to(np.asarray(self.lower, float), rows), np.broadcast_to(np.asarray(self.upper, float), rows)
+        sides = {"lower": np.asarray(self.lower, float), "upper": np.asarray(self.upper, float)}
+        for name, side in sides.items():
+            if (side.ndim and side.shape != (rows,)) or np.isnan(side).any():
+                raise InputError(f"box: {name} needs one number or {rows}, none of them NaN, got {side}")
+        return np.broadcast_to(sides["lower"], rows), np.broadcast_to(sides["upper"], rows)
 
 
 Set = Zero | NonNegative | Box

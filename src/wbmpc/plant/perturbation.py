@@ -39,7 +39,7 @@ class Perturbation(BaseModel):
     wheel_radius_each: float = Field(default=0.0, ge=0, lt=0.2)
     drive_lag: float = Field(default=0.020, ge=0)
     drive_lag_spread: float = Field(default=0.30, ge=0, lt=1)
-    joint_loss: float = Field(default=0.0, ge=0)
+    joint_loss: float = Field(default=2.0, ge=0)
     friction: tuple[float, float] = (0.6, 0.9)
     encoder_jitter: float = Field(default=0.002, ge=0)
     encoder_counts: int = Field(default=2**14, ge=0)

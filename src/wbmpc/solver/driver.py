@@ -77,7 +77,7 @@ def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no
             slope, curve = -mu / h, mu / (h * h)
         else:
             slope, curve = mu * (h - 2.0 * delta) / (delta * delta), mu / (delta * delta)
-        m[matrix + i * ld + i] += scale * curve
+        m[matrix + i * ld + i] += scale * curve * sign * sign
         m[matrix + i * ld + constant] += scale * slope * sign
         if i < constant:
             m[matrix + constant * ld + i] += scale * slope * sign
@@ -223,6 +223,15 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def symmetrise(m, o):  # type: ignore[no-untyped-def]
+    """Mirror the value function: an antisymmetric rounding error would grow with the open loop's unstable modes."""
+    value, lx = o[VALUE], o[LX]
+    for i in range(o[NX]):
+        for j in range(i):
+            m[value + j * lx + i] = m[value + i * lx + j]
+
+
+@compiled
 def backward(m, o, keep):  # type: ignore[no-untyped-def]
     """Linearise and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|).
 
@@ -244,6 +253,7 @@ def backward(m, o, keep):  # type: ignore[no-untyped-def]
             base + 8 * (o[K] + k * nu * lx),
             base + 8 * o[SCRATCH],
         )
+        symmetrise(m, o)
     return cost, gaps, violations
 
 

@@ -25,7 +25,7 @@ def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarr
     value = np.where(far, -mu * np.log(safe), mu * (0.5 * (q * q - 1.0) - np.log(delta))).sum()
     gradient, curvature = np.zeros(z.size), np.zeros(z.size)
     np.add.at(gradient, boxes.index, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
-    np.add.at(curvature, boxes.index, np.where(far, mu / safe**2, mu / delta**2))
+    np.add.at(curvature, boxes.index, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
     return float(value), gradient, curvature
 
 
@@ -197,10 +197,10 @@ class InterpretedSolver:
                     break
                 alpha *= 0.5
                 if alpha < settings.smallest_step:
-                    if not settings.force_step:
-                        return 2, it + 1
                     alpha, x, u = 1.0, ws.x + s["dx"], ws.u + s["du"]
-                    break
+                    if settings.force_step and np.isfinite(self._merit(x, u, x0)).all():
+                        break
+                    return 2, it + 1
             ws.x[:], ws.u[:] = x, u
             for row in ws.x:
                 self._normalise(row)

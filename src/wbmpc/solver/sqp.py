@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp.terms import Weight
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
@@ -84,24 +85,29 @@ class SQPSolver:
         self.schedule = schedule
         self._tables = None
 
-    def set_weight(self, name: str, weight: float | np.ndarray, place: Literal["path", "terminal"] = "path") -> None:
-        """Change a cost's weight without compiling."""
+    def set_weight(self, name: str, weight: Weight, place: Literal["path", "terminal"] = "path") -> None:
+        """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
         key = f"{place}.{name}"
         costs = [k for k in self.problem.constant.slices if k != "parameters"]
         if key not in costs:
             raise unknown_name("weight", key, costs)
-        self.ws.w[self.problem.constant.slices[key]] = weight
+        self.ws.w[self.problem.constant.slices[key]] = self.ocp.term(name).expand(weight)  # type: ignore[union-attr]
 
     def set_parameters(self, values: Mapping[str, np.ndarray] | np.ndarray) -> None:
         """Set the model's parameters (constant over the horizon): by group, or the whole vector."""
         part = self.problem.constant.slices["parameters"]
         vector = self.ocp.dynamics.parameters.vector(values) if isinstance(values, Mapping) else np.asarray(values)
+        if vector.shape != (part.stop - part.start,) or not np.isfinite(vector).all():
+            raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
         self.ws.w[part] = vector
 
     def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out."""
-        self.ws.x[:] = x
-        self.ws.u[:] = 0.0 if u is None else u
+        given = {"x": np.asarray(x, float), "u": np.zeros(self.problem.nu) if u is None else np.asarray(u, float)}
+        for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
+            if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
+                raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
+            trajectory[:] = given[name]
 
     def tables(self):  # type: ignore[no-untyped-def]
         """References and modes as the compiled code reads them."""

@@ -1,0 +1,119 @@
+"""The cache of compiled code. Truth: the file system, and the code that runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toys import LinearQuadratic
+
+from wbmpc.kernel import build_kernel, cache
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, sets
+from wbmpc.solver import SQP, SQPSolver
+
+
+def transcription(seed: int = 0) -> Transcription:
+    return Transcription(LinearQuadratic(3, 2, 1, seed=seed).problem())
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def solve(use_cache: bool = True) -> np.ndarray:
+    lq = LinearQuadratic(3, 2, 1)
+    solver = SQPSolver(lq.problem(), SQP(iterations=20), use_cache=use_cache)
+    return solver.solve(lq.x0).u
+
+
+def test_second_build_comes_from_the_cache(folder: Path) -> None:
+    assert not build_kernel(transcription()).from_cache
+    assert build_kernel(transcription()).from_cache
+    assert not build_kernel(transcription(), use_cache=False).from_cache
+    assert not build_kernel(transcription(seed=1)).from_cache
+    assert len(list(folder.iterdir())) == 2  # nothing half-written stays behind
+    np.testing.assert_array_equal(solve(), solve(use_cache=False))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "short", "text"])
+def test_damaged_files_are_built_again(folder: Path, damage: str) -> None:
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    good = file.read_bytes()
+    flipped = bytearray(good)
+    flipped[len(good) // 2] ^= 1
+    bad = {"truncated": good[:-100], "flipped": bytes(flipped), "empty": b"", "short": good[:20], "text": b"x" * 500}
+    file.write_bytes(bad[damage])
+    assert not build_kernel(transcription()).from_cache
+    assert file.read_bytes()[:32] == good[:32]
+    assert build_kernel(transcription()).from_cache
+
+
+def test_a_leftover_temporary_file_does_no_harm(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "tmpabc").write_bytes(b"half")
+    assert not build_kernel(transcription()).from_cache
+    assert build_kernel(transcription()).from_cache
+
+
+def test_concurrent_writers_leave_a_valid_entry(folder: Path) -> None:
+    for code in (b"one" * 100, b"two" * 100):
+        cache.save("key", code, {"nx": 1})
+    assert cache.load("key") == (b"two" * 100, {"nx": 1})
+    assert cache.load("other") is None
+
+
+def test_directory_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("WBMPC_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.cache_directory() == tmp_path / "wbmpc"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache.cache_directory() == Path.home() / ".cache" / "wbmpc"
+
+
+def test_norms_belong_to_the_key(folder: Path) -> None:
+    """Gauss-Newton curvature is not in the values; scale, weight's shape and barrier must not share an entry."""
+    lq = LinearQuadratic(3, 2, 0)
+
+    def problem(norm: object, mu: float) -> OptimalControlProblem:
+        ocp = lq.problem()
+        residual = ocp.terms["path"].residual
+        ocp.add(Cost("more", residual, 1.0, norm=norm))
+        ocp.add(Constraint("soft", residual, sets.NonNegative(), penalty=RelaxedBarrier(mu, 0.1)))
+        return ocp
+
+    for norm, mu in ((SmoothL1(1.0), 0.1), (SmoothL1(2.0), 0.1), (SmoothL1(1.0), 0.2)):
+        assert not build_kernel(Transcription(problem(norm, mu))).from_cache
+        assert build_kernel(Transcription(problem(norm, mu))).from_cache
+
+
+SCRIPT = """
+import numpy as np
+from toys import LinearQuadratic
+from wbmpc.solver import SQP, SQPSolver
+lq = LinearQuadratic(2, 1, 0)
+s = SQPSolver(lq.problem(), SQP(iterations=20))
+z = s.solve(lq.x0)
+assert not s.kernel.from_cache
+print(z.status.name)
+"""
+
+
+@pytest.mark.parametrize("place", ["file", "missing_parent_is_file"])
+def test_unwritable_directory_still_works(tmp_path: Path, place: str) -> None:
+    """A folder that cannot be made (root may write everywhere, so a file stands in the way)."""
+    (tmp_path / "file").write_text("not a folder")
+    given = tmp_path / "file" if place == "file" else tmp_path / "file" / "below"
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "WBMPC_CACHE_DIR": str(given), "PYTHONPATH": paths}
+    environment["NUMBA_DISABLE_JIT" if place == "file" else "UNUSED"] = "0"
+    done = subprocess.run([sys.executable, "-W", "error", "-c", SCRIPT], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip() == "CONVERGED"
+    assert (tmp_path / "file").read_text() == "not a folder"

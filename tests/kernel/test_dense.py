@@ -1,0 +1,121 @@
+"""Dense kernels. Truth: NumPy, and the KKT system of one step of the recursion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toys import aligned_copy, call_pointers, compile_ir
+
+from wbmpc.kernel import dense
+from wbmpc.kernel.compiled import Sizes, emit_riccati_node
+from wbmpc.kernel.scalar import DECLARATIONS
+from wbmpc.solver.workspace import aligned
+
+
+def compile_kernel(text: str, name: str) -> tuple[object, int]:
+    engine = compile_ir("\n".join([DECLARATIONS, dense.FMA, text]))
+    return engine, engine.get_function_address(name)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(1, 9), st.booleans(), st.booleans(), st.integers(0, 99))
+def test_matrix_product(rows: int, n: int, inner: int, negative: bool, initial: bool, seed: int) -> None:
+    r = np.random.default_rng(seed)
+    blocks = dense.pad(rows) // 8
+    a, b = r.normal(size=(inner, 8 * blocks)), r.normal(size=(n, inner))
+    start = r.normal(size=(n, 8 * blocks))
+    ldi = 8 * blocks if initial else None
+    text = dense.matrix_product("k", blocks, n, inner, 8 * blocks, inner, 1, 8 * blocks, ldi, negative)
+    engine, address = compile_kernel(text, "k")
+    out = aligned(n * 8 * blocks).reshape(n, -1)
+    call_pointers(address, aligned_copy(a), aligned_copy(b), out, aligned_copy(start))
+    want = (-1 if negative else 1) * b @ a + (start if initial else 0)
+    np.testing.assert_allclose(out, want, rtol=1e-12, atol=1e-13)
+
+
+def test_empty_product_is_refused() -> None:
+    with pytest.raises(ValueError, match="empty"):
+        dense.matrix_product("k", 1, 0, 3, 8, 1, 1, 8, None, False)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 99))
+def test_chain(nx: int, nu: int, seed: int) -> None:
+    r = np.random.default_rng(seed)
+    lz = dense.pad(nx + 1 + nu)
+    full = np.zeros((nx, lz))
+    mask = r.uniform(size=(nx, nx)) < 0.6
+    full[:, :nx] = r.normal(size=(nx, nx)) * mask
+    full[:, nx + 1 : nx + 1 + nu] = r.normal(size=(nx, nu))
+    s, a = r.normal(size=(nx, lz)), r.normal(size=(nx, lz))
+    pattern = [list(np.flatnonzero(row)) for row in mask]
+    engine, address = compile_kernel(dense.chain("chain", pattern, lz), "chain")
+    t, total = aligned(nx * lz).reshape(nx, lz), aligned_copy(a)
+    call_pointers(address, aligned_copy(full), aligned_copy(s), t, total, np.array([0.3, 0.7]))
+    want = full + 0.3 * full[:, :nx] @ s
+    np.testing.assert_allclose(t, want, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(total, a + 0.7 * want, rtol=1e-12, atol=1e-13)
+
+
+def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:
+    """A, b, B, H (symmetric), gradient, C, D, e, P (with slope) of one node."""
+    r = np.random.default_rng(seed)
+    nx, nu, ng = s.nx, s.nu, s.ng
+    h = r.normal(size=(nx + nu, nx + nu + 2))
+    p = r.normal(size=(nx, nx + 2))
+    return (
+        r.normal(size=(nx, nx)), r.normal(size=nx), r.normal(size=(nx, nu)), h @ h.T, r.normal(size=nx + nu),
+        r.normal(size=(ng, nx)), r.normal(size=(ng, nu)), r.normal(size=ng), p @ p.T, r.normal(size=nx),
+    )  # fmt: skip
+
+
+def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Gains (nu, nx + 1) and value function (nx + 1, nx + 1) of the compiled step."""
+    a, b, bu, h, g, c, d, e, p, slope = node
+    nx, nu, ng, first = s.nx, s.nu, s.ng, s.first
+    ab, hm = np.zeros((nx + 1, s.lz)), np.zeros((s.nz, s.lz))
+    ab[:nx, :nx], ab[:nx, nx], ab[:nx, first : first + nu], ab[nx, nx] = a, b, bu, 1.0
+    index = [*range(nx), *range(first, first + nu)]
+    hm[np.ix_(index, index)] = h
+    # what is read: the rows above and at an input's diagonal, and all of the state's block
+    hm[:nx, first:] = 0.0
+    hm[index, nx] = g
+    hm[nx, :nx] = g[:nx]
+    rows = np.zeros(max(s.equality_buffer(), 8))
+    table = rows[: ng * s.lz].reshape(ng, s.lz)
+    table[:, :nx], table[:, nx], table[:, first : first + nu] = c, e, d
+    rows[ng * s.lz : ng * s.lz + nu * s.lg].reshape(nu, s.lg)[:, :ng] = d.T
+    value = aligned((nx + 1) * s.lx).reshape(nx + 1, s.lx)
+    value[:nx, :nx], value[:nx, nx], value[nx, :nx] = p, slope, slope
+    gain = aligned(nu * s.lx).reshape(nu, s.lx)
+    engine, address = compile_kernel(emit_riccati_node(s), "riccati_node")
+    eps, scratch = aligned(s.lg), aligned(s.scratch()["total"])
+    call_pointers(address, aligned_copy(ab), aligned_copy(hm), aligned_copy(rows), eps, value, gain, scratch)
+    return gain[:, : nx + 1], value[: nx + 1, : nx + 1]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 9), st.integers(1, 9), st.data())
+def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObject) -> None:
+    s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))))
+    node = random_node(s, data.draw(st.integers(0, 99)))
+    a, b, bu, h, g, c, d, e, p, slope = node
+    gain, value = run_node(s, node)
+    # minimise over u the quadratic of (x, u) plus the next value, for every state and for the constant
+    ab, ng = np.hstack([a, bu]), s.ng
+    m, q = h + ab.T @ p @ ab, g + ab.T @ (slope + p @ b)
+    left = np.block([[m[nx:, nx:], d.T], [d, np.zeros((ng, ng))]])
+    right = -np.vstack([np.column_stack([m[nx:, :nx], q[nx:]]), np.column_stack([c, e])])
+    want = np.linalg.solve(left, right)[:nu]
+    scale = 1.0 + np.abs(want).max()
+    assert np.abs(gain - want).max() < 1e-6 * scale * max(1.0, np.linalg.cond(left) * 1e-6)
+    full = np.vstack([np.eye(nx), want[:, :nx]])
+    feed = np.concatenate([np.zeros(nx), want[:, nx]])
+    next_p, next_slope = full.T @ m @ full, full.T @ (q + m @ feed)
+    size = 1.0 + np.abs(next_p).max() + np.abs(next_slope).max()
+    tolerance = 1e-6 * size * max(1.0, np.linalg.cond(left) * 1e-6)
+    assert np.abs(value[:nx, :nx] - next_p).max() < tolerance
+    assert np.abs(value[:nx, nx] - next_slope).max() < tolerance
+    assert np.abs(value - value.T)[:nx, :nx].max() < 1e-9 * size

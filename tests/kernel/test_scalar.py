@@ -1,0 +1,96 @@
+"""Emitted scalar code. Truth: CasADi's interpreter at the same points, edge values included."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from toys import call_scalar, compile_ir
+
+from wbmpc.errors import KernelError
+from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations
+
+TINY, HUGE = np.finfo(float).tiny, 1e300
+EDGES = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 3.0, 5e-324, -TINY, 1e-9, HUGE, -HUGE, 710.0, np.inf, -np.inf, np.nan]
+
+UNARY = {
+    ca.OP_ASSIGN: lambda x: x, ca.OP_NEG: lambda x: -x, ca.OP_SQ: lambda x: x * x, ca.OP_TWICE: lambda x: 2 * x,
+    ca.OP_INV: lambda x: 1 / x, ca.OP_NOT: ca.logic_not, ca.OP_SIGN: ca.sign, ca.OP_SIN: ca.sin, ca.OP_COS: ca.cos,
+    ca.OP_TAN: ca.tan, ca.OP_ASIN: ca.asin, ca.OP_ACOS: ca.acos, ca.OP_ATAN: ca.atan, ca.OP_SINH: ca.sinh,
+    ca.OP_COSH: ca.cosh, ca.OP_TANH: ca.tanh, ca.OP_EXP: ca.exp, ca.OP_LOG: ca.log, ca.OP_SQRT: ca.sqrt,
+    ca.OP_FABS: ca.fabs, ca.OP_FLOOR: ca.floor, ca.OP_CEIL: ca.ceil,
+}  # fmt: skip
+BINARY = {
+    ca.OP_ADD: lambda x, y: x + y, ca.OP_SUB: lambda x, y: x - y, ca.OP_MUL: lambda x, y: x * y,
+    ca.OP_DIV: lambda x, y: x / y, ca.OP_LT: lambda x, y: x < y, ca.OP_LE: lambda x, y: x <= y,
+    ca.OP_EQ: lambda x, y: x == y, ca.OP_NE: lambda x, y: x != y, ca.OP_AND: ca.logic_and, ca.OP_OR: ca.logic_or,
+    ca.OP_ATAN2: ca.atan2, ca.OP_POW: lambda x, y: x**y, ca.OP_FMIN: ca.fmin, ca.OP_FMAX: ca.fmax,
+    ca.OP_COPYSIGN: ca.copysign, ca.OP_HYPOT: ca.hypot, ca.OP_IF_ELSE_ZERO: lambda x, y: ca.if_else(x, y, 0),
+}  # fmt: skip
+
+
+def operations(function: ca.Function) -> set[int]:
+    return {function.instruction_id(k) for k in range(function.n_instructions())}
+
+
+def compare(function: ca.Function, points: list[list[float]], sign_of_zero: bool = True) -> None:
+    engine = compile_ir(f"{DECLARATIONS}\n{emit_function(function, 'f')}")
+    address = engine.get_function_address("f")
+    for point in points:
+        got = call_scalar(address, [np.array([v]) for v in point], [1])[0][0]
+        want = float(function(*point))
+        if np.isnan(want):
+            assert np.isnan(got), (function, point, got)
+        else:
+            assert got == pytest.approx(want, rel=1e-14, abs=0.0), (function, point)
+            assert not sign_of_zero or np.signbit(got) == np.signbit(want), (function, point)
+
+
+def test_every_supported_operation_is_tried() -> None:
+    assert supported_operations() == {*UNARY, *BINARY, ca.OP_CONSTPOW}
+
+
+@pytest.mark.parametrize("op", UNARY)
+def test_unary(op: int) -> None:
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [UNARY[op](x)])
+    assert op == ca.OP_ASSIGN or op in operations(function)
+    compare(function, [[v] for v in EDGES])
+
+
+@pytest.mark.parametrize("op", BINARY)
+def test_binary(op: int) -> None:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    expression = BINARY[op](x, y)
+    function = ca.Function("f", [x, y], [expression])
+    assert op in operations(function)
+    # C leaves open which of 0 and −0 is the smaller one
+    compare(function, [[a, b] for a in EDGES for b in EDGES], op not in (ca.OP_FMIN, ca.OP_FMAX))
+
+
+@pytest.mark.parametrize("power", [-2.0, -1.5, 0.0, 0.5, 2.5, 3.0])
+def test_constant_power(power: float) -> None:
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [ca.constpow(x, power)])
+    compare(function, [[v] for v in EDGES])
+
+
+@pytest.mark.parametrize("expression", [ca.erf, ca.log1p, ca.expm1, ca.asinh, ca.acosh, ca.atanh])
+def test_unsupported_operation_is_named(expression) -> None:  # type: ignore[no-untyped-def]
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [expression(x)])
+    with pytest.raises(KernelError, match=f"OP_{expression.__name__.upper()}"):
+        emit_function(function, "bad")
+
+
+def test_literals_are_exact() -> None:
+    for value in (0.1, -0.0, np.pi, 5e-324, HUGE):
+        assert np.array([int(literal(value), 16)], np.uint64).view(float)[0].hex() == value.hex()
+
+
+def test_an_output_goes_to_several_places() -> None:
+    x = ca.SX.sym("x", 2)
+    function = ca.Function("f", [x], [ca.vertcat(x[0] * x[1], x[0] + x[1])])
+    engine = compile_ir(f"{DECLARATIONS}\n{emit_function(function, 'f', [[[4, 0], [2]]])}")
+    out = call_scalar(engine.get_function_address("f"), [np.array([3.0, 5.0])], [6])[0]
+    np.testing.assert_array_equal(out, [15, np.nan, 8, np.nan, 15, np.nan])

@@ -1,0 +1,236 @@
+"""Norms, barriers, sets, terms, schedules. Truth: their formulas written with NumPy, finite differences, messages."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from toys import Rows, ToyDynamics, pendulum, robot
+
+from wbmpc.errors import InputError
+from wbmpc.ocp import (
+    Constraint,
+    Cost,
+    Mode,
+    ModeSchedule,
+    OptimalControlProblem,
+    Quadratic,
+    Reference,
+    RelaxedBarrier,
+    SmoothL1,
+    Transcription,
+    residuals,
+    sets,
+)
+from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver.reference_solver import barrier
+from wbmpc.solver.workspace import box_table
+
+POINTS = np.array([-3.0, -0.5, -0.02, 0.0, 0.01, 0.05, 0.0999, 0.1001, 0.3, 2.0, 50.0])
+
+
+def evaluate(function, points: np.ndarray = POINTS) -> np.ndarray:  # type: ignore[no-untyped-def]
+    s = ca.SX.sym("s", points.size)
+    return np.array(ca.Function("f", [s], [ca.densify(function(s))])(points)).ravel()
+
+
+@pytest.mark.parametrize("norm", [Quadratic(), SmoothL1(0.3), RelaxedBarrier(0.2, 0.1)])
+def test_gradient_is_the_derivative_of_the_value(norm) -> None:  # type: ignore[no-untyped-def]
+    h = 1e-6
+    want = (evaluate(norm.value, POINTS + h) - evaluate(norm.value, POINTS - h)) / (2 * h)
+    np.testing.assert_allclose(evaluate(norm.gradient), want, rtol=1e-6, atol=1e-7)
+    symbol = ca.SX.sym("r")
+    casadi = ca.Function("g", [symbol], [ca.gradient(norm.value(symbol), symbol)])
+    np.testing.assert_allclose(evaluate(norm.gradient), [float(casadi(v)) for v in POINTS], rtol=1e-10, atol=1e-12)
+    assert np.all(evaluate(norm.curvature) > 0.0)
+
+
+def test_barrier_formula_and_curvature() -> None:
+    """Feller and Ebenbauer's quadratic relaxation; beyond it, curvature is the second derivative."""
+    mu, delta = 0.2, 0.1
+    b = RelaxedBarrier(mu, delta)
+    near = 0.5 * (((POINTS - 2 * delta) / delta) ** 2 - 1) - np.log(delta)
+    want = mu * np.where(POINTS > delta, -np.log(np.maximum(POINTS, delta)), near)
+    np.testing.assert_allclose(evaluate(b.value), want, rtol=1e-12)
+    h = 1e-5
+    second = (evaluate(b.gradient, POINTS + h) - evaluate(b.gradient, POINTS - h)) / (2 * h)
+    np.testing.assert_allclose(evaluate(b.curvature), second, rtol=1e-4)
+    # twice continuously differentiable at δ
+    for f in (b.value, b.gradient, b.curvature):
+        low, high = evaluate(f, np.array([delta - 1e-9, delta + 1e-9]))
+        assert low == pytest.approx(high, rel=1e-6)
+
+
+def test_box_rows_of_the_solver_are_that_barrier() -> None:
+    """Rows of the form s z + c, also with |s| ≠ 1: value, slope and curvature by finite differences and the chain rule."""
+    rows = [(0, 1.0, 0.5, 0.2, 0.1), (0, -2.0, 1.0, 0.2, 0.1), (1, 3.0, 0.0, 0.05, 0.2)]
+    table = box_table(rows)
+    for z in (np.array([0.1, 0.3]), np.array([0.49, -0.4]), np.array([-0.6, 0.01])):
+        value, gradient, curvature = barrier(table, z)
+        terms = [(RelaxedBarrier(mu, d), i, s, s * z[i] + c) for i, s, c, mu, d in rows]
+        assert value == pytest.approx(sum(evaluate(b.value, np.array([h]))[0] for b, _, _, h in terms), rel=1e-12)
+        slope, curve = np.zeros(2), np.zeros(2)
+        for b, i, s, h in terms:
+            slope[i] += s * evaluate(b.gradient, np.array([h]))[0]
+            curve[i] += s * s * evaluate(b.curvature, np.array([h]))[0]
+        np.testing.assert_allclose(gradient, slope, rtol=1e-12)
+        np.testing.assert_allclose(curvature, curve, rtol=1e-12)
+
+
+def test_smooth_l1_is_quadratic_near_and_linear_far() -> None:
+    assert evaluate(SmoothL1(2.0).value, np.array([1e-3]))[0] == pytest.approx(0.5e-6, rel=1e-5)
+    assert evaluate(SmoothL1(2.0).gradient, np.array([1e6]))[0] == pytest.approx(2.0, rel=1e-6)
+    r = POINTS[POINTS != 0.0]
+    np.testing.assert_allclose(evaluate(SmoothL1(2.0).curvature, r), evaluate(SmoothL1(2.0).gradient, r) / r, rtol=1e-12)
+
+
+@pytest.mark.parametrize("make", [lambda: SmoothL1(0.0), lambda: RelaxedBarrier(0.0, 1.0), lambda: RelaxedBarrier(1.0, -1.0)])
+def test_bad_norms(make) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match="positive"):
+        make()
+
+
+ROW = Rows(2, lambda s: s.u[0:2])
+
+
+def problem(*terms) -> OptimalControlProblem:  # type: ignore[no-untyped-def]
+    ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 2)
+    for term in terms:
+        ocp.add(term)
+    return ocp
+
+
+def test_boxes_become_rows_and_others_stay_symbolic() -> None:
+    box = sets.Box([-1.0, -np.inf], [2.0, 3.0])
+    t = Transcription(problem(Constraint("a", ROW, box), Constraint("b", Rows(1, lambda s: s.u[0] * s.u[1]), sets.NonNegative())))
+    assert [(i, s, c) for i, s, c, *_ in t.path_boxes] == [(2, 1.0, 1.0), (2, -1.0, 2.0), (3, -1.0, 3.0)]
+    assert [c.name for c, _ in t._general] == ["b"]
+    assert t.terminal_boxes == []
+    assert float(t.values["cost"]([0, 0], [2, 3], [], [])) == pytest.approx(-1e-2 * np.log(6.0))
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        (sets.Box([0.0, 0.0, 0.0], 1.0), "one number or 2"),
+        (sets.Box(np.nan, 1.0), "NaN"),
+        (sets.Box([2.0, 0.0], 1.0), "lower bound is above"),
+    ],
+)
+def test_bad_boxes(box: sets.Box, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Transcription(problem(Constraint("a", ROW, box)))
+
+
+def test_hard_inequalities_are_refused() -> None:
+    with pytest.raises(InputError, match="hard inequalities are not supported"):
+        Constraint("a", ROW, sets.Box(0, 1), hard=True)
+    with pytest.raises(InputError, match="equality is possible at the path only"):
+        Constraint("a", ROW, at="terminal")
+    with pytest.raises(InputError, match="compliance"):
+        Constraint("a", ROW, compliance=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Cost("a", ROW, [1.0, 2.0, 3.0]), r"cost 'a', weight: one number or 2 are needed, got 3"),
+        (lambda: Cost("a", ROW, -1.0), "not negative"),
+        (lambda: Cost("a", ROW, np.nan), "finite"),
+        (lambda: Cost("a", ROW, {"al": 1.0}), r"did you mean 'all'\?"),
+        (lambda: Cost("a", ROW, at="pth"), r"did you mean 'path'\?"),
+        (lambda: Cost("a", ROW, terminal_weight=[1.0]), "one number or 2"),
+        (lambda: residuals.State(robot("rezero"), ["arn"]), r"did you mean 'arm'\?"),
+        (lambda: residuals.FramePose(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
+        (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
+        (lambda: residuals.HandForce(robot("rezero")), "unknown input group 'force'"),
+        (lambda: problem(Cost("a", ROW), Cost("a", ROW)), "already there"),
+        (lambda: problem(Cost("hand", ROW)).term("hnd"), r"did you mean 'hand'\?"),
+        (lambda: Transcription(problem(Cost("a", Rows(3, lambda s: s.u)))).values, "its size says 3"),
+        (lambda: SQP(iterations=0), "at least 1"),
+        (lambda: SQP(backend="compile"), r"did you mean 'compiled'\?"),
+    ],
+)
+def test_clear_errors(make, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"horizon": 1.0, "intervals": 0}, {"horizon": -1.0, "intervals": 5}, {"horizon": np.nan, "intervals": 5},
+        {"horizon": 1.0, "intervals": 5, "first_interval": 0.5}, {"horizon": 1.0, "intervals": 5, "first_interval": -0.1},
+        {"horizon": 1.0, "intervals": 2, "grid": [0.0, 0.5, 0.5]}, {"horizon": 1.0, "intervals": 2, "grid": [0.1, 0.5]},
+        {"horizon": 1.0, "intervals": 2, "integrator": "rk3"},
+    ],
+)  # fmt: skip
+def test_bad_grids(arguments: dict) -> None:
+    with pytest.raises(InputError):
+        OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), **arguments)
+
+
+def test_geometric_grid() -> None:
+    grid = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 10.0, 50, first_interval=0.017).grid
+    steps = np.diff(grid)
+    assert (grid[0], len(grid)) == (0.0, 51)
+    assert grid[-1] == pytest.approx(10.0, rel=1e-12)
+    assert steps[0] == pytest.approx(0.017, rel=1e-9)
+    np.testing.assert_allclose(steps[1:] / steps[:-1], steps[1] / steps[0], rtol=1e-9)
+
+
+def test_mode_schedule() -> None:
+    a, b = Mode("a"), Mode("b")
+    schedule = ModeSchedule((a, b, a), (1.0, 2.0))
+    assert [schedule.index(t) for t in (0.0, 0.999, 1.0, 1.5, 2.0, 9.0)] == [0, 0, 1, 1, 2, 2]
+    with pytest.raises(InputError, match="2 events need 3 modes, got 2"):
+        ModeSchedule((a, b), (1.0, 2.0))
+    for events in ((2.0, 1.0), (1.0, 1.0), (np.nan, 1.0)):
+        with pytest.raises(InputError, match="finite and increasing"):
+            ModeSchedule((a, b, a), events)
+
+
+def test_references_are_checked() -> None:
+    for make, message in (
+        (lambda: Reference([0.0, 1.0], [[1.0]]), "2 times need 2 rows"),
+        (lambda: Reference([1.0, 0.0], [[1.0], [2.0]]), "not decrease"),
+        (lambda: Reference([0.0], [[np.inf]]), "finite"),
+        (lambda: Reference([0.0], [[1.0]], "spline"), "unknown kind"),
+        (lambda: Reference([0.0], [[1.0]], "pose"), "7 numbers"),
+        (lambda: Reference.poses([0.0], [[0, 0, 0]], [0, 0, 0, 0]), "length zero"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make()
+
+
+def test_solver_input_is_checked() -> None:
+    s = pendulum("interpreted")
+    for call, message in (
+        (lambda: s.set_reference("stte", Reference.constant([0.0] * 4)), r"did you mean 'state'\?"),
+        (lambda: s.set_reference("state", Reference.constant([0.0] * 3)), "4 numbers per sample"),
+        (lambda: s.set_weight("inpt", 1.0), r"did you mean 'path.input'\?"),
+        (lambda: s.set_weight("state", [1.0, 2.0]), "one number or 4 are needed, got 2"),
+        (lambda: s.set_weight("state", np.nan), "finite"),
+        (lambda: s.set_weight("state", {"al": 1.0}), r"did you mean 'all'\?"),
+        (lambda: s.set_parameters(np.zeros(2)), "1 finite numbers"),
+        (lambda: s.set_parameters({"v": np.zeros(1)}), "unknown group 'v'"),
+        (lambda: s.set_schedule(ModeSchedule((Mode("a", {"n": [1.0]}),))), "unknown group 'n'"),
+        (lambda: s.solve(np.array([0.0, np.nan, 0.0, 0.0])), "'x.1' is not finite"),
+        (lambda: s.solve(np.zeros(3)), "4 numbers are needed"),
+        (lambda: s.guess(np.zeros(3)), "guess of x"),
+        (lambda: s.guess(np.zeros(4), np.zeros(5)), "guess of u"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
+    s.set_weight("state", {"all": [1.0, 2.0, 3.0, 4.0]}, "terminal")
+    np.testing.assert_array_equal(s.ws.w[s.problem.constant.slices["terminal.state"]], [1, 2, 3, 4])
+
+
+def test_a_weight_changed_is_a_weight_given() -> None:
+    lower, changed = pendulum("interpreted"), pendulum("interpreted")
+    x0 = np.array([0.1, 0.3, 0.0, 0.0])
+    assert isinstance(changed, SQPSolver)
+    before = lower.solve(x0)
+    changed.set_weight("input", 5.0)
+    after = changed.solve(x0)
+    assert np.abs(after.u).sum() < 0.8 * np.abs(before.u).sum()

@@ -1,0 +1,32 @@
+"""Pictures: there is something on them, and it moves with the plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.errors import WbmpcError
+from wbmpc.plant import RezeroPlant, SwervePlant
+from wbmpc.plant.render import Camera, Renderer
+from wbmpc.robots import load_description
+
+
+@pytest.mark.parametrize(("name", "kind"), [("swerve-ur10", SwervePlant), ("rezero", RezeroPlant)])
+def test_a_picture_shows_the_robot(name, kind):
+    plant = kind(load_description(name))
+    try:
+        renderer = Renderer(plant, 320, 180, shadows=False)
+    except WbmpcError as error:
+        pytest.skip(str(error))
+    before = plant.data.qpos.copy()
+    with renderer:
+        still = renderer.frame(Camera(follow=False))
+        again = renderer.frame(Camera(follow=False))
+        line = renderer.frame(Camera(follow=False), lines=[[-1, 0, 1], [1, 0, 1]])
+        assert np.array_equal(plant.data.qpos, before)
+        plant.data.qpos[0] += 30.0
+        empty = renderer.frame(Camera(follow=False))
+    assert still.shape == (180, 320, 3) and still.dtype == np.uint8
+    assert np.array_equal(still, again)
+    assert 500 < np.any(still != empty, axis=2).sum() < 0.9 * 320 * 180
+    assert np.any(still != line)

@@ -1,0 +1,95 @@
+"""One iteration on linear quadratic problems. Truth: the dense KKT system, and SciPy's algebraic Riccati equation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
+from toys import LinearQuadratic
+
+from wbmpc.solver import SQP, SQPSolver
+
+
+@dataclass(frozen=True)
+class Step:
+    """Guess plus the full step (the line search may take less of it), first gain and value function."""
+
+    x: np.ndarray
+    u: np.ndarray
+    gain: np.ndarray
+    value: np.ndarray
+
+
+def one_step(lq: LinearQuadratic, backend: str = "compiled") -> Step:
+    solver = SQPSolver(lq.problem(), SQP(iterations=1, certify=False, backend=backend), use_cache=False)
+    solver.guess(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
+    nx = lq.nx
+    if backend == "interpreted":
+        found = solver.twin.iterate(lq.x0)
+        return Step(0.1 + found["dx"], 0.2 + found["du"], solver.ws.k[0], found["value"])
+    solver.run(lq.x0)
+    return Step(0.1 + solver.ws.dx[:, :nx], 0.2 + solver.ws.du, solver.ws.k[0, :, :nx], solver.ws.value[:nx, :nx])
+
+
+def check_against_kkt(lq: LinearQuadratic, step: Step, tolerance: float = 1e-7) -> None:
+    x, u = lq.kkt(lq.x0)
+    # the feedback gain is the derivative of the first input by the initial state
+    columns = [(lq.kkt(lq.x0 + d)[1][0] - u[0]) for d in np.eye(lq.nx)]
+    gain = np.array(columns).T
+    scale = 1.0 + max(np.abs(x).max(), np.abs(u).max(), np.abs(gain).max())
+    assert np.abs(step.x - x).max() < tolerance * scale
+    assert np.abs(step.u - u).max() < tolerance * scale
+    assert np.abs(step.gain - gain).max() < 10 * tolerance * scale
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 9), st.integers(1, 9), st.data())
+def test_against_dense_kkt(nx: int, nu: int, data: st.DataObject) -> None:
+    ng = data.draw(st.integers(0, min(nu, 8)))
+    lq = LinearQuadratic(nx, nu, ng, n=4, seed=data.draw(st.integers(0, 999)))
+    check_against_kkt(lq, one_step(lq))
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize(("nx", "nu", "ng"), [(3, 2, 0), (3, 2, 1), (7, 8, 5), (8, 7, 7), (15, 9, 8), (17, 16, 9)])
+def test_sizes_around_the_vector_length(backend: str, nx: int, nu: int, ng: int) -> None:
+    lq = LinearQuadratic(nx, nu, ng, n=3, seed=4)
+    check_against_kkt(lq, one_step(lq, backend))
+
+
+@pytest.mark.parametrize("integrator", ["rk2", "rk4"])
+def test_integrators(integrator: str) -> None:
+    lq = LinearQuadratic(4, 3, 1, seed=2, integrator=integrator)
+    check_against_kkt(lq, one_step(lq))
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("repeat", [1, 3])
+def test_dependent_consistent_rows(backend: str, repeat: int) -> None:
+    lq = LinearQuadratic(5, 4, 3, seed=1, repeat=repeat)
+    check_against_kkt(lq, one_step(lq, backend), 1e-5)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_compliance(backend: str) -> None:
+    """A soft row may be compliance times its multiplier: −c I in the KKT matrix."""
+    lq = LinearQuadratic(4, 3, 2, seed=5, compliance=0.3)
+    check_against_kkt(lq, one_step(lq, backend))
+    rigid = LinearQuadratic(4, 3, 2, seed=5)
+    assert np.abs(lq.kkt(lq.x0)[1] - rigid.kkt(lq.x0)[1]).max() > 1e-3
+
+
+def test_infinite_horizon() -> None:
+    lq = LinearQuadratic(4, 2, 0, n=400, seed=7)
+    lq.grid = np.linspace(0.0, 40.0, 401)
+    step = one_step(lq)
+    a, b, _ = lq.discrete(0.1)
+    m = 0.1 * lq.rows.T @ np.diag(lq.weight) @ lq.rows
+    p = solve_discrete_are(a, b, m[:4, :4], m[4:, 4:], s=m[:4, 4:])
+    gain = -np.linalg.solve(m[4:, 4:] + b.T @ p @ b, b.T @ p @ a + m[4:, :4])
+    assert np.abs(step.value - p).max() < 1e-9 * np.abs(p).max()
+    assert np.abs(step.gain - gain).max() < 1e-9 * np.abs(gain).max()

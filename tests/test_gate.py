@@ -1,0 +1,94 @@
+"""What everything on a swerve base rests on: it moves as fast as asked with inexact steering, and it starts from rest.
+
+Independent truth: the reference speed and the reference's end pose, in MuJoCo physics.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from driving import CONFIGURATIONS, Motion, drive
+
+from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_problem
+from wbmpc.model import load_robot
+from wbmpc.mpc import SteeringGuess
+from wbmpc.ocp import Reference
+from wbmpc.plant import Perturbation
+from wbmpc.solver import SQP, SQPSolver, Status
+
+#: Quantised encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.
+NOISY = Perturbation(steer_noise=0.005)
+
+
+def speed_ratio(result, motion: Motion) -> float:
+    steady = (result.times > motion.start + motion.ramp) & (result.times < motion.start + motion.length)
+    asked = np.hypot(*motion.twist[:2])
+    return float(np.hypot(*result.planned[steady][:, :2].T).mean() / asked)
+
+
+@pytest.mark.parametrize("name", ["H", "X", "A", "fixed"])
+def test_commanded_speed_with_noisy_steering(name: str) -> None:
+    motion = Motion((0.3, 0.0, 0.0), 4.0)
+    robot = "swerve-fixed-ur10" if name == "fixed" else "swerve-ur10"
+    result = drive(motion, robot, legs=CONFIGURATIONS.get(name), perturbation=NOISY, seed=3, guess=False)
+    assert result.reason == ""
+    assert speed_ratio(result, motion) == pytest.approx(1.0, abs=0.02)
+
+
+def test_measured_steering_in_the_state_stalls() -> None:
+    """Why the planned steering is in the state: the rows of measured angles have standstill as their only solution."""
+    motion = Motion((0.3, 0.0, 0.0), 4.0)
+    result = drive(motion, perturbation=NOISY, seed=3, guess=False, planned_steering=False)
+    slow = (result.times > 1.5) & (result.times < 4.5)
+    first = np.hypot(*result.planned[slow][:, :2].T)
+    assert abs(np.median(first) / 0.3 - 1.0) > 0.2
+
+
+GOALS = {
+    "left": (0.0, 0.25, 0.0),
+    "right": (0.0, -0.25, 0.0),
+    "diagonal": (0.18, 0.18, 0.0),
+    "back diagonal": (-0.18, 0.18, 0.0),
+    "turn": (0.0, 0.0, 0.4),
+    "turn and go": (0.2, 0.1, 0.3),
+}
+
+
+@pytest.mark.parametrize("start", [0.0, np.pi / 2, -np.pi / 2, 3.1])
+@pytest.mark.parametrize("goal", GOALS)
+def test_goal_from_rest(goal: str, start: float) -> None:
+    """At least 90 % of the way, wheels parallel to the body (and turned by ``start`` from that) at first."""
+    motion = Motion(GOALS[goal], 3.0, start=1.5)
+    # the home's wheels stand parallel to the body; the branch nearest to it stays within the steering's range
+    steer = -CONFIGURATIONS["X"] + start
+    steer = np.where(np.abs(steer) > 3.1, steer - np.sign(steer) * np.pi, steer)
+    result = drive(motion, steer=steer, seed=1)
+    assert result.reason == ""
+    way = np.linalg.norm(result.reference * [1, 1, 0.8])
+    missing = np.linalg.norm((result.odometry - result.reference) * [1, 1, 0.8])
+    assert missing <= 0.1 * way, f"{result.odometry} instead of {result.reference}"
+
+
+def test_sideways_is_stationary_without_the_guess() -> None:
+    """Straight wheels at rest are an exact stationary point of a sideways goal: the solver says "converged" and stays."""
+    robot = load_robot("swerve-ur10")
+    cost = SwerveCost(hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
+    ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40), cost)
+    solver = SQPSolver(ocp, SQP(iterations=200))
+    goal = robot.home.copy()
+    goal[robot.state["base"]] = [0.0, 1.0, 0.0]
+    hand, orientation = robot.pose(robot.home)
+    solver.set_reference("hand", Reference.poses([0.0], [hand], orientation))
+    solver.set_reference("state", Reference.constant(goal))
+    solver.set_reference("input", Reference.constant(np.zeros(robot.input.size)))
+    solver.guess(robot.home)
+    stuck = solver.solve(robot.home)
+    assert stuck.status is Status.CONVERGED
+    assert abs(stuck.x[-1, 1]) < 1e-3
+    solver.guess(robot.home)
+    guess = SteeringGuess(robot, lambda times, pose: np.tile([0.0, 0.2, 0.0], (times.size, 1)))
+    guess(solver, 0.0, robot.home)
+    freed = solver.solve(robot.home)
+    assert freed.x[-1, 1] > 0.9
+    assert freed.cost < 0.5 * stuck.cost

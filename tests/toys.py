@@ -1,0 +1,255 @@
+"""Small problems with known answers, and calls of compiled code, for the tests of ocp, kernel, solver and mpc."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import casadi as ca
+import llvmlite.binding as llvm
+import numpy as np
+
+from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
+from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
+from wbmpc.kernel.compiled import _machine, _target
+from wbmpc.model import Layout, load_robot
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, sets
+from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver.workspace import aligned
+
+
+class ToyDynamics:
+    """ẋ = f(x, u, w, m) with numbered names."""
+
+    unit_quaternions: tuple[int, ...] = ()
+
+    def __init__(self, nx: int, nu: int, f: Callable[..., ca.SX], parameters: int = 0, mode: int = 0) -> None:
+        names = lambda n: [str(i) for i in range(n)]  # noqa: E731
+        self.state, self.input = Layout({"x": names(nx)}), Layout({"u": names(nu)})
+        self.parameters = Layout({"w": names(parameters)} if parameters else {})
+        self.mode = Layout({"m": names(mode)} if mode else {})
+        self.f = f
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        return ca.SX(self.f(x, u, w, m))
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        f = self(x, u, w, m)
+        return f, ca.jacobian(f, ca.vertcat(x, u))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A residual from a function of the symbols."""
+
+    size: int
+    function: Callable[..., ca.SX] = field(compare=False)
+    reference: int = 0
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        return {"all": slice(0, self.size)}
+
+    def __call__(self, s: object) -> ca.SX:
+        return self.function(s)
+
+
+@dataclass
+class LinearQuadratic:
+    """A random problem with linear dynamics, quadratic costs and ``ng`` equality rows C x + D u + e = 0.
+
+    ``repeat`` equality rows appear twice: consistent, but the rows are dependent.
+    """
+
+    nx: int
+    nu: int
+    ng: int
+    n: int = 6
+    seed: int = 0
+    repeat: int = 0
+    compliance: float = 0.0
+    integrator: str = "rk2"
+
+    def __post_init__(self) -> None:
+        r = np.random.default_rng(self.seed)
+        nx, nu, ng = self.nx, self.nu, self.ng
+        self.a, self.b, self.c0 = r.normal(size=(nx, nx)), r.normal(size=(nx, nu)), r.normal(size=nx)
+        self.rows, self.offset = r.normal(size=(nx + nu + 2, nx + nu)), r.normal(size=nx + nu + 2)
+        self.weight = r.uniform(0.5, 2.0, nx + nu + 2)
+        self.end_rows, self.end_offset = r.normal(size=(nx, nx)), r.normal(size=nx)
+        # well conditioned by the inputs (ng ≤ nu), or the answer depends on the solver's small compliance
+        turn = np.linalg.qr(r.normal(size=(nu, nu)))[0][:, :ng].T * r.uniform(0.5, 2.0, (ng, 1))
+        self.e_rows, self.e_offset = np.hstack([r.normal(size=(ng, nx)), turn]), r.normal(size=ng)
+        again = np.arange(self.repeat) % max(ng, 1)
+        self.e_rows = np.vstack([self.e_rows, self.e_rows[again]]) if self.repeat else self.e_rows
+        self.e_offset = np.concatenate([self.e_offset, self.e_offset[again]]) if self.repeat else self.e_offset
+        self.x0 = r.normal(size=nx)
+        self.grid = np.concatenate([[0.0], np.cumsum(r.uniform(0.05, 0.2, self.n))])
+
+    def problem(self) -> OptimalControlProblem:
+        dm = ca.DM
+        dynamics = ToyDynamics(self.nx, self.nu, lambda x, u, w, m: dm(self.a) @ x + dm(self.b) @ u + dm(self.c0))
+        ocp = OptimalControlProblem(dynamics, 1.0, self.n, grid=self.grid, integrator=self.integrator)
+        affine = lambda a, c: lambda s: dm(a) @ ca.vertcat(s.x, s.u) + dm(c)  # noqa: E731
+        ocp.add(Cost("path", Rows(len(self.offset), affine(self.rows, self.offset)), list(self.weight)))
+        ocp.add(Cost("end", Rows(self.nx, lambda s: dm(self.end_rows) @ s.x + dm(self.end_offset)), 3.0, at="terminal"))
+        if len(self.e_offset):
+            rows = Rows(len(self.e_offset), affine(self.e_rows, self.e_offset))
+            ocp.add(Constraint("equal", rows, compliance=self.compliance))
+        return ocp
+
+    def discrete(self, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, c of one Runge-Kutta step: the Taylor polynomial of exp(h A) of the integrator's order."""
+        order = 2 if self.integrator == "rk2" else 4
+        power, integral, a = np.eye(self.nx), np.zeros((self.nx, self.nx)), np.eye(self.nx)
+        for k in range(1, order + 1):
+            integral = integral + power * h / k
+            power = power @ self.a * h / k
+            a = a + power
+        return a, integral @ self.b, integral @ self.c0
+
+    def kkt(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solution (x, u) of the dense KKT system, by least squares (dependent rows are allowed)."""
+        n, nx, nu, nz = self.n, self.nx, self.nu, self.nx + self.nu
+        size = n * nz + nx
+        hessian, gradient = np.zeros((size, size)), np.zeros(size)
+        left, right, relax = [], [], []
+        first = np.zeros((nx, size))
+        first[:, :nx] = np.eye(nx)
+        left.append(first), right.append(x0), relax.append(np.zeros(nx))
+        for k, h in enumerate(np.diff(self.grid)):
+            z = slice(k * nz, (k + 1) * nz)
+            hessian[z, z] += h * self.rows.T @ np.diag(self.weight) @ self.rows
+            gradient[z] += h * self.rows.T @ (self.weight * self.offset)
+            a, b, c = self.discrete(h)
+            row = np.zeros((nx, size))
+            row[:, k * nz : k * nz + nz] = np.hstack([-a, -b])
+            row[:, (k + 1) * nz : (k + 1) * nz + nx] = np.eye(nx)
+            left.append(row), right.append(c), relax.append(np.zeros(nx))
+            row = np.zeros((len(self.e_offset), size))
+            row[:, z] = self.e_rows
+            left.append(row), right.append(-self.e_offset), relax.append(np.full(len(self.e_offset), self.compliance))
+        last = slice(n * nz, size)
+        hessian[last, last] += 3.0 * self.end_rows.T @ self.end_rows
+        gradient[last] += 3.0 * self.end_rows.T @ self.end_offset
+        g, e = np.vstack(left), np.concatenate(right)
+        whole = np.block([[hessian, g.T], [g, -np.diag(np.concatenate(relax))]])
+        z = np.linalg.lstsq(whole, np.concatenate([-gradient, e]), rcond=1e-13)[0][:size]
+        x = np.array([z[k * nz : k * nz + nx] for k in range(n + 1)])
+        return x, np.array([z[k * nz + nx : (k + 1) * nz] for k in range(n)])
+
+
+def pendulum(backend: str = "compiled", integrator: str = "rk2", n: int = 12, equality: bool = True, **sqp: object) -> SQPSolver:
+    """A cart with a pendulum, two inputs tied by an equality, boxes on states and inputs, a general inequality."""
+
+    def f(x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        s, c = ca.sin(x[1]), ca.cos(x[1])
+        push = u[0] + m[0] * u[1] + w[0]
+        acceleration = (push + s * (x[3] ** 2 + 9.81 * c) * 0.3) / (1.3 - 0.3 * c * c)
+        return ca.vertcat(x[2], x[3], acceleration, -acceleration * c - 9.81 * s - 0.1 * x[3])
+
+    dynamics = ToyDynamics(4, 2, f, parameters=1, mode=1)
+    ocp = OptimalControlProblem(dynamics, 1.2, n, first_interval=0.6 * 1.2 / n, integrator=integrator)
+    ocp.add(Cost("state", Rows(4, lambda s: s.x - s.reference, 4), [5, 20, 1, 1], at="all", terminal_weight=[50, 80, 5, 5]))
+    ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.02))
+    ocp.add(Cost("tip", Rows(1, lambda s: s.x[0] + ca.sin(s.x[1])), 3.0, norm=SmoothL1(0.1)))
+    if equality:
+        ocp.add(Constraint("tied", Rows(1, lambda s: s.u[1] - 0.3 * ca.sin(s.x[1]) - 0.1 * s.u[0])))
+    barrier = RelaxedBarrier(0.05, 0.1)
+    ocp.add(Constraint("speed", Rows(2, lambda s: s.x[2:4]), sets.Box([-2, -3], [2, np.inf]), at="all", penalty=barrier))
+    ocp.add(Constraint("force", Rows(1, lambda s: 2.0 * s.u[0] - 1.0), sets.Box(-15.0, 14.0), penalty=barrier))
+    ocp.add(Constraint("tip_range", Rows(1, lambda s: 1.5 - (s.x[0] + ca.sin(s.x[1])) ** 2), sets.NonNegative(), penalty=barrier))
+    solver = SQPSolver(ocp, SQP(**{"iterations": 60, "backend": backend, **sqp}))
+    times = np.array([0.0, 0.5, 1.0])
+    solver.set_reference("state", Reference(times, np.array([[0.0, 0, 0, 0], [0.4, 0, 0.5, 0], [0.6, 0, 0, 0]])))
+    solver.guess(np.zeros(4))
+    return solver
+
+
+@cache
+def robot(name: str, **base: str):  # type: ignore[no-untyped-def]
+    """A robot model, built once."""
+    return load_robot(name, **base)
+
+
+def compile_ir(ir: str) -> object:
+    """Machine code of an LLVM module."""
+    cpu, flags = _target()
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(ir), _machine(cpu, flags, opt=1))
+    engine.finalize_object()
+    return engine
+
+
+def call_scalar(address: int, arguments: list[np.ndarray], sizes: list[int]) -> list[np.ndarray]:
+    """Call ``i32 f(double** arg, double** res)``; ``sizes`` of the outputs, which start as NaN."""
+    outputs = [np.full(max(s, 1), np.nan) for s in sizes]
+    inputs = [np.ascontiguousarray(np.append(a, 0.0), float) for a in arguments]
+    pointer = lambda arrays: (ctypes.c_void_p * len(arrays))(*[a.ctypes.data for a in arrays])  # noqa: E731
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
+    prototype(address)(pointer(inputs), pointer(outputs))
+    return [o[:s] for o, s in zip(outputs, sizes, strict=True)]
+
+
+def call_pointers(address: int, *arrays: np.ndarray) -> None:
+    """Call ``void f(ptr, …)``."""
+    ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(arrays))(address)(*[a.ctypes.data for a in arrays])
+
+
+def aligned_copy(array: np.ndarray) -> np.ndarray:
+    """The same numbers, 64-byte aligned."""
+    out = aligned(array.size).reshape(array.shape)
+    out[:] = array
+    return out
+
+
+def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp: object) -> SQPSolver:
+    """The swerve experiments' problem; the hand is to follow a sine that moves, the base its mean line."""
+    model = robot("swerve-ur10")
+    settings = MpcSettings(horizon=horizon, intervals=n, first_interval=first)
+    solver = SQPSolver(swerve_problem(model, settings, SwerveCost()), SQP(**{"iterations": 300, **sqp}))
+    t = np.linspace(0.0, 2.0 * horizon, 400)
+    along = 0.2 * np.where(t < 2.0, t * t / 4.0, t - 1.0)
+    position, quaternion = model.pose(model.home)
+    path = np.stack([position[0] + along, position[1] + 0.1 * np.sin(2.0 * along), 0 * t + position[2]], axis=1)
+    solver.set_reference("hand", Reference.poses(t, path, quaternion))
+    states, inputs = np.tile(model.home, (t.size, 1)), np.zeros((t.size, model.input.size))
+    states[:, 0], inputs[:, 0] = along, 0.2 * np.clip(t / 2.0, 0.0, 1.0)
+    solver.set_reference("state", Reference(t, states))
+    solver.set_reference("input", Reference(t, inputs))
+    solver.guess(model.home)
+    return solver
+
+
+def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> SQPSolver:
+    """The ball robot's problem: the hand is to go ``step`` [m] forward."""
+    model = robot("rezero")
+    settings = MpcSettings(horizon=0.05 * n, intervals=n, first_interval=0.0, barrier_mu=1e-2)
+    solver = SQPSolver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
+    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    position, quaternion = model.pose(home)
+    solver.set_reference("hand", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
+    solver.set_reference("body", Reference.constant(home))
+    solver.set_reference("twist", Reference.constant(np.zeros(6)))
+    solver.set_reference("torque", Reference.constant(torque))
+    solver.guess(home, torque)
+    return solver
+
+
+def random_stage(solver: SQPSolver, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """A state near the middle of the ranges, an input, node and constant parameters with unit quaternions."""
+    problem = solver.problem
+    d = problem.ocp.dynamics
+    x, u = 0.6 * rng.normal(size=problem.nx), 0.6 * rng.normal(size=problem.nu)
+    for q in d.unit_quaternions:
+        x[q : q + 4] /= np.linalg.norm(x[q : q + 4])
+    p = 0.5 * rng.normal(size=problem.node.size)
+    if "reference.hand" in problem.node.slices:
+        start = problem.node.slices["reference.hand"].start
+        p[start + 3 : start + 7] /= np.linalg.norm(p[start + 3 : start + 7])
+    p[problem.node.slices["mode"]] = rng.integers(0, 2, d.mode.size)
+    w = solver.ws.w[: problem.constant.size].copy()
+    w[problem.constant.slices["parameters"]] = rng.normal(size=d.parameters.size)
+    return x, u, p, w
