@@ -2,7 +2,8 @@
 # make test   sets up everything and runs the tests
 PYTHON ?= python3
 VENV ?= .venv
-WORKERS ?= 2
+# at most this many test processes
+PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 .PHONY: demo test bench study lint format pictures clean
@@ -11,7 +12,7 @@ demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
 
 test: $(VENV)/.tested
-	$(ENVIRONMENT) $(BIN)/python -m pytest -n $(WORKERS) $(PYTEST_ARGS)
+	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) $(PYTEST_ARGS)
 
 bench: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc bench
@@ -36,7 +37,7 @@ $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "wbmpc needs Python 3.11 or newer, and '$(PYTHON)' is $$($(PYTHON) -V 2>&1): call 'make PYTHON=/path/to/newer/python3'." >&2; exit 1; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "This Python has no 'venv': install it (on Debian and Ubuntu: apt-get install python3-venv)." >&2; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); echo "The virtual environment $(VENV) could not be made (see above)." >&2; exit 1; }
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .

@@ -142,7 +142,9 @@ class LinearQuadratic:
         return x, np.array([z[k * nz + nx : (k + 1) * nz] for k in range(n)])
 
 
-def pendulum(backend: str = "compiled", integrator: str = "rk2", n: int = 12, equality: bool = True, **sqp: object) -> SQPSolver:
+def pendulum(
+    backend: str = "compiled", integrator: str = "rk2", n: int = 12, equality: bool = True, **sqp: object
+) -> SQPSolver:
     """A cart with a pendulum, two inputs tied by an equality, boxes on states and inputs, a general inequality."""
 
     def f(x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
@@ -153,15 +155,23 @@ def pendulum(backend: str = "compiled", integrator: str = "rk2", n: int = 12, eq
 
     dynamics = ToyDynamics(4, 2, f, parameters=1, mode=1)
     ocp = OptimalControlProblem(dynamics, 1.2, n, first_interval=0.6 * 1.2 / n, integrator=integrator)
-    ocp.add(Cost("state", Rows(4, lambda s: s.x - s.reference, 4), [5, 20, 1, 1], at="all", terminal_weight=[50, 80, 5, 5]))
+    ocp.add(
+        Cost("state", Rows(4, lambda s: s.x - s.reference, 4), [5, 20, 1, 1], at="all", terminal_weight=[50, 80, 5, 5])
+    )
     ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.02))
     ocp.add(Cost("tip", Rows(1, lambda s: s.x[0] + ca.sin(s.x[1])), 3.0, norm=SmoothL1(0.1)))
     if equality:
         ocp.add(Constraint("tied", Rows(1, lambda s: s.u[1] - 0.3 * ca.sin(s.x[1]) - 0.1 * s.u[0])))
     barrier = RelaxedBarrier(0.05, 0.1)
-    ocp.add(Constraint("speed", Rows(2, lambda s: s.x[2:4]), sets.Box([-2, -3], [2, np.inf]), at="all", penalty=barrier))
+    ocp.add(
+        Constraint("speed", Rows(2, lambda s: s.x[2:4]), sets.Box([-2, -3], [2, np.inf]), at="all", penalty=barrier)
+    )
     ocp.add(Constraint("force", Rows(1, lambda s: 2.0 * s.u[0] - 1.0), sets.Box(-15.0, 14.0), penalty=barrier))
-    ocp.add(Constraint("tip_range", Rows(1, lambda s: 1.5 - (s.x[0] + ca.sin(s.x[1])) ** 2), sets.NonNegative(), penalty=barrier))
+    ocp.add(
+        Constraint(
+            "tip_range", Rows(1, lambda s: 1.5 - (s.x[0] + ca.sin(s.x[1])) ** 2), sets.NonNegative(), penalty=barrier
+        )
+    )
     solver = SQPSolver(ocp, SQP(**{"iterations": 60, "backend": backend, **sqp}))
     times = np.array([0.0, 0.5, 1.0])
     solver.set_reference("state", Reference(times, np.array([[0.0, 0, 0, 0], [0.4, 0, 0.5, 0], [0.6, 0, 0, 0]])))

@@ -59,7 +59,9 @@ def _version(wanted: bool) -> None:
 @app.callback(invoke_without_command=True)
 def options(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
     """Options before the command."""
@@ -194,8 +196,13 @@ def run(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Name of the experiment (see 'wbmpc list').")],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz and report.html."""

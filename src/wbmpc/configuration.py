@@ -84,7 +84,11 @@ def describe(error: ValidationError) -> str:
     for fault in error.errors(include_url=False, include_context=False):
         key = ".".join(str(k) for k in fault["loc"])
         # a fault between several settings carries its whole section, and a missing one has no value of its own
-        shown = "" if isinstance(fault["input"], (Mapping, BaseModel)) or fault["type"] == "missing" else f"={fault['input']!r}"
+        shown = (
+            ""
+            if isinstance(fault["input"], (Mapping, BaseModel)) or fault["type"] == "missing"
+            else f"={fault['input']!r}"
+        )
         text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))
     return "; ".join(faults)

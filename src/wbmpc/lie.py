@@ -114,7 +114,9 @@ def rotation_to_quaternion(r: ArrayLike) -> Array:
 def euler_zyx_to_rotation(yaw: float, pitch: float, roll: float) -> Array:
     """R = R_z(yaw) R_y(pitch) R_x(roll)."""
     q = quaternion_about((0, 0, 1), yaw)
-    q = quaternion_multiply(quaternion_multiply(q, quaternion_about((0, 1, 0), pitch)), quaternion_about((1, 0, 0), roll))
+    q = quaternion_multiply(
+        quaternion_multiply(q, quaternion_about((0, 1, 0), pitch)), quaternion_about((1, 0, 0), roll)
+    )
     return quaternion_to_rotation(q)  # type: ignore[no-any-return]
 
 

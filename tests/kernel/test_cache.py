@@ -113,7 +113,9 @@ def test_unwritable_directory_still_works(tmp_path: Path, place: str) -> None:
     paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = {**os.environ, "WBMPC_CACHE_DIR": str(given), "PYTHONPATH": paths}
     environment["NUMBA_DISABLE_JIT" if place == "file" else "UNUSED"] = "0"
-    done = subprocess.run([sys.executable, "-W", "error", "-c", SCRIPT], env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", SCRIPT], env=environment, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip() == "CONVERGED"
     assert (tmp_path / "file").read_text() == "not a folder"

@@ -11,7 +11,26 @@ from wbmpc.errors import KernelError
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations
 
 TINY, HUGE = np.finfo(float).tiny, 1e300
-EDGES = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 3.0, 5e-324, -TINY, 1e-9, HUGE, -HUGE, 710.0, np.inf, -np.inf, np.nan]
+EDGES = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    -0.5,
+    2.0,
+    -2.5,
+    3.0,
+    5e-324,
+    -TINY,
+    1e-9,
+    HUGE,
+    -HUGE,
+    710.0,
+    np.inf,
+    -np.inf,
+    np.nan,
+]
 
 UNARY = {
     ca.OP_ASSIGN: lambda x: x, ca.OP_NEG: lambda x: -x, ca.OP_SQ: lambda x: x * x, ca.OP_TWICE: lambda x: 2 * x,

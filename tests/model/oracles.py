@@ -33,7 +33,9 @@ def pinocchio_model(m: mujoco.MjModel) -> tuple[pin.Model, list[int]]:
             columns[j] = model.idx_vs[joint]
             pose = pin.SE3.Identity()
         axes = rotation_of(m.body_iquat[body])
-        inertia = pin.Inertia(float(m.body_mass[body]), m.body_ipos[body].copy(), axes @ np.diag(m.body_inertia[body]) @ axes.T)
+        inertia = pin.Inertia(
+            float(m.body_mass[body]), m.body_ipos[body].copy(), axes @ np.diag(m.body_inertia[body]) @ axes.T
+        )
         model.appendBodyToJoint(joint, inertia, pose)
         model.addFrame(pin.Frame(m.body(body).name, joint, 0, pose, pin.FrameType.OP_FRAME))
         place[body] = (joint, pose)

@@ -99,7 +99,9 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"arm": 5}, ("'arm'",)),
     ],
 )
-def test_a_bad_file_is_explained_in_one_sentence(tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]) -> None:
+def test_a_bad_file_is_explained_in_one_sentence(
+    tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
+) -> None:
     path = write(tmp_path, **changes)
     with pytest.raises(InputError) as error:
         load_robot(path)

@@ -151,7 +151,9 @@ def test_quaternion_keeps_its_norm_and_turns_like_yaw() -> None:
     (flat,) = g([x[0], x[1], yaw, *x[7:]], u, [], m)
     np.testing.assert_allclose(flow[:2], flat[:2], atol=1e-12)
     assert abs(flow[2, 0]) < 1e-15
-    np.testing.assert_allclose(flow[3:7, 0], 0.5 * u[2] * np.array([-np.sin(yaw / 2), 0, 0, np.cos(yaw / 2)]), atol=1e-12)
+    np.testing.assert_allclose(
+        flow[3:7, 0], 0.5 * u[2] * np.array([-np.sin(yaw / 2), 0, 0, np.cos(yaw / 2)]), atol=1e-12
+    )
 
 
 def test_closed_brakes_stop_the_legs_in_motion_and_in_rolling() -> None:
@@ -187,7 +189,12 @@ def test_rolling_inverse_kinematics_satisfies_the_rows_on_the_near_branch(seed: 
 def test_wheel_velocities_equal_rigid_motion() -> None:
     """Truth: positions before and after a small motion of body and legs, from the published lengths."""
     geometry = ROBOTS[VARIANTS[0]].base.geometry
-    leg, rate, twist, h = np.array([0.3, -0.2, 0.5, 0.1]), np.array([0.1, -0.3, 0.2, 0.05]), np.array([0.4, -0.7, 0.9]), 1e-6
+    leg, rate, twist, h = (
+        np.array([0.3, -0.2, 0.5, 0.1]),
+        np.array([0.1, -0.3, 0.2, 0.05]),
+        np.array([0.4, -0.7, 0.9]),
+        1e-6,
+    )
     hinge = np.array([[0.4031, 0.353], [0.4031, -0.353], [-0.4031, 0.353], [-0.4031, -0.353]])
 
     def axes(t: float) -> np.ndarray:

@@ -35,9 +35,7 @@ def check_tree(spec: mujoco.MjSpec, root: str, seed: int) -> None:
     order = [tree.joint(m.joint(j).name) for j in range(m.njnt)]
     s, r, b = ca.SX.sym("q", m.nq), ca.SX.sym("v", m.nv), ca.SX.sym("a", m.nv)
     body = m.body(root).id
-    place = FramePose(
-        constant(m.body_pos[body]), constant(m.body_quat[body]), constant(rotation_of(m.body_quat[body]))
-    )
+    place = FramePose(constant(m.body_pos[body]), constant(m.body_quat[body]), constant(rotation_of(m.body_quat[body])))
     chain = Chain(tree.links, {link: s[j] for j, link in enumerate(order)}, place)
     rates = {link: r[j] for j, link in enumerate(order)}
     named = {link: b[j] for j, link in enumerate(order)}
@@ -91,7 +89,9 @@ def check_tree(spec: mujoco.MjSpec, root: str, seed: int) -> None:
     scale = 1.0 + np.abs(d.qfrc_inverse).max()
     free = d.qfrc_inverse + d.qfrc_passive  # the plant's dampers are no part of the model
     np.testing.assert_allclose(force.ravel(), free[columns], atol=TOLERANCE * scale)
-    np.testing.assert_allclose(force.ravel(), pin.rnea(model, data, pq, pv, pa)[place_of][columns], atol=TOLERANCE * scale)
+    np.testing.assert_allclose(
+        force.ravel(), pin.rnea(model, data, pq, pv, pa)[place_of][columns], atol=TOLERANCE * scale
+    )
     upper = pin.crba(model, data, pq)
     upper = np.triu(upper) + np.triu(upper, 1).T
     np.testing.assert_allclose(inertia, dense[np.ix_(columns, columns)], atol=TOLERANCE * scale)

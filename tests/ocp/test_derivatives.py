@@ -23,7 +23,10 @@ def solver(request):  # type: ignore[no-untyped-def]
 
 def differences(function, z: np.ndarray, h: float = 1e-5) -> np.ndarray:  # type: ignore[no-untyped-def]
     """Jacobian by central differences of fourth order."""
-    steps = [(function(z - 2 * d) - 8 * function(z - d) + 8 * function(z + d) - function(z + 2 * d)) for d in h * np.eye(z.size)]
+    steps = [
+        (function(z - 2 * d) - 8 * function(z - d) + 8 * function(z + d) - function(z + 2 * d))
+        for d in h * np.eye(z.size)
+    ]
     return np.array(steps).T / (12 * h)
 
 
@@ -37,11 +40,15 @@ def of_z(solver, function, p, w):  # type: ignore[no-untyped-def]
     return lambda z: np.array(function(z[:nx], z[nx:], p, w)).ravel()
 
 
-@pytest.mark.parametrize(("value", "derivative"), [("dynamics", "dynamics_jacobian"), ("equality", "equality_jacobian")])
+@pytest.mark.parametrize(
+    ("value", "derivative"), [("dynamics", "dynamics_jacobian"), ("equality", "equality_jacobian")]
+)
 def test_jacobians(solver, value: str, derivative: str) -> None:  # type: ignore[no-untyped-def]
     for x, u, p, w in points(solver):
         f, jacobian = solver.problem.derivatives[derivative](x, u, p, w)
-        np.testing.assert_allclose(np.array(f), np.array(solver.problem.values[value](x, u, p, w)), rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(
+            np.array(f), np.array(solver.problem.values[value](x, u, p, w)), rtol=1e-10, atol=1e-10
+        )
         want = differences(of_z(solver, solver.problem.values[value], p, w), np.concatenate([x, u]))
         if want.size:
             np.testing.assert_allclose(np.array(jacobian), want, atol=1e-6 * (1.0 + np.abs(want).max()))
@@ -67,7 +74,9 @@ def gauss_newton(solver, place: str, stage) -> np.ndarray:  # type: ignore[no-un
     for cost in solver.ocp.costs:
         if cost.at not in (place, "all"):
             continue
-        residual = ca.Function("r", [problem.x, problem.u, problem.p, problem.w], [cost.residual(problem.symbols(cost.name))])
+        residual = ca.Function(
+            "r", [problem.x, problem.u, problem.p, problem.w], [cost.residual(problem.symbols(cost.name))]
+        )
         nx = problem.nx
         r = lambda z, f=residual: np.array(f(z[:nx], z[nx:] if z.size > nx else u, p, w)).ravel()  # noqa: E731
         weight = cost.weight if place == "path" or cost.terminal_weight is None else cost.terminal_weight
@@ -103,7 +112,9 @@ def test_switched_terms_count_in_their_modes_only() -> None:
     ocp.add(Cost("always", Rows(1, lambda s: s.x), 2.0))
     ocp.add(Cost("sometimes", Rows(1, lambda s: s.u), 2.0, modes=("b",)))
     ocp.add(Constraint("tied", Rows(1, lambda s: s.u - 3.0), modes=("a",)))
-    ocp.add(Constraint("soft", Rows(1, lambda s: s.x), sets.NonNegative(), modes=("b",), penalty=RelaxedBarrier(1.0, 0.1)))
+    ocp.add(
+        Constraint("soft", Rows(1, lambda s: s.x), sets.NonNegative(), modes=("b",), penalty=RelaxedBarrier(1.0, 0.1))
+    )
     problem = Transcription(ocp)
     schedule = ModeSchedule((Mode("a", {"m": [7.0]}), Mode("b"), Mode("c")), (0.1, 0.2))
     tables = problem.mode_tables(schedule)

@@ -81,10 +81,14 @@ def test_smooth_l1_is_quadratic_near_and_linear_far() -> None:
     assert evaluate(SmoothL1(2.0).value, np.array([1e-3]))[0] == pytest.approx(0.5e-6, rel=1e-5)
     assert evaluate(SmoothL1(2.0).gradient, np.array([1e6]))[0] == pytest.approx(2.0, rel=1e-6)
     r = POINTS[POINTS != 0.0]
-    np.testing.assert_allclose(evaluate(SmoothL1(2.0).curvature, r), evaluate(SmoothL1(2.0).gradient, r) / r, rtol=1e-12)
+    np.testing.assert_allclose(
+        evaluate(SmoothL1(2.0).curvature, r), evaluate(SmoothL1(2.0).gradient, r) / r, rtol=1e-12
+    )
 
 
-@pytest.mark.parametrize("make", [lambda: SmoothL1(0.0), lambda: RelaxedBarrier(0.0, 1.0), lambda: RelaxedBarrier(1.0, -1.0)])
+@pytest.mark.parametrize(
+    "make", [lambda: SmoothL1(0.0), lambda: RelaxedBarrier(0.0, 1.0), lambda: RelaxedBarrier(1.0, -1.0)]
+)
 def test_bad_norms(make) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match="positive"):
         make()
@@ -102,7 +106,9 @@ def problem(*terms) -> OptimalControlProblem:  # type: ignore[no-untyped-def]
 
 def test_boxes_become_rows_and_others_stay_symbolic() -> None:
     box = sets.Box([-1.0, -np.inf], [2.0, 3.0])
-    t = Transcription(problem(Constraint("a", ROW, box), Constraint("b", Rows(1, lambda s: s.u[0] * s.u[1]), sets.NonNegative())))
+    t = Transcription(
+        problem(Constraint("a", ROW, box), Constraint("b", Rows(1, lambda s: s.u[0] * s.u[1]), sets.NonNegative()))
+    )
     assert [(i, s, c) for i, s, c, *_ in t.path_boxes] == [(2, 1.0, 1.0), (2, -1.0, 2.0), (3, -1.0, 3.0)]
     assert [c.name for c, _ in t._general] == ["b"]
     assert t.terminal_boxes == []

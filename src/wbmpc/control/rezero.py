@@ -19,7 +19,9 @@ class RezeroAgent:
     ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
     """
 
-    def __init__(self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True) -> None:
+    def __init__(
+        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True
+    ) -> None:
         self.robot, self.mpc, self.period = robot, mpc, period
         self.limit = robot.limits.input_upper[: torque.size]
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0

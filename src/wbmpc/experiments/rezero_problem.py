@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
@@ -56,9 +58,24 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     pose = np.array([h.weight] * 3 + [h.orientation] * 3)
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
-    body = {"base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "base_velocity": speeds, "arm_velocity": b.arm_rate}
-    end = {g: list(cost.terminal * np.atleast_1d(v)) if g != "arm_velocity" else cost.terminal * b.arm_rate for g, v in body.items()}
-    ocp.add(Cost("hand", residuals.FramePose(robot, robot.tool), list(pose), at="all", terminal_weight=list(cost.terminal * pose)))
+    body: dict[str, Any] = {
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
+        "base_velocity": speeds,
+        "arm_velocity": b.arm_rate,
+    }
+    end = {
+        g: list(cost.terminal * np.atleast_1d(v)) if g != "arm_velocity" else cost.terminal * b.arm_rate
+        for g, v in body.items()
+    }
+    ocp.add(
+        Cost(
+            "hand",
+            residuals.FramePose(robot, robot.tool),
+            list(pose),
+            at="all",
+            terminal_weight=list(cost.terminal * pose),
+        )
+    )
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
@@ -67,7 +84,9 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     limits = robot.limits
     free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
     barrier = RelaxedBarrier(settings.barrier_mu, 0.02)
-    ocp.add(Constraint("ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier))
+    ocp.add(
+        Constraint("ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier)
+    )
     barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
     ocp.add(Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier))
     return ocp

@@ -154,7 +154,10 @@ def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> n
     if np.linalg.norm(after - before) > 1e-6:
         way = after - before
         return (log.array("hand")[use] - before) @ way / (way @ way)
-    rotations = [lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q) for q in log.array("hand_quaternion")[use]]
+    rotations = [
+        lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q)
+        for q in log.array("hand_quaternion")[use]
+    ]
     whole = lie.quaternion_log(
         lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), schedule.quaternions[i])
     )
@@ -182,9 +185,11 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         last = (t >= late - 1.0) & (t < late)
         steady.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
         wanted = lie.quaternion_conjugate(schedule.quaternions[k + 1])
-        mean = np.mean([lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[last]], axis=0)
+        mean = np.mean(
+            [lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[last]], axis=0
+        )
         turned.append(float(np.linalg.norm(mean)))
-    worst = lambda values: max(values) if values else float("inf")  # noqa: E731
+    worst = lambda values: max(values) if values else float("inf")
     return {
         "rise_time_max": Metric(worst(rises), "s", goal=1.2),
         "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),

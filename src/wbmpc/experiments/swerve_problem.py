@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
@@ -57,7 +59,7 @@ def swerve_problem(
     hand = np.array([cost.hand.weight] * 3 + [cost.hand.orientation] * 3)
     s, i = cost.state, cost.input
     state = residuals.State(robot)
-    posture = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}
+    posture: dict[str, Any] = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}
     posture = {g: v for g, v in posture.items() if g in robot.state}
     rates = {"base": i.base, "leg": i.leg, "steer": i.steer, "wheel": i.wheel, "arm": i.arm}
     rates = {g: v for g, v in rates.items() if g in robot.input}

@@ -113,6 +113,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
 
     def record(t: float, command: Any, plans: Any) -> None:
         m = agent.measured
+        assert m is not None
         release.update(m.leg, m.steer, m.wheel)
         if round(t / timing.period) % 4:
             return
@@ -170,7 +171,7 @@ def _metrics(log: Log, references: _References) -> dict[str, Metric]:
     names = ("base", "base_odometry", "base_wheels", "base_release")
     base, odometry, wheels, release = (log.array(n) for n in names)
     travelled = float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T)))
-    drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / max(travelled, 1e-9)  # noqa: E731
+    drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / max(travelled, 1e-9)
     hand_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
     return {
         "hand_error_mean_odometry": Metric(float(estimated[use].mean()), "m", paper=0.0167, goal=0.003),
@@ -195,7 +196,7 @@ def _plots(log: Log, robot: Any, mpc: MPC, references: _References) -> list[Plot
     ratio = np.abs(log.array("input")) / robot.limits.input_upper
     groups = [g for g in ("base", "steer", "wheel", "arm") if g in robot.input]
     solve = 1e3 * np.array(mpc.statistics.solve_times)
-    error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)  # noqa: E731
+    error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)
     return [
         Plot("Hand path and its reference", "x [m]", name, [
             Series("reference", curve[:, 0], curve[:, axis], dashed=True),

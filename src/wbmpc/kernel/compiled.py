@@ -103,7 +103,7 @@ class Kernel:
 def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, OutputMap]:
     """Where each function's non-zeros go in the solver's matrices."""
     nx, lx, lz, lg = sizes.nx, sizes.lx, sizes.lz, sizes.lg
-    place = lambda c: c if c < nx else c + 1  # noqa: E731  the constant 1 sits between x and u
+    place = lambda c: c if c < nx else c + 1
 
     def entries(name: str, output: int) -> list[tuple[int, int]]:
         rows, columns = functions[name].sparsity_out(output).get_triplet()
@@ -165,7 +165,7 @@ def emit_riccati_node(s: Sizes) -> str:
     o = s.scratch()
     body = dense.Body("riccati_node", "AB H E EPS P K X")
     body.lines = [body.lines[0].replace("noalias ", "")]
-    at = lambda base, offset: body.address(base, offset)  # noqa: E731
+    at = lambda base, offset: body.address(base, offset)
 
     def call(name: str, *pointers: str) -> None:
         body.lines.append(f"call void @{name}({', '.join(f'ptr {p}' for p in pointers)})")
@@ -237,7 +237,11 @@ def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    digest.update(json.dumps([cpu, flags, llvmlite.__version__, ca.__version__, cache.source_fingerprint()]).encode())
+    digest.update(
+        json.dumps(
+            [cpu, flags, llvmlite.__version__, getattr(ca, "__version__", ""), cache.source_fingerprint()]
+        ).encode()
+    )
     return digest.hexdigest()
 
 

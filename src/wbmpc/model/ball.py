@@ -70,7 +70,9 @@ class BallBase:
     def wheel_axes(self) -> NDArray[np.float64]:
         """Axes a_i (3, wheels) in the base frame."""
         z = self.base.wheels.zenith
-        return np.array([[np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)] for b in self.base.wheels.azimuths]).T
+        return np.array(
+            [[np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)] for b in self.base.wheels.azimuths]
+        ).T
 
     def wheel_torque_map(self) -> NDArray[np.float64]:
         """Torque (3, wheels) on the ball in base axes per unit wheel torque; the base feels the opposite."""

@@ -61,5 +61,7 @@ class Layout:
         """The parts of a vector (size,) by group."""
         vector = np.asarray(vector, float)
         if vector.shape != (self.size,):
-            raise InputError(f"a vector of {self.size} entries is needed ({', '.join(self.groups)}), got {vector.shape}")
+            raise InputError(
+                f"a vector of {self.size} entries is needed ({', '.join(self.groups)}), got {vector.shape}"
+            )
         return {group: vector[part] for group, part in self._slices.items()}

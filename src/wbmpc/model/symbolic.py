@@ -107,7 +107,9 @@ class Chain:
         link = self.link_pose(frame.link)
         quaternion = lie.quaternion_multiply(link.quaternion, constant(lie.rotation_to_quaternion(frame.rotation)))
         return FramePose(
-            link.position + link.rotation @ constant(frame.position), quaternion, link.rotation @ constant(frame.rotation)
+            link.position + link.rotation @ constant(frame.position),
+            quaternion,
+            link.rotation @ constant(frame.rotation),
         )
 
     def frame_velocity(self, frame: Frame, rates: dict[int, SX], linear: SX, angular: SX) -> tuple[SX, SX]:

@@ -115,7 +115,9 @@ def _links_of_body(model: mujoco.MjModel, body: int, parent: int, first: int, is
         kind = _KINDS.get(mujoco.mjtJoint(int(model.jnt_type[j])))
         joint = model.joint(j).name
         if kind is None:
-            raise InputError(f"joint '{joint}': only hinge and slide joints are possible in the tree of the arm and legs")
+            raise InputError(
+                f"joint '{joint}': only hinge and slide joints are possible in the tree of the arm and legs"
+            )
         low, high = model.jnt_range[j]
         last = k == count - 1
         if kind == "revolute" and np.any(model.jnt_pos[j]):

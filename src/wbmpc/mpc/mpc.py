@@ -129,5 +129,3 @@ class MPC:
         self.solver.guess(self._policy.x, self._policy.u)
         self._t = float(self._policy.times[0])  # the next update shifts that plan from where it starts
         return self._policy
-
-

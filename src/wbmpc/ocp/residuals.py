@@ -181,7 +181,7 @@ class WheelRolling:
     reference = 0
 
     def __post_init__(self) -> None:
-        wheels = len(self.robot.description.base.modules)
+        wheels = self.robot.base.geometry.modules
         object.__setattr__(self, "groups", {"rolling": slice(0, wheels), "side": slice(wheels, 2 * wheels)})
 
     @property

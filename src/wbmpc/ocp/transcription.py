@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -110,7 +111,9 @@ class Transcription:
     def _residual(self, term: Cost | Constraint) -> ca.SX:
         r = ca.SX(term.residual(self.symbols(term.name)))
         if r.shape != (term.residual.size, 1):
-            raise InputError(f"term '{term.name}': its residual has shape {r.shape}, its size says {term.residual.size}")
+            raise InputError(
+                f"term '{term.name}': its residual has shape {r.shape}, its size says {term.residual.size}"
+            )
         return r
 
     def _rows(self, term: Constraint) -> tuple[ca.SX, np.ndarray, np.ndarray]:
@@ -146,7 +149,7 @@ class Transcription:
                     path.append(box)
                 if term.at != "path" and index < self.nx:
                     terminal.append(box)
-        order = lambda b: (b[3], b[0])  # noqa: E731  equal μ side by side, for one logarithm of a product
+        order = lambda b: (b[3], b[0])
         return sorted(path, key=order), sorted(terminal, key=order), general
 
     def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
@@ -214,7 +217,7 @@ class Transcription:
         """Functions without derivatives: what identifies the problem, and what the line search evaluates."""
         args = [self.x, self.u, self.p, self.w]
         f = self.ocp.dynamics(self.x, self.u, self.symbols("").parameters, self._mode())
-        make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(out))]))  # noqa: E731
+        make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(out))]))
         return {
             "dynamics": make("dynamics", args, f),
             "cost": make("cost", args, self._value("path")),
@@ -230,14 +233,12 @@ class Transcription:
         value, gradient, hessian = self._quadratic("path", self.z)
         end = self._quadratic("terminal", self.x)
         rows = self.equality
-        make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse(out))  # noqa: E731
+        make: Any = lambda name, inputs, out: ca.Function(name, inputs, ca.cse(out))
         h = self.h
         return {
             "dynamics_jacobian": make("dynamics_jacobian", args, [ca.densify(f), jacobian]),
             "cost_quadratic": make("cost_quadratic", [*args, h], [h * value, h * gradient, h * hessian]),
-            "equality_jacobian": make(
-                "equality_jacobian", args, [ca.densify(rows), ca.jacobian(rows, self.z)]
-            ),
+            "equality_jacobian": make("equality_jacobian", args, [ca.densify(rows), ca.jacobian(rows, self.z)]),
             "terminal_quadratic": make("terminal_quadratic", [self.x, self.p, self.w], list(end)),
         }
 

@@ -91,9 +91,7 @@ class RobotDescription(_Model):
 
     name: str
     model: Path
-    base: Annotated[
-        SwerveBaseDescription | BallBaseDescription | FixedBaseDescription, Field(discriminator="type")
-    ]
+    base: Annotated[SwerveBaseDescription | BallBaseDescription | FixedBaseDescription, Field(discriminator="type")]
     arm: ArmDescription
     lock: dict[str, float] = {}
     home: dict[str, float] = {}

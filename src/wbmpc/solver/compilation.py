@@ -35,8 +35,8 @@ _DIRECTORY = _numba_directory()
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``numba.njit`` without the interpreter lock, cached beside the kernels where that is possible."""
     if _DIRECTORY is not None:
-        numba.config.CACHE_DIR = _DIRECTORY
-    options = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": _DIRECTORY is not None}
+        setattr(numba.config, "CACHE_DIR", _DIRECTORY)  # noqa: B010  numba does not declare it
+    options: dict[str, Any] = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "cache": _DIRECTORY is not None}
     return numba.njit(**options)(function)  # type: ignore[no-any-return]
 
 

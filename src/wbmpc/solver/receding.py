@@ -1,4 +1,4 @@
-"""Compiled code of one step of receding-horizon control: shift the last solution, sample references and modes, solve."""
+"""Compiled code of one step of receding-horizon control: shift the last solution, sample references, solve."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Tables(NamedTuple):
     times: np.ndarray
     values: np.ndarray
     first_time: np.ndarray
-    count: np.ndarray
+    samples: np.ndarray
     first_value: np.ndarray
     width: np.ndarray
     kind: np.ndarray
@@ -36,13 +36,13 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
     chosen = [references[n] for n in names]
     counts = np.array([r.times.size for r in chosen], dtype=np.int64)
     widths = np.array([r.values.shape[1] for r in chosen], dtype=np.int64)
-    ends = lambda sizes: np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes.size else sizes  # noqa: E731
-    flat = lambda parts: np.concatenate([p.ravel() for p in parts]) if parts else np.zeros(1)  # noqa: E731
+    ends = lambda sizes: np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes.size else sizes
+    flat = lambda parts: np.concatenate([p.ravel() for p in parts]) if parts else np.zeros(1)
     return Tables(
         times=flat([r.times for r in chosen]),
         values=flat([r.values for r in chosen]),
         first_time=ends(counts),
-        count=counts,
+        samples=counts,
         first_value=ends(counts * widths),
         width=widths,
         kind=np.array([Reference.KINDS.index(r.kind) for r in chosen], dtype=np.int64),
@@ -56,8 +56,8 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
 @compiled
 def sample(tables, t, m, out):  # type: ignore[no-untyped-def]
     """References and mode values at time t into the parameter vector at offset ``out`` of ``m``."""
-    for s in range(tables.count.size):
-        n, width, place, kind = tables.count[s], tables.width[s], tables.place[s], tables.kind[s]
+    for s in range(tables.samples.size):
+        n, width, place, kind = tables.samples[s], tables.width[s], tables.place[s], tables.kind[s]
         times = tables.times[tables.first_time[s] : tables.first_time[s] + n]
         hold = kind == 2 or kind == 3
         i = np.searchsorted(times, t + (1e-9 if hold else 0.0), side="right") - 1

@@ -18,14 +18,14 @@ RELATIVE_COMPLIANCE = 1e-9
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Value, gradient and diagonal curvature of the boxes' relaxed barriers at z = [x; u]."""
-    h = boxes.sign * z[boxes.index] + boxes.offset
+    h = boxes.sign * z[boxes.place] + boxes.offset
     mu, delta = boxes.mu, boxes.delta
     far, q = h > delta, (h - 2 * delta) / delta
     safe = np.where(far, h, 1.0)
     value = np.where(far, -mu * np.log(safe), mu * (0.5 * (q * q - 1.0) - np.log(delta))).sum()
     gradient, curvature = np.zeros(z.size), np.zeros(z.size)
-    np.add.at(gradient, boxes.index, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
-    np.add.at(curvature, boxes.index, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
+    np.add.at(gradient, boxes.place, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
+    np.add.at(curvature, boxes.place, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
     return float(value), gradient, curvature
 
 
@@ -87,7 +87,7 @@ class InterpretedSolver:
     def step(self, x: np.ndarray, u: np.ndarray, k: int, derivative: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """One Runge-Kutta step of interval k and its Jacobian by [x; u]."""
         h, nx = self.ws.grid[k + 1] - self.ws.grid[k], x.size
-        grow = lambda j, s, c: j + c * j[:, :nx] @ s  # noqa: E731
+        grow = lambda j, s, c: j + c * j[:, :nx] @ s
         f1, j1 = self._f(x, u, k)
         f2, j2 = self._f(x + 0.5 * h * f1, u, k)
         s2 = grow(j2, j1, 0.5 * h)
@@ -136,7 +136,16 @@ class InterpretedSolver:
         end, ab = self.step(ws.x[k], ws.u[k], k)
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](*arguments))
         gradient = np.array(g).ravel() + h * slope
-        return ab[:, :nx], ab[:, nx:], end - ws.x[k + 1], full + h * np.diag(curve), gradient, cd[:, :nx], cd[:, nx:], e.ravel()
+        return (
+            ab[:, :nx],
+            ab[:, nx:],
+            end - ws.x[k + 1],
+            full + h * np.diag(curve),
+            gradient,
+            cd[:, :nx],
+            cd[:, nx:],
+            e.ravel(),
+        )
 
     def _terminal(self) -> tuple[np.ndarray, np.ndarray]:
         ws, n = self.ws, len(self.ws.u)
@@ -153,7 +162,7 @@ class InterpretedSolver:
         eps = self.problem.compliance + 1e-14
         feeds = [np.zeros(0)] * n
         for k in reversed(range(n)):
-            ws.k[k], feeds[k], value, slope = riccati_step(*nodes[k], eps, value, slope)
+            ws.k[k], feeds[k], value, slope = riccati_step(*nodes[k], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
         kkt, along = 0.0, 0.0
         for k, (a, b, gap, h, g, *_) in enumerate(nodes):

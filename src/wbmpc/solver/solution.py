@@ -23,7 +23,7 @@ class Status(Enum):
 class Solution:
     """A trajectory with its feedback policy and its certificate.
 
-    ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), constant over each interval;
+    ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), held over each interval;
     ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost``, ``violation`` (1-norm of gaps, equalities and start) and
     ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) belong to the last point
     that was linearised, i.e. before the last step; ``log`` has one row per iteration, columns :data:`LOG`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,9 +20,12 @@ _STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_
 
 @dataclass(frozen=True)
 class SQP:
-    """Settings. ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation
-    (both with ``certify`` only);
-    ``smallest_step``: the line search gives up below it, and then takes the full step if ``force_step``; ``backend``: machine code, or the interpreted twin."""
+    """Settings.
+
+    ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
+    ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
+    ``force_step``; ``backend``: machine code, or the interpreted twin.
+    """
 
     iterations: int = 100
     tolerance: float = 1e-8
@@ -57,7 +60,7 @@ class SQPSolver:
             from wbmpc.kernel import build_kernel
 
             self.kernel = build_kernel(self.problem, self.use_cache)
-            self.ws = make_workspace(self.kernel, self.problem)
+            self.ws: Any = make_workspace(self.kernel, self.problem)
         else:
             self.twin = InterpretedSolver(self.problem)
             self.ws = self.twin.ws
@@ -75,7 +78,9 @@ class SQPSolver:
             raise unknown_name("reference", name, places)
         width = places[name].stop - places[name].start
         if reference.values.shape[1] != width:
-            raise InputError(f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}")
+            raise InputError(
+                f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
+            )
         self.references[name] = reference
         self._tables = None
 
@@ -125,7 +130,18 @@ class SQPSolver:
         s = self.settings
         if s.backend == "interpreted":
             return self.twin.run(self.tables(), t0, delta, x0, s, self.log)
-        args = (t0, delta, x0, s.iterations, s.tolerance, s.feasibility, s.smallest_step, s.certify, s.force_step, self.log)
+        args = (
+            t0,
+            delta,
+            x0,
+            s.iterations,
+            s.tolerance,
+            s.feasibility,
+            s.smallest_step,
+            s.certify,
+            s.force_step,
+            self.log,
+        )
         return receding_solve(self.ws.memory, self.ws.table, self.tables(), *args)  # type: ignore[no-any-return]
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:

@@ -19,7 +19,21 @@ from wbmpc.ocp.transcription import BoxRow
 LOG = ("cost", "violation", "kkt", "step", "alpha", "defect", "equality")
 
 #: Entries of the integer table before the function addresses: dimensions, then offsets [doubles] into the memory.
-DIMENSIONS = ("n", "nx", "nu", "ng", "lx", "lz", "lg", "np", "rk4", "path_boxes", "terminal_boxes", "quaternions", "base")
+DIMENSIONS = (
+    "n",
+    "nx",
+    "nu",
+    "ng",
+    "lx",
+    "lz",
+    "lg",
+    "np",
+    "rk4",
+    "path_boxes",
+    "terminal_boxes",
+    "quaternions",
+    "base",
+)
 BLOCKS = (
     "grid",  # (N + 1,) s
     "x",  # (N + 1, nx)
@@ -62,9 +76,9 @@ def aligned(count: int) -> np.ndarray:
 
 
 class BoxTable(NamedTuple):
-    """Relaxed barriers on h = sign z[index] + offset, z = [x; u]."""
+    """Relaxed barriers on h = sign z[place] + offset, z = [x; u]."""
 
-    index: np.ndarray
+    place: np.ndarray
     sign: np.ndarray
     offset: np.ndarray
     mu: np.ndarray
@@ -143,16 +157,17 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     weights = problem.default_weights()
     view["w"][: weights.size] = weights
     boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
-    if boxes.index.size:
+    if boxes.place.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
-    index = np.where(boxes.index >= s.nx, boxes.index + 1, boxes.index)  # the constant 1 sits between x and u
+    index = np.where(boxes.place >= s.nx, boxes.place + 1, boxes.place)  # the constant 1 sits between x and u
     quaternions = list(problem.ocp.dynamics.unit_quaternions)
     dimensions = [
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
     ]  # fmt: skip
     table = np.array(
-        [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *index, *quaternions], dtype=np.int64
+        [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *index, *quaternions],
+        dtype=np.int64,
     )
     public = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du")
     return Workspace(memory, table, **{n: view[n] for n in public})

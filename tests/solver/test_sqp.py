@@ -1,0 +1,174 @@
+"""The SQP iteration. Truth: the interpreted twin; statuses and speeds as promised."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from toys import LinearQuadratic, Rows, ToyDynamics, pendulum, rezero_solver, robot, swerve_solver
+
+from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem
+from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver.workspace import LOG
+
+START = np.array([0.2, 0.5, 0.3, -0.4])
+
+
+@pytest.mark.parametrize("equality", [True, False])
+@pytest.mark.parametrize("integrator", ["rk2", "rk4"])
+def test_same_iterates_as_the_twin(integrator: str, equality: bool) -> None:
+    """Rows, boxes with |scale| ≠ 1, a general barrier, a smooth L1 norm, modes, parameters, a geometric grid."""
+    solvers = [pendulum(b, integrator, equality=equality, iterations=1) for b in ("compiled", "interpreted")]
+    schedule = ModeSchedule((Mode("a", {"m": [0.0]}), Mode("b", {"m": [0.7]})), (0.5,))
+    for s in solvers:
+        s.set_schedule(schedule)
+        s.set_parameters({"w": np.array([0.4])})
+    for _ in range(12):
+        for s in solvers:
+            s.run(START, 0.1)
+        a, b = solvers
+        np.testing.assert_allclose(a.ws.x, b.ws.x, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(a.ws.u, b.ws.u, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(a.ws.k[:, :, :4], b.ws.k, rtol=1e-5, atol=1e-5)
+        shared = [LOG.index(n) for n in ("cost", "violation", "kkt", "step", "alpha")]
+        np.testing.assert_allclose(a.log[0, shared], b.log[0, shared], rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("make", [swerve_solver, rezero_solver])
+def test_robots_iterate_like_the_twin(make) -> None:  # type: ignore[no-untyped-def]
+    a, b = make(n=4, iterations=3, certify=False), make(n=4, iterations=3, certify=False, backend="interpreted")
+    x0 = robot("swerve-ur10" if make is swerve_solver else "rezero").home
+    za, zb = a.solve(x0), b.solve(x0)
+    np.testing.assert_allclose(za.x, zb.x, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(za.u, zb.u, rtol=0, atol=1e-5)
+
+
+def test_whole_solves_agree_and_the_certificate_holds() -> None:
+    a, b = (pendulum(backend, iterations=200).solve(START) for backend in ("compiled", "interpreted"))
+    assert a.status is b.status is Status.CONVERGED
+    assert a.kkt <= 1e-8 and a.violation <= 1e-6
+    np.testing.assert_allclose(a.x, b.x, atol=1e-8)
+    assert a.cost == pytest.approx(b.cost, rel=1e-9)
+    assert "converged" in str(a) and a.usable
+
+
+def test_same_call_same_bits() -> None:
+    a, b = (pendulum(iterations=40).solve(START) for _ in range(2))
+    np.testing.assert_array_equal(a.x, b.x)
+    np.testing.assert_array_equal(a.log, b.log)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_not_finite_start(backend: str) -> None:
+    for bad in (np.nan, np.inf, 1e200):
+        solver = pendulum(backend)
+        solver.guess(np.full(4, bad))
+        with np.errstate(all="ignore"):
+            found = solver.solve(START)
+        assert found.status is Status.NOT_FINITE, bad
+        assert found.iterations == 1
+        assert not found.usable
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_nan_in_one_late_node_is_seen(backend: str) -> None:
+    solver = pendulum(backend)
+    x = np.zeros((13, 4))
+    x[-1, 3] = np.nan
+    solver.guess(x)
+    with np.errstate(all="ignore"):
+        assert solver.solve(START).status is Status.NOT_FINITE
+
+
+def test_iteration_limit() -> None:
+    found = pendulum(iterations=2).solve(START)
+    assert found.status is Status.ITERATION_LIMIT
+    assert found.iterations == 2
+    assert len(found.log) == 2
+
+
+def cliff(backend: str, **sqp: object) -> SQPSolver:
+    """A cost whose Gauss-Newton step always leaves the domain of the logarithm."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 2)
+
+    def f(s):  # type: ignore[no-untyped-def]
+        import casadi as ca
+
+        return ca.sqrt(1e-6 - s.u * s.u) * 1e3 + 1e4 * s.u
+
+    ocp.add(Cost("cliff", Rows(1, f), 1.0))
+    return SQPSolver(ocp, SQP(backend=backend, **sqp))
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("force", [True, False])
+def test_a_step_to_nowhere_is_not_taken(backend: str, force: bool) -> None:
+    solver = cliff(backend, iterations=5, smallest_step=0.2, force_step=force, certify=False)
+    with np.errstate(all="ignore"):
+        found = solver.solve(np.array([0.0]))
+    assert found.status in (Status.NO_STEP, Status.ITERATION_LIMIT)
+    assert np.isfinite(found.u).all()
+    assert np.isfinite(found.x).all()
+
+
+def test_merit_decreases_on_the_way() -> None:
+    """From an infeasible start the violation goes to zero and no accepted iterate is worse in both."""
+    found = pendulum(iterations=100).solve(START)
+    cost, violation = found.log[:, 0], found.log[:, 1]
+    assert violation[-1] < 1e-6 < violation[0]
+    worse = (np.diff(cost) > 1e-6) & (np.diff(violation) > 1e-6)
+    assert not worse.any()
+
+
+def test_linear_quadratic_problem_converges() -> None:
+    lq = LinearQuadratic(4, 3, 1, n=8, seed=11)
+    solver = SQPSolver(lq.problem(), SQP(iterations=50), use_cache=False)
+    found = solver.solve(lq.x0)
+    x, u = lq.kkt(lq.x0)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.x, x, atol=1e-6)
+    np.testing.assert_allclose(found.u, u, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_short_horizons(n: int) -> None:
+    lq = LinearQuadratic(3, 2, 1, n=n, seed=3)
+    found = SQPSolver(lq.problem(), SQP(iterations=60), use_cache=False).solve(lq.x0)
+    np.testing.assert_allclose(found.u, lq.kkt(lq.x0)[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("integrator", ["rk2", "rk4"])
+def test_simulate_is_the_twins_step_and_the_truth(integrator: str) -> None:
+    """rk4 with small steps against SciPy's integrator; both backends alike."""
+    from scipy.integrate import solve_ivp
+
+    a, b = pendulum("compiled", integrator), pendulum("interpreted", integrator)
+    u = np.array([1.5, -0.5])
+    a.run(START), b.run(START)
+    np.testing.assert_allclose(a.simulate(START, u, 0.03), b.simulate(START, u, 0.03), atol=1e-13)
+    f = a.problem.values["dynamics"]
+    rhs = lambda t, x: np.array(f(x, u, a.ws.p[0], a.ws.w)).ravel()  # noqa: E731
+    truth = solve_ivp(rhs, (0.0, 0.5), START, rtol=1e-11, atol=1e-12).y[:, -1]
+    x = START
+    for _ in range(100):
+        x = a.simulate(x, u, 0.005)
+    np.testing.assert_allclose(x, truth, atol=1e-4 if integrator == "rk2" else 1e-9)
+
+
+def fastest(function, count: int) -> float:  # type: ignore[no-untyped-def]
+    times = []
+    for _ in range(count):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def test_compiled_iterations_are_much_faster_than_interpreted() -> None:
+    model = robot("swerve-ur10")
+    quick = {"iterations": 1, "certify": False, "force_step": True, "smallest_step": 0.2}
+    a, b, c = swerve_solver(**quick), swerve_solver(backend="interpreted", **quick), swerve_solver(**{**quick, "certify": True})
+    compiled, interpreted = fastest(lambda: a.run(model.home), 100), fastest(lambda: b.run(model.home), 2)
+    assert interpreted > 20.0 * compiled
+    assert fastest(lambda: c.run(model.home), 100) < 3.0 * compiled

@@ -1,0 +1,107 @@
+"""Dotted settings: what they change, and one clear sentence for everything that is wrong."""
+
+from __future__ import annotations
+
+import pytest
+from fake_experiment import FakeSettings
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from wbmpc.configuration import configure, keys
+from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
+
+
+def test_keys_are_all_leaves() -> None:
+    assert keys(FakeSettings) == [
+        "mpc.rate",
+        "mpc.intervals",
+        "cost.hand.weight",
+        "plant.friction",
+        "duration",
+        "fall_at",
+        "abort",
+    ]
+
+
+def test_without_assignments_the_defaults_hold() -> None:
+    assert configure(FakeSettings, [], "fake") == FakeSettings()
+
+
+def test_only_the_named_keys_change() -> None:
+    given = ["mpc.rate=100", "cost.hand.weight=3e2", "plant.friction=[0.5, 0.7]", "abort=true", "mpc.rate=80"]
+    changed = configure(FakeSettings, given, "fake").model_dump()
+    expected = FakeSettings().model_dump()
+    expected["mpc"]["rate"] = 80.0  # the later one wins
+    expected["cost"]["hand"]["weight"] = 300.0
+    expected["plant"]["friction"] = (0.5, 0.7)
+    expected["abort"] = True
+    assert changed == expected
+
+
+BAD = {
+    "mpc.rat=3": ["unknown key 'mpc.rat'", "did you mean 'mpc.rate'", "valid in mpc: rate, intervals"],
+    "rate=3": ["unknown key 'rate'", "did you mean 'mpc.rate'"],
+    "cost.hnd.weight=3": ["did you mean 'cost.hand.weight'", "valid in cost: hand.…"],
+    "qqq=3": ["unknown key 'qqq'", "valid: mpc.…, cost.…, plant.…, duration"],
+    "mpc=3": ["'mpc' is a section", "rate, intervals"],
+    "mpc.rate.x=3": ["unknown key 'mpc.rate.x'", "did you mean 'mpc.rate'"],
+    "mpc.rate": ["the form is key=value"],
+    "mpc.rate=": ["the form is key=value"],
+    "=3": ["the form is key=value"],
+    "mpc.rate=[": ["mpc.rate", "cannot be read"],
+    "mpc.rate=0": ["mpc.rate=0", "greater than 0"],
+    "mpc.rate=fast": ["mpc.rate='fast'", "valid number"],
+    "mpc.intervals=0": ["mpc.intervals=0", "greater than or equal to 1"],
+    "mpc.intervals=2.5": ["mpc.intervals=2.5", "integer"],
+    "mpc.rate=nan": ["mpc.rate=nan", "finite"],
+    "mpc.rate=.nan": ["mpc.rate=.nan", "finite"],
+    "duration=inf": ["duration=inf", "finite"],
+    "plant.friction=[0.5, .inf]": ["plant.friction", "finite"],
+    "plant.friction=[0.9, 0.1]": ["plant.friction=[0.9, 0.1]: needs lower ≤ upper"],
+    "plant.friction=[0.9]": ["plant.friction.1: field required"],
+}
+
+
+@pytest.mark.parametrize("assignment", BAD)
+def test_a_fault_is_one_sentence_with_place_key_and_choices(assignment: str) -> None:
+    with pytest.raises(InputError) as caught:
+        configure(FakeSettings, [assignment], "fake")
+    text = str(caught.value)
+    assert text.startswith("fake: --set")
+    for part in BAD[assignment]:
+        assert part in text
+    assert "\n" not in text
+    assert "http" not in text and "Value error" not in text and "validation error" not in text
+
+
+def test_a_fault_between_settings_does_not_print_the_whole_section() -> None:
+    class Pair(BaseModel):
+        model_config = ConfigDict(extra="forbid")
+        low: float = 0.0
+        high: float = 1.0
+
+        @model_validator(mode="after")
+        def _order(self) -> Pair:
+            if self.low > self.high:
+                raise ValueError("low must not be above high")
+            return self
+
+    class Whole(BaseModel):
+        pair: Pair = Pair()
+
+    with pytest.raises(InputError) as caught:
+        configure(Whole, ["pair.low=2"], "here")
+    assert str(caught.value) == "here: --set pair: low must not be above high"
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
+    """Each leaf, set to its own default as text, gives the defaults again."""
+    model = REGISTRY[name].config_type
+    dumped = model().model_dump(mode="json")
+    for key in keys(model):
+        value = dumped
+        for part in key.split("."):
+            value = value[part]
+        text = "null" if value is None else str(value)
+        assert configure(model, [f"{key}={text}"], name).model_dump(mode="json") == dumped

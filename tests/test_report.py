@@ -1,0 +1,162 @@
+"""What a run leaves on disk: repeatable figures, valid JSON, a page that needs nothing from outside."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_experiment import FakeSettings, run
+
+from wbmpc.log import Log
+from wbmpc.report import MOST_POINTS, _thin, number, page, to_json, versions, write_run
+from wbmpc.result import Metric, MpcStatistics
+
+FELL = FakeSettings(fall_at=2.0)
+
+
+def refuse(constant: str) -> None:
+    raise AssertionError(f"{constant} is not JSON")
+
+
+@pytest.fixture(scope="module")
+def html_page() -> str:
+    return page(run(FakeSettings(), 3))
+
+
+def test_files_of_a_run(tmp_path: Path) -> None:
+    result = run(FakeSettings(), 3)
+    files = write_run(result, tmp_path / "new" / "place")
+    assert set(files) == {"metrics", "log", "report"}
+    assert all(Path(f).is_file() for f in files.values())
+    data = json.loads(Path(files["metrics"]).read_text(), parse_constant=refuse)
+    assert {
+        "experiment",
+        "seed",
+        "completed",
+        "metrics",
+        "mpc",
+        "files",
+        "settings",
+        "idealisations",
+        "versions",
+    } <= set(data)
+    assert data["metrics"]["path_length"] == {"value": 20.53, "unit": "m"}
+    assert data["settings"] == result.settings
+    assert data["idealisations"] == result.idealisations
+    assert {"wbmpc", "mujoco", "casadi", "numpy", "numba", "python", "cpu"} <= set(data["versions"])
+    with np.load(files["log"]) as log:
+        np.testing.assert_array_equal(log["hand"], result.log.array("hand"))
+        np.testing.assert_array_equal(log["hand.time"], result.log.times("hand"))
+
+
+def test_metrics_repeat_bit_for_bit_and_hold_no_timings() -> None:
+    first, second = (to_json(run(FakeSettings(), 7), {}) for _ in range(2))
+    assert json.dumps(first["metrics"]) == json.dumps(second["metrics"])
+    assert json.dumps(first["metrics"]) != json.dumps(to_json(run(FakeSettings(), 8), {})["metrics"])
+    assert set(first["mpc"]) == {"rate_hz", "solve_ms", "deadline_misses"}
+    assert set(first["mpc"]["solve_ms"]) == {"median", "p95", "max"}
+
+
+def test_figures_that_are_not_finite_are_null(tmp_path: Path) -> None:
+    result = run(FELL, 1)
+    result.settings["odd"] = [float("nan"), {"x": np.float64(np.inf)}]
+    data = json.loads(Path(write_run(result, tmp_path)["metrics"]).read_text(), parse_constant=refuse)
+    assert data["metrics"]["rise_time_max"] == {"value": None, "unit": "s"}
+    assert data["settings"]["odd"] == [None, {"x": None}]
+    assert data["completed"] is False and data["reason"] == "the robot fell at 2.00 s"
+
+
+def test_page_is_self_contained(html_page: str) -> None:
+    outside = []
+
+    class Finder(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            outside.extend(v for k, v in attrs if k in ("src", "href") and v)
+
+    Finder().feed(html_page)
+    assert outside == []
+    assert html_page.count("plotly.js v") == 1  # the library's banner: embedded once
+
+
+def test_page_shows_everything(html_page: str) -> None:
+    body = html_page[html_page.index("<body>") :]
+    for text in (
+        "hand_error_mean_odometry",
+        "0.0167",
+        "0.003",
+        "reached",
+        "missed",
+        "27.2 ms",
+        "mujoco",
+        "&quot;rate&quot;: 50.0",
+    ):
+        assert text in body
+    assert "The run completed; 2 of 3 goals reached, missed: hand_error_max_odometry." in body
+    assert body.count("Plotly.newPlot") == 4
+    assert "there is no physics &lt;at all&gt;" in body and "Empty &lt;plot&gt;" in body
+    assert "<plot>" not in re.sub(r"<script.*?</script>", "", body, flags=re.S)
+    assert '"scaleanchor":"x"' in body.replace(" ", "")
+
+
+def test_page_of_a_fall_says_so() -> None:
+    text = page(run(FELL, 3))
+    assert "The run ended early: the robot fell at 2.00 s" in text
+    assert '"card verdict bad"' in text
+
+
+def test_thinning_keeps_the_extremes_and_the_ends() -> None:
+    rng = np.random.default_rng(0)
+    x, y = np.arange(50_000.0), rng.normal(size=50_000)
+    y[123] = np.nan
+    for path in (False, True):
+        tx, ty = _thin(x, y, path)
+        assert tx.size <= MOST_POINTS
+        assert (tx[0], tx[-1]) == (x[0], x[-1])
+        assert np.all(np.diff(tx) > 0)
+        np.testing.assert_array_equal(ty, y[tx.astype(int)])
+    tx, ty = _thin(x, y, False)
+    assert (np.nanmin(ty), np.nanmax(ty)) == (np.nanmin(y), np.nanmax(y))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.00159712, "0.001597"), (20.53, "20.53"), (0.0, "0"), (np.inf, "inf"), (-np.inf, "-inf"), (np.nan, "not a number")]
+)  # fmt: skip
+def test_numbers(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_goals_are_largest_values() -> None:
+    assert Metric(1.0, "m").met is None
+    assert Metric(1.0, "m", goal=1.0).met is True
+    assert Metric(1.1, "m", goal=1.0).met is False
+    assert Metric(float("nan"), "m", goal=1.0).met is False
+
+
+def test_solve_time_statistics() -> None:
+    s = MpcStatistics.of(100.0, [0.001] * 95 + [0.011] * 5)
+    assert s.solve_ms == pytest.approx({"median": 1.0, "p95": 1.5, "max": 11.0})
+    assert s.deadline_misses == 5
+    empty = MpcStatistics.of(100.0, [])
+    assert empty.deadline_misses == 0 and np.isnan(empty.solve_ms["max"])
+
+
+def test_log_keeps_copies_and_channels_of_their_own_rate() -> None:
+    log, row = Log(), np.zeros(2)
+    log.add("a", 0.0, row)
+    row[:] = 5.0
+    log.add("a", 0.1, row)
+    log.add("b", 0.05, 1.0)
+    np.testing.assert_array_equal(log.array("a"), [[0.0, 0.0], [5.0, 5.0]])
+    np.testing.assert_array_equal(log.array("b"), [1.0])
+    np.testing.assert_array_equal(log.times("a"), [0.0, 0.1])
+    assert log.channels == ["a", "b"]
+
+
+def test_versions_are_known() -> None:
+    found = versions()
+    assert found["wbmpc"] and found["cpu"]
+    assert "unknown" not in found.values()
