@@ -11,6 +11,8 @@ _PLACES = {
     "load_robot": "wbmpc.model",
     "RobotModel": "wbmpc.model",
     "Layout": "wbmpc.model",
+    "DriveLag": "wbmpc.model",
+    "InputRate": "wbmpc.model",
     "Constraint": "wbmpc.ocp",
     "Cost": "wbmpc.ocp",
     "Mode": "wbmpc.ocp",

@@ -33,7 +33,9 @@ th, td { text-align: left; padding: 7px 14px; white-space: nowrap; } tr + tr > *
 th { color: var(--soft); font-weight: 600; } .n { text-align: right; font-variant-numeric: tabular-nums; }
 .met { color: var(--good); } .missed { color: var(--bad); font-weight: 600; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(440px, 100%), 1fr)); gap: 16px; }
-.plots > div { padding: 8px; min-width: 0; } h3 { font-size: 16px; font-weight: 600; margin: 6px 8px 0; } .plots > div.wide { grid-column: 1 / -1; }
+.plots > div { padding: 8px; min-width: 0; }
+h3 { font-size: 16px; font-weight: 600; margin: 6px 8px 0; }
+.plots > div.wide { grid-column: 1 / -1; }
 ul { margin: 0; padding: 12px 18px 12px 36px; } details { padding: 10px 16px; margin-bottom: 12px; }
 summary { cursor: pointer; } pre { overflow-x: auto; font-size: 13px; margin: 8px 0 0; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; margin: 8px 0 0; font-size: 14px; }

@@ -1,13 +1,16 @@
 """Robot models: layouts, bases, kinematics, dynamics."""
 
+from wbmpc.model.augment import DriveLag, InputRate
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
 from wbmpc.model.swerve import SwerveGeometry, rolling_inverse_kinematics, wheel_velocities
 from wbmpc.model.symbolic import FramePose
 
 __all__ = [
+    "DriveLag",
     "Dynamics",
     "FramePose",
+    "InputRate",
     "Layout",
     "Limits",
     "RobotModel",

@@ -49,6 +49,10 @@ class Dynamics:
         self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
         self.unit_quaternions: tuple[int, ...] = base.unit_quaternions
 
+    def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The robot's own state and input; wrappers that add states override this."""
+        return x, u
+
     def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ (nx)."""
         return self._base.derivative(x, u, w, m)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
@@ -20,13 +20,19 @@ from wbmpc.model import Layout, RobotModel
 
 @dataclass(frozen=True)
 class Symbols:
-    """What a residual may use: state x (nx), input u (nu), the model's parameters and mode values, its reference."""
+    """What a residual may use: the robot's state x and input u, the model's parameters and mode values, its reference.
+
+    ``all_x`` and ``all_u`` are those of the problem, which may have more states and other inputs than the robot
+    (:class:`wbmpc.model.InputRate`, :class:`wbmpc.model.DriveLag`).
+    """
 
     x: ca.SX
     u: ca.SX
     parameters: ca.SX
     mode: ca.SX
     reference: ca.SX
+    all_x: ca.SX
+    all_u: ca.SX
 
 
 class Residual(Protocol):
@@ -246,3 +252,30 @@ class Limits:
 
     def __call__(self, s: Symbols) -> ca.SX:
         return ca.vertcat(*[sign * (s.x if kind == "state" else s.u)[i] + c for kind, i, sign, c in self.rows])
+
+
+@dataclass(frozen=True)
+class ProblemInput:
+    """Groups of the problem's own input (all when ``names`` is left out), e.g. ``arm_rate`` of an ``InputRate``.
+
+    As a cost: input-rate costs; in a box: acceleration limits.
+    """
+
+    dynamics: Any
+    names: Sequence[str] | None = None
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    indices: list[int] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        groups, indices = _select(self.dynamics.input, self.names)
+        object.__setattr__(self, "groups", groups)
+        object.__setattr__(self, "indices", indices)
+
+    @property
+    def size(self) -> int:
+        return len(self.indices)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return s.all_u[self.indices]

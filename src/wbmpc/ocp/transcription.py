@@ -97,7 +97,9 @@ class Transcription:
         d = self.ocp.dynamics
         reference = self.node.slices.get(f"reference.{name}", slice(0, 0))
         parameters = self.w[self.constant.slices["parameters"]] if d.parameters.size else ca.SX(0, 1)
-        return Symbols(self.x, self.u, parameters, self._mode(), self.p[reference])
+        view = getattr(d, "view", lambda x, u: (x, u))
+        x, u = view(self.x, self.u)
+        return Symbols(x, u, parameters, self._mode(), self.p[reference], self.x, self.u)
 
     def _mode(self) -> ca.SX:
         return self.p[self.node.slices["mode"]]

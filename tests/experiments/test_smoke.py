@@ -1,0 +1,84 @@
+"""Both experiments, shortened: they run through, their figures are of the right size, and they repeat bit by bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.experiments import REGISTRY
+from wbmpc.experiments.rezero_steps import RezeroStepsSettings
+from wbmpc.experiments.swerve_track import SwerveTrackSettings
+
+TRACK = SwerveTrackSettings(periods=1, rest=2.0)
+STEPS = RezeroStepsSettings(hold=2.0, settle=1.5)
+
+
+@pytest.fixture(scope="module")
+def track():  # type: ignore[no-untyped-def]
+    return REGISTRY["swerve-track"].run(TRACK, 0, None)
+
+
+@pytest.fixture(scope="module")
+def steps():  # type: ignore[no-untyped-def]
+    return REGISTRY["rezero-steps"].run(STEPS, 0, None)
+
+
+def check_statistics(result) -> None:  # type: ignore[no-untyped-def]
+    assert result.completed, result.reason
+    assert result.reason == ""
+    assert 0.0 < result.mpc.solve_ms["median"] <= result.mpc.solve_ms["p95"] <= result.mpc.solve_ms["max"]
+    assert all(np.isfinite(m.value) for m in result.metrics.values())
+    for plot in result.plots:
+        for series in plot.series:
+            assert len(series.x) == len(series.y) > 0, plot.title
+
+
+def test_swerve_follows_its_path(track) -> None:  # type: ignore[no-untyped-def]
+    check_statistics(track)
+    m = {name: metric.value for name, metric in track.metrics.items()}
+    assert m["hand_error_mean_odometry"] < 0.005
+    assert m["hand_error_max_odometry"] < 0.03
+    assert m["odometry_drift_ratio"] < 0.02
+    assert m["path_length"] == pytest.approx(20.53 / 6, rel=0.02)
+    assert m["base_path_length"] == pytest.approx(15.96 / 6, rel=0.15)
+    assert m["hand_orientation_error_max"] < 0.1
+    assert track.mpc.rate_hz == 50.0
+
+
+def test_rezero_takes_its_steps(steps) -> None:  # type: ignore[no-untyped-def]
+    check_statistics(steps)
+    m = {name: metric.value for name, metric in steps.metrics.items()}
+    assert m["fell"] == 0.0
+    assert m["steady_position_error_max"] < 0.05
+    assert m["rise_time_max"] < 2.5
+    assert 0.0 < m["tilt_max"] < 0.35
+    assert m["wheel_torque_max"] <= 4.0 + 1e-9
+
+
+def same(a, b) -> None:  # type: ignore[no-untyped-def]
+    assert {n: m.value for n, m in a.metrics.items()} == {n: m.value for n, m in b.metrics.items()}
+
+
+def test_same_seed_same_bits(track) -> None:  # type: ignore[no-untyped-def]
+    same(track, REGISTRY["swerve-track"].run(TRACK, 0, None))
+
+
+def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def]
+    other = REGISTRY["swerve-track"].run(TRACK, 1, None)
+    assert other.completed
+    value = lambda r: r.metrics["hand_error_mean_odometry"].value  # noqa: E731
+    assert value(other) != value(track)
+    assert value(other) < 0.008
+
+
+def test_rezero_repeats(steps) -> None:  # type: ignore[no-untyped-def]
+    same(steps, REGISTRY["rezero-steps"].run(STEPS, 0, None))
+
+
+def test_registry_is_complete() -> None:
+    assert set(REGISTRY) >= {"swerve-track", "rezero-steps"}
+    for name, experiment in REGISTRY.items():
+        assert experiment.name == name
+        assert experiment.summary
+        with pytest.raises(ValueError, match="extra"):
+            experiment.config_type(no_such_key=1)

@@ -1,0 +1,87 @@
+"""Wrapped inputs. Independent truth: the exponential of a first-order lag, the integral of a rate, finite differences."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.model import DriveLag, InputRate, load_robot
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
+from wbmpc.solver import SQP, SQPSolver, Status
+
+
+def arm_problem(dynamics, robot) -> OptimalControlProblem:
+    ocp = OptimalControlProblem(dynamics, 2.0, 40)
+    ocp.add(Cost("posture", residuals.State(robot), {"arm": 10.0, "base": 1.0}, at="all"))
+    ocp.add(Cost("speed", residuals.Input(robot, tracked=False), {"base": 1.0, "leg": 1.0, "steer": 1.0, "wheel": 0.01, "arm": 0.1}))
+    ocp.add(Constraint("rolling", residuals.WheelRolling(robot)))
+    return ocp
+
+
+def goal_of(robot) -> np.ndarray:
+    goal = robot.home.copy()
+    goal[robot.state["arm"]] += 0.4
+    return goal
+
+
+def test_acceleration_limits_hold_and_the_arm_arrives() -> None:
+    robot = load_robot("swerve-ur10")
+    dynamics = InputRate(robot.dynamics(), ["arm"])
+    ocp = arm_problem(dynamics, robot)
+    rate = residuals.ProblemInput(dynamics, ["arm_rate"])
+    ocp.add(Cost("acceleration", rate, 1e-3))
+    ocp.add(Constraint("accelerations", rate, sets.Box(-2.0, 2.0), penalty=RelaxedBarrier(1e-3, 1e-2)))
+    solver = SQPSolver(ocp, SQP(iterations=100))
+    solver.set_reference("posture", Reference.constant(goal_of(robot)))
+    start = np.concatenate([robot.home, np.zeros(6)])
+    solver.guess(start)
+    solution = solver.solve(start)
+    assert solution.status is Status.CONVERGED
+    acceleration = solution.u[:, dynamics.input["arm_rate"]]
+    assert np.abs(acceleration).max() <= 2.02
+    assert np.abs(acceleration).max() > 1.0
+    # the speeds in the state are the integral of the accelerations
+    speeds = solution.x[:, dynamics.state["arm_input"]]
+    np.testing.assert_allclose(np.diff(speeds, axis=0), acceleration * 0.05, atol=1e-9)
+    np.testing.assert_allclose(solution.x[-1, robot.state["arm"]], goal_of(robot)[robot.state["arm"]], atol=0.02)
+
+
+def test_drive_lag_follows_the_exponential() -> None:
+    robot = load_robot("swerve-ur10")
+    dynamics = DriveLag(robot.dynamics(), {"arm": 0.1})
+    solver = SQPSolver(arm_problem(dynamics, robot))
+    x = np.concatenate([robot.home, np.zeros(6)])
+    u = np.zeros(21)
+    u[robot.input["arm"]] = 0.5
+    for _ in range(200):
+        x = solver.simulate(x, u, 1e-3)
+    np.testing.assert_allclose(x[dynamics.state["arm_actual"]], 0.5 * (1.0 - np.exp(-2.0)), rtol=1e-5)
+    travelled = 0.5 * (0.2 - 0.1 * (1.0 - np.exp(-2.0)))
+    np.testing.assert_allclose(x[robot.state["arm"]] - robot.home[robot.state["arm"]], travelled, rtol=1e-4)
+
+
+@pytest.mark.parametrize("wrap", [lambda d: InputRate(d, ["wheel"]), lambda d: DriveLag(d, {"wheel": 0.02, "arm": 0.05})])
+def test_jacobian_against_finite_differences(wrap) -> None:
+    dynamics = wrap(load_robot("rezero").dynamics())
+    nx, nu = dynamics.state.size, dynamics.input.size
+    x, u, w = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("w", dynamics.parameters.size)
+    f, j = dynamics.jacobian(x, u, w, ca.SX(0, 1))
+    both = ca.Function("f", [ca.vertcat(x, u), w], [f, j])
+    plain = ca.Function("g", [ca.vertcat(x, u), w], [dynamics(x, u, w, ca.SX(0, 1))])
+    rng = np.random.default_rng(0)
+    z, parameters = 0.2 * rng.normal(size=nx + nu), np.zeros(dynamics.parameters.size)
+    value, jacobian = (np.array(v) for v in both(z, parameters))
+    np.testing.assert_allclose(value, np.array(plain(z, parameters)), atol=1e-10)
+    h = 1e-6
+    difference = [np.array(plain(z + h * e, parameters) - plain(z - h * e, parameters)).ravel() / (2 * h) for e in np.eye(nx + nu)]
+    np.testing.assert_allclose(jacobian, np.array(difference).T, atol=1e-5)
+
+
+def test_bad_groups_and_time_constants() -> None:
+    dynamics = load_robot("rezero").dynamics()
+    with pytest.raises(InputError, match="did you mean 'wheel'"):
+        InputRate(dynamics, ["wheels"])
+    with pytest.raises(InputError, match="must be positive"):
+        DriveLag(dynamics, {"wheel": 0.0})

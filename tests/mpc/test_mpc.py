@@ -1,0 +1,174 @@
+"""The receding horizon. Truth: the same problem solved by hand; what it promises about failures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toys import pendulum, robot
+
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.model import wheel_velocities
+from wbmpc.mpc import MPC, Observation, SteeringGuess
+from wbmpc.ocp import OptimalControlProblem, Reference
+from wbmpc.solver import SQP, SQPSolver
+
+REAL_TIME = SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
+START = np.array([0.1, 0.3, 0.0, 0.0])
+
+
+def make(guess=None, **settings) -> MPC:  # type: ignore[no-untyped-def]
+    ocp: OptimalControlProblem = pendulum("interpreted").ocp
+    mpc = MPC(ocp, REAL_TIME, 50.0, guess=guess, **settings)
+    mpc.reference["state"] = Reference.constant(np.zeros(4))
+    mpc.reset(np.zeros(4))
+    return mpc
+
+
+def test_first_policy_is_the_iterated_solution() -> None:
+    mpc = make(first_iterations=60)
+    policy = mpc.update(Observation(3.0, START))
+    solver = SQPSolver(mpc.ocp, SQP(iterations=200))
+    solver.set_reference("state", Reference.constant(np.zeros(4)))
+    solver.guess(np.zeros(4))
+    found = solver.solve(START)
+    np.testing.assert_allclose(policy.u, found.u, atol=1e-5)
+    np.testing.assert_allclose(policy.times, 3.0 + found.times)
+    np.testing.assert_allclose(policy.x[0], START, atol=1e-9)
+    assert mpc.period == pytest.approx(0.02)
+
+
+def test_closed_loop_reaches_its_goal() -> None:
+    """The model under the policy of every update comes to rest at the reference."""
+    mpc = make()
+    x, t = START.copy(), 0.0
+    for _ in range(150):
+        policy = mpc.update(Observation(t, x))
+        for _ in range(2):
+            x = mpc.solver.simulate(x, policy(t, x), 0.01)
+            t += 0.01
+    assert np.abs(x).max() < 0.02
+    assert len(mpc.statistics.solve_times) == 149
+    assert mpc.statistics.failures == 0
+
+
+class Poison:
+    """Spoils the solver's trajectories at the chosen updates."""
+
+    def __init__(self, *times: float) -> None:
+        self.times = times
+
+    def __call__(self, solver: SQPSolver, t: float, x0: np.ndarray) -> None:
+        if any(abs(t - bad) < 1e-9 for bad in self.times):
+            solver.ws.x[:] = np.nan
+
+
+def test_failed_solve_keeps_the_last_policy() -> None:
+    mpc, healthy = make(Poison(0.04)), make()
+    last = mpc.update(Observation(0.0, START))
+    healthy.update(Observation(0.0, START))
+    assert mpc.update(Observation(0.04, START)) is last
+    assert mpc.statistics.failures == 1
+    # the next update starts from the last plan, moved on by all the time since: as if the failed one had not been
+    a, b = mpc.update(Observation(0.08, START)), healthy.update(Observation(0.08, START))
+    np.testing.assert_array_equal(a.u, b.u)
+    np.testing.assert_array_equal(a.x, b.x)
+    assert np.isfinite(a.gain).all()
+
+
+def test_failing_from_the_start_is_an_abort() -> None:
+    mpc = make(Poison(0.0))
+    with pytest.raises(RunAborted, match="first solve failed"):
+        mpc.update(Observation(0.0, START))
+
+
+def test_reset_forgets() -> None:
+    mpc = make()
+    first = mpc.update(Observation(0.0, START))
+    mpc.update(Observation(0.5, -START))
+    mpc.reset(np.zeros(4))
+    again = mpc.update(Observation(0.0, START))
+    np.testing.assert_array_equal(first.u, again.u)
+
+
+def test_observations_are_checked() -> None:
+    mpc = make()
+    mpc.update(Observation(1.0, START))
+    for observation, message in (
+        (Observation(1.1, np.zeros(3)), "4 numbers are needed"),
+        (Observation(1.1, np.array([0, 0, np.nan, 0])), "'x.2' is not finite"),
+        (Observation(0.9, START), "time went back from 1.0000 to 0.9000"),
+    ):
+        with pytest.raises(InputError, match=message):
+            mpc.update(observation)
+    with pytest.raises(InputError, match="mpc.rate"):
+        MPC(mpc.ocp, REAL_TIME, 0.0)
+    with pytest.raises(InputError, match=r"did you mean 'state'\?"):
+        mpc.reference["stat"] = Reference.constant(np.zeros(4))
+    assert "state" in mpc.reference
+    assert "hand" not in mpc.reference
+    np.testing.assert_array_equal(mpc.reference["state"].values, np.zeros((1, 4)))
+
+
+# ---------------------------------------------------------------------- steering guess
+def swerve_workspace(n: int = 30):  # type: ignore[no-untyped-def]
+    from types import SimpleNamespace
+
+    model = robot("swerve-ur10")
+    ws = SimpleNamespace(
+        grid=np.linspace(0.0, 6.0, n + 1), x=np.tile(model.home, (n + 1, 1)), u=np.zeros((n, model.input.size))
+    )
+    return model, SimpleNamespace(ws=ws)
+
+
+@pytest.mark.parametrize("twist", [(0.0, 0.2, 0.0), (0.15, -0.15, 0.0), (0.0, 0.0, 0.3), (0.1, 0.1, 0.2)])
+def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> None:
+    model, solver = swerve_workspace()
+    preview = lambda t, pose: np.tile(twist, (len(t), 1))  # noqa: E731
+    guess = SteeringGuess(model, preview)
+    guess(solver, 0.0, model.home)
+    base, steer, wheel = (solver.ws.u[:, model.input[g]] for g in ("base", "steer", "wheel"))
+    moving = np.abs(base).max(axis=1) > 1e-9
+    assert moving.any() and not moving[0]
+    first = int(np.argmax(moving))
+    assert moving[first:].all()
+    np.testing.assert_allclose(base[first:], np.tile(twist, (moving.sum(), 1)))
+    assert np.abs(steer).max() <= model.limits.input_upper[model.input["steer"]].min()
+    assert np.abs(wheel[:first]).max() < 1e-9
+    # wheels stand along the velocity of their axes, and turn as fast as that rolls (rigid-body motion)
+    g = model.base.geometry
+    for k in range(first + 1, len(base)):
+        x = solver.ws.x[k]
+        v = wheel_velocities(g, x[model.state["leg"]], twist)
+        heading = g.wheel_heading + x[model.state["leg"]] + x[model.state["steer"]]
+        along = v[:, 0] * np.cos(heading) + v[:, 1] * np.sin(heading)
+        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
+        assert np.abs(side).max() < 0.03 * np.abs(along).max()
+        np.testing.assert_allclose(wheel[k] * g.wheel_radius, along, atol=1e-9)
+    # states follow the inputs
+    x = solver.ws.x[:, model.state["steer"]]
+    np.testing.assert_allclose(np.diff(x, axis=0), steer * np.diff(solver.ws.grid)[:, None], atol=1e-12)
+
+
+def test_guess_comes_once_per_standstill() -> None:
+    model, solver = swerve_workspace()
+    guess = SteeringGuess(model, lambda t, pose: np.tile([0.0, 0.2, 0.0], (len(t), 1)))
+    guess(solver, 0.0, model.home)
+    solver.ws.u[:] = 0.0
+    guess(solver, 0.1, model.home)
+    assert np.abs(solver.ws.u).max() == 0.0  # done: not again at the same standstill
+    solver.ws.u[0, 1] = 0.2
+    guess(solver, 0.2, model.home)
+    assert np.abs(solver.ws.u[1:]).max() == 0.0  # moving: nothing to guess
+    solver.ws.u[0, 1] = 0.0
+    guess(solver, 0.3, model.home)
+    assert np.abs(solver.ws.u).max() > 0.1  # at rest again: armed again
+
+
+def test_guess_waits_for_a_motion() -> None:
+    model, solver = swerve_workspace()
+    later = lambda t, pose: np.where(t[:, None] > 5.0, [[0.0, 0.2, 0.0]], 0.0)  # noqa: E731
+    guess = SteeringGuess(model, later)
+    guess(solver, 0.0, model.home)
+    assert np.abs(solver.ws.u).max() == 0.0
+    guess(solver, 4.5, model.home)
+    assert np.abs(solver.ws.u).max() > 0.1

@@ -1,0 +1,241 @@
+"""The command line: what it prints, where it writes, its exit status, and one sentence for every bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from fake_experiment import REGISTRY
+
+import wbmpc
+from wbmpc.cli import app, main
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def call(*arguments: str) -> int:
+    return main(list(arguments), REGISTRY)
+
+
+def shell(*arguments: str, code: str | None = None) -> subprocess.CompletedProcess[str]:
+    """A process of its own, as a user starts it."""
+    paths = os.pathsep.join([str(HERE.parent / "src"), str(HERE)])
+    command = [sys.executable, *(["-c", code] if code else ["-m", "wbmpc"]), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}, timeout=60)
+
+
+FAKE_MAIN = (
+    "import sys; from fake_experiment import REGISTRY; from wbmpc.cli import main; sys.exit(main(None, REGISTRY))"
+)
+
+
+# ---------------------------------------------------------------------- what works
+def test_version_and_help_come_at_once() -> None:
+    assert shell("--version").stdout.strip() == wbmpc.__version__
+    start = time.perf_counter()
+    out = shell("--help")
+    # 0.15 s on a usual machine, 0.6 s is the goal; the heavy libraries alone would take longer than this bound
+    assert time.perf_counter() - start < 2.0
+    assert out.returncode == 0 and all(c in out.stdout for c in ("list", "run", "bench", "demo"))
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from wbmpc.cli import main; main(['--help']); "
+        "sys.exit(sum(m in sys.modules for m in ('casadi', 'mujoco', 'numba', 'llvmlite', 'plotly', 'scipy', 'numpy', 'pydantic')))"
+    )
+    assert shell(code=code).returncode == 0
+
+
+def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call() == 0
+    assert "Usage" in capsys.readouterr().out
+
+
+def test_list_names_experiments_and_robots() -> None:
+    out = shell("list")
+    assert out.returncode == 0 and out.stderr == ""
+    for name in ("swerve-track", "rezero-steps", "swerve-ur10", "swerve-fixed-ur10", "rezero"):
+        assert name in out.stdout
+    data = json.loads(shell("list", "--json").stdout)
+    assert {e["name"] for e in data["experiments"]} >= {"swerve-track", "rezero-steps"}
+    assert {"swerve-ur10", "rezero"} <= set(data["robots"])
+
+
+def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
+    out = shell("run", "fake", "--seed", "5", "--json", "--set", "mpc.rate=80", code=FAKE_MAIN)
+    assert out.returncode == 0 and out.stderr == ""  # in a pipe: no progress bar
+    data = json.loads(out.stdout)
+    assert set(data) == {"experiment", "seed", "completed", "reason", "metrics", "mpc", "files"}
+    assert (data["experiment"], data["seed"], data["completed"]) == ("fake", 5, True)
+    assert set(data["metrics"]["fell"]) == {"value", "unit"}
+    assert data["mpc"]["rate_hz"] == 80.0
+    assert all((tmp_path / f).is_file() for f in data["files"].values())
+    saved = json.loads((tmp_path / data["files"]["metrics"]).read_text())
+    assert {k: saved[k] for k in data} == data
+    assert saved["settings"]["mpc"]["rate"] == 80.0
+
+
+def test_table_shows_ours_paper_goal_and_the_page(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake") == 0
+    out = capsys.readouterr().out
+    row = next(line for line in out.splitlines() if "hand_error_mean_odometry" in line)
+    assert all(part in row for part in ("fake", " m ", "0.0167", "0.003", "reached"))
+    assert "the report page is runs/fake-seed200/report.html" in out
+
+
+def test_a_run_never_overwrites_another(tmp_path: Path) -> None:
+    for _ in range(3):
+        assert call("run", "fake", "--seed", "1", "--json") == 0
+    assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["fake-seed1", "fake-seed1-2", "fake-seed1-3"]
+    texts = {json.dumps(json.loads(p.read_text())["metrics"]) for p in tmp_path.glob("runs/*/metrics.json")}
+    assert len(texts) == 1  # the same seed gives the same figures
+
+
+def test_out_chooses_the_directory(tmp_path: Path) -> None:
+    assert call("run", "fake", "--out", "a/b", "--json") == 0
+    assert sorted(p.name for p in (tmp_path / "a/b").iterdir()) == ["log.npz", "metrics.json", "report.html"]
+    assert not (tmp_path / "runs").exists()
+
+
+# ---------------------------------------------------------------------- runs that end early
+def test_a_fall_is_status_1_with_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake", "--set", "fall_at=2.0", "--json") == 1
+    data = json.loads(capsys.readouterr().out)
+    assert data["completed"] is False and data["metrics"]["fell"]["value"] == 1.0
+    assert data["metrics"]["rise_time_max"]["value"] is None
+    assert (tmp_path / data["files"]["metrics"]).is_file()
+
+
+def test_a_fall_is_said_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake", "--set", "fall_at=2.0") == 1
+    assert "fake ended early: the robot fell at 2.00 s" in capsys.readouterr().out
+
+
+def test_an_abort_is_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake", "--set", "abort=true") == 1
+    assert capsys.readouterr().err == "wbmpc: the solver gave up at 0.10 s\n"
+    assert not (tmp_path / "runs/fake-seed200").exists()  # no empty directory stays
+
+
+# ---------------------------------------------------------------------- bad input
+BAD = {
+    ("run", "fakee"): ["unknown experiment 'fakee'", "did you mean 'fake'", "valid: fake"],
+    ("run",): ["Missing argument", "wbmpc --help"],
+    ("run", "fake", "--seed", "-1"): ["--seed", "negative"],
+    ("run", "fake", "--seed", "x"): ["--seed", "integer"],
+    ("run", "fake", "--set", "mpc.rat=3"): ["fake: --set", "did you mean 'mpc.rate'", "valid in mpc: rate, intervals"],
+    ("run", "fake", "--set", "mpc.rate=-3"): ["mpc.rate=-3", "greater than 0"],
+    ("run", "fake", "--set", "mpc.intervals=0"): ["mpc.intervals=0", "greater than or equal to 1"],
+    ("run", "fake", "--set", "mpc.rate=nan"): ["mpc.rate=nan", "finite"],
+    ("run", "fake", "--set", "mpc.rate"): ["key=value"],
+    ("run", "fake", "--out", "a-file"): ["--out: 'a-file' is a file"],
+    ("run", "fake", "--out", "a-file/below"): ["a-file/below", "Not a directory"],
+    ("run", "fake", "--jsn"): ["No such option: --jsn"],
+    ("walk",): ["No such command 'walk'"],
+    ("bench", "--repeat", "0"): ["--repeat"],
+}
+
+
+@pytest.mark.parametrize("arguments", BAD, ids=" ".join)
+def test_bad_input_is_one_sentence_and_status_2(
+    arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a-file").write_text("")
+    assert call(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("wbmpc: ") and captured.err.count("\n") == 1
+    for part in BAD[arguments]:
+        assert part in captured.err
+    assert "Traceback" not in captured.err and "http" not in captured.err
+    assert [p.name for p in tmp_path.iterdir()] == ["a-file"]  # nothing is left behind
+
+
+REAL = {
+    ("run", "swerve-trak"): "did you mean 'swerve-track'",
+    ("run", "swerve-track", "--set", "mpc.rat=3"): "did you mean 'mpc.rate'",
+    ("run", "swerve-track", "--set", "mpc.intervals=0"): "mpc.intervals=0",
+    ("run", "swerve-track", "--set", "mpc.rate=77"): "mpc.rate",
+    ("run", "rezero-steps", "--set", "plant.friction=[0.9, 0.2]"): "plant.friction",
+}
+
+
+@pytest.mark.parametrize("arguments", REAL, ids=" ".join)
+def test_bad_input_of_the_real_experiments(arguments: tuple[str, ...]) -> None:
+    out = shell(*arguments)
+    assert out.returncode == 2 and out.stdout == ""
+    assert out.stderr.startswith("wbmpc: ") and out.stderr.count("\n") == 1
+    assert REAL[arguments] in out.stderr
+
+
+@pytest.mark.parametrize("place", ["front", "end"])
+def test_debug_shows_the_traceback(place: str) -> None:
+    arguments = ["run", "nope"]
+    out = shell(*(["--debug", *arguments] if place == "front" else [*arguments, "--debug"]))
+    assert out.returncode == 2
+    assert "Traceback" in out.stderr and "InputError" in out.stderr
+    assert out.stderr.splitlines()[-1].startswith("wbmpc: unknown experiment 'nope'")
+
+
+def test_a_failed_run_leaves_a_given_directory_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    assert call("run", "fake", "--out", "mine", "--set", "abort=true") == 1
+    assert (tmp_path / "mine").is_dir()
+
+
+def test_a_reader_who_leaves_causes_no_traceback() -> None:
+    code = "import os; r, w = os.pipe(); os.close(r); os.dup2(w, 1); " + FAKE_MAIN
+    out = shell("run", "fake", code=code)
+    assert "Traceback" not in out.stderr and "BrokenPipe" not in out.stderr
+
+
+def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    broken_one = SimpleNamespace(name="broken", config_type=REGISTRY["fake"].config_type, run=broken)
+    with pytest.raises(ZeroDivisionError):
+        main(["run", "broken"], {"broken": broken_one})  # type: ignore[dict-item]
+
+
+# ---------------------------------------------------------------------- the other commands
+def test_demo_runs_both_and_prints_one_table(capsys: pytest.CaptureFixture[str]) -> None:
+    both = {"swerve-track": REGISTRY["fake"], "rezero-steps": REGISTRY["fake"]}
+    assert main(["demo"], both) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("goal") == 2  # title and header of one table
+    assert (
+        "runs/swerve-track-seed200/report.html" in captured.out
+        and "runs/rezero-steps-seed200/report.html" in captured.out
+    )
+    assert main(["demo", "--json"], both) == 0
+    captured = capsys.readouterr()
+    assert captured.err == "" and len(json.loads(captured.out)["runs"]) == 2
+
+
+def test_bench_prints_one_object(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    import wbmpc.benchmark as benchmark
+
+    monkeypatch.setattr(benchmark, "run_benchmark", lambda *args, **kwargs: {"rows": []})
+    assert call("bench", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"rows": []}
+
+
+def test_the_commands_are_the_documented_ones() -> None:
+    from typer.testing import CliRunner
+
+    out = CliRunner().invoke(app, ["run", "--help"])
+    assert out.exit_code == 0
+    assert all(option in out.stdout for option in ("--seed", "--set", "--out", "--json"))

@@ -1,0 +1,138 @@
+"""The order of the rooms, read from the source: a module imports only from rooms before its own."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "wbmpc"
+
+ROOMS = (
+    "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "mpc", "estimation", "plant",
+    "control", "loop", "log", "result", "report", "experiments", "benchmark", "cli", "__main__",
+)  # fmt: skip
+#: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
+ONLY_IN = {
+    "plotly": {"report"},
+    "rich": {"cli", "benchmark"},
+    "typer": {"cli"},
+    "numba": {"kernel", "solver"},
+    "llvmlite": {"kernel", "solver"},
+    "mujoco": {"robots", "model", "plant", "experiments"},
+}
+MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
+
+
+def room(path: Path) -> str:
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def imported(tree: ast.AST, package: str) -> set[str]:
+    """Full dotted names of everything imported anywhere in the tree, inside functions too."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parts, *([node.module] if node.module else [])])
+            names |= {f"{base}.{alias.name}" for alias in node.names}
+    return names
+
+
+def rooms_used(path: Path) -> set[str]:
+    package = ".".join(("wbmpc", *path.relative_to(SOURCE).parts[:-1]))
+    inside = [n.split(".") for n in imported(ast.parse(path.read_text()), package) if n.split(".")[0] == "wbmpc"]
+    return {parts[1] for parts in inside if len(parts) > 1} - {"__version__"}
+
+
+def test_every_module_has_a_room() -> None:
+    assert {room(p) for p in MODULES} <= set(ROOMS)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_point_upwards(path: Path) -> None:
+    own = ROOMS.index(room(path))
+    used = rooms_used(path)
+    # a public name of the package (``from wbmpc import load_robot``) would hide which room it comes from
+    assert used <= set(ROOMS), f"{path.name}: import {used - set(ROOMS)} from its own module"
+    wrong = {name for name in used if ROOMS.index(name) > own}
+    assert not wrong, (
+        f"{path.relative_to(SOURCE)} is in room '{ROOMS[own]}' and imports from later rooms: {sorted(wrong)}"
+    )
+
+
+@pytest.mark.parametrize("package", ONLY_IN)
+def test_libraries_stay_in_their_rooms(package: str) -> None:
+    users = {
+        room(p) for p in MODULES if package in {n.split(".")[0] for n in imported(ast.parse(p.read_text()), "wbmpc")}
+    }
+    assert users <= ONLY_IN[package]
+
+
+def test_the_check_sees_a_wrong_import() -> None:
+    inside_a_function = (
+        "def f():\n    from wbmpc.cli import main\n    import wbmpc.report\n    from ..plant import world\n"
+    )
+    assert imported(ast.parse(inside_a_function), "wbmpc.model") == {
+        "wbmpc.cli.main",
+        "wbmpc.report",
+        "wbmpc.plant.world",
+    }
+
+
+def test_the_architecture_page_lists_the_rooms_in_this_order() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z_]+(\.py|/)`", cells)]
+    listed = [name for row in rows for name in re.findall(r"`([a-z_]+)(?:\.py|/)`", row)]
+    assert listed == [name for name in ROOMS if name != "__main__"]
+
+
+def test_files_are_of_readable_length() -> None:
+    assert [p.name for p in MODULES if len(p.read_text().splitlines()) > 400] == []
+
+
+CHECK = """
+import os, sys
+environment, directory = dict(os.environ), set(os.listdir())
+import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
+heavy = [m for m in ('casadi', 'mujoco', 'numba', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
+assert not heavy, heavy
+import wbmpc.experiments, wbmpc.benchmark
+assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())
+assert set(os.listdir()) == directory, os.listdir()
+assert 'plotly' not in sys.modules
+import threading
+assert threading.active_count() == 1
+"""
+
+
+def test_importing_has_no_side_effects(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "WBMPC_CACHE_DIR": str(tmp_path / "cache")}
+    (tmp_path / "empty").mkdir()
+    out = subprocess.run(
+        [sys.executable, "-c", CHECK],
+        cwd=tmp_path / "empty",
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (out.returncode, out.stdout, out.stderr) == (0, "", "")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_every_public_name_exists() -> None:
+    import wbmpc
+
+    for name in wbmpc.__all__:
+        assert getattr(wbmpc, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        wbmpc.nonsense  # noqa: B018
