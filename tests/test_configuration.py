@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from fake_experiment import FakeSettings
 from pydantic import BaseModel, ConfigDict, model_validator
 
+from fake_experiment import FakeSettings
 from wbmpc.configuration import configure, keys
 from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY

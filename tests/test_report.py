@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_experiment import FakeSettings, run
 
+from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
 from wbmpc.report import MOST_POINTS, _thin, number, page, to_json, versions, write_run
 from wbmpc.result import Metric, MpcStatistics
@@ -122,9 +122,10 @@ def test_thinning_keeps_the_extremes_and_the_ends() -> None:
     assert (np.nanmin(ty), np.nanmax(ty)) == (np.nanmin(y), np.nanmax(y))
 
 
-@pytest.mark.parametrize(
-    ("value", "text"), [(0.00159712, "0.001597"), (20.53, "20.53"), (0.0, "0"), (np.inf, "inf"), (-np.inf, "-inf"), (np.nan, "not a number")]
-)  # fmt: skip
+NUMBERS = {0.00159712: "0.001597", 20.53: "20.53", 0.0: "0", np.inf: "inf", -np.inf: "-inf", np.nan: "not a number"}
+
+
+@pytest.mark.parametrize(("value", "text"), NUMBERS.items())
 def test_numbers(value: float, text: str) -> None:
     assert number(value) == text
 

@@ -27,7 +27,7 @@ class ToyDynamics:
     unit_quaternions: tuple[int, ...] = ()
 
     def __init__(self, nx: int, nu: int, f: Callable[..., ca.SX], parameters: int = 0, mode: int = 0) -> None:
-        names = lambda n: [str(i) for i in range(n)]  # noqa: E731
+        names = lambda n: [str(i) for i in range(n)]
         self.state, self.input = Layout({"x": names(nx)}), Layout({"u": names(nu)})
         self.parameters = Layout({"w": names(parameters)} if parameters else {})
         self.mode = Layout({"m": names(mode)} if mode else {})
@@ -93,7 +93,7 @@ class LinearQuadratic:
         dm = ca.DM
         dynamics = ToyDynamics(self.nx, self.nu, lambda x, u, w, m: dm(self.a) @ x + dm(self.b) @ u + dm(self.c0))
         ocp = OptimalControlProblem(dynamics, 1.0, self.n, grid=self.grid, integrator=self.integrator)
-        affine = lambda a, c: lambda s: dm(a) @ ca.vertcat(s.x, s.u) + dm(c)  # noqa: E731
+        affine = lambda a, c: lambda s: dm(a) @ ca.vertcat(s.x, s.u) + dm(c)
         ocp.add(Cost("path", Rows(len(self.offset), affine(self.rows, self.offset)), list(self.weight)))
         ocp.add(Cost("end", Rows(self.nx, lambda s: dm(self.end_rows) @ s.x + dm(self.end_offset)), 3.0, at="terminal"))
         if len(self.e_offset):
@@ -113,7 +113,7 @@ class LinearQuadratic:
 
     def kkt(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solution (x, u) of the dense KKT system, by least squares (dependent rows are allowed)."""
-        n, nx, nu, nz = self.n, self.nx, self.nu, self.nx + self.nu
+        n, nx, nz = self.n, self.nx, self.nx + self.nu
         size = n * nz + nx
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
         left, right, relax = [], [], []
@@ -197,7 +197,7 @@ def call_scalar(address: int, arguments: list[np.ndarray], sizes: list[int]) -> 
     """Call ``i32 f(double** arg, double** res)``; ``sizes`` of the outputs, which start as NaN."""
     outputs = [np.full(max(s, 1), np.nan) for s in sizes]
     inputs = [np.ascontiguousarray(np.append(a, 0.0), float) for a in arguments]
-    pointer = lambda arrays: (ctypes.c_void_p * len(arrays))(*[a.ctypes.data for a in arrays])  # noqa: E731
+    pointer = lambda arrays: (ctypes.c_void_p * len(arrays))(*[a.ctypes.data for a in arrays])
     prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
     prototype(address)(pointer(inputs), pointer(outputs))
     return [o[:s] for o, s in zip(outputs, sizes, strict=True)]

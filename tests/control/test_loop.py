@@ -104,7 +104,9 @@ def test_plans_look_ahead() -> None:
 def test_a_fall_ends_the_run() -> None:
     plant, progress = fake_plant(falls_after=30), []
     timing = Timing(0.01, 3, 5, 1)
-    reason = run_lockstep(plant, FakeAgent(), FakeMPC(), timing, 1.0, lambda *a: None, lambda p, text: progress.append(p))
+    reason = run_lockstep(
+        plant, FakeAgent(), FakeMPC(), timing, 1.0, lambda *a: None, lambda p, text: progress.append(p)
+    )
     assert reason == "the robot fell at 0.10 s"
     assert plant.steps == 33
 
@@ -117,7 +119,13 @@ def test_an_aborted_mpc_ends_the_run() -> None:
 def test_progress_ends_at_one() -> None:
     progress: list[float] = []
     run_lockstep(
-        fake_plant(), FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None, lambda p, text: progress.append(p)
+        fake_plant(),
+        FakeAgent(),
+        FakeMPC(),
+        Timing(0.01, 3, 5, 1),
+        1.0,
+        lambda *a: None,
+        lambda p, text: progress.append(p),
     )
     assert progress[-1] == 1.0
     assert progress == sorted(progress)

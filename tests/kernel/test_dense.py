@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from toys import aligned_copy, call_pointers, compile_ir
 
+from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
 from wbmpc.kernel.compiled import Sizes, emit_riccati_node
 from wbmpc.kernel.scalar import DECLARATIONS
@@ -28,7 +28,7 @@ def test_matrix_product(rows: int, n: int, inner: int, negative: bool, initial: 
     start = r.normal(size=(n, 8 * blocks))
     ldi = 8 * blocks if initial else None
     text = dense.matrix_product("k", blocks, n, inner, 8 * blocks, inner, 1, 8 * blocks, ldi, negative)
-    engine, address = compile_kernel(text, "k")
+    _engine, address = compile_kernel(text, "k")
     out = aligned(n * 8 * blocks).reshape(n, -1)
     call_pointers(address, aligned_copy(a), aligned_copy(b), out, aligned_copy(start))
     want = (-1 if negative else 1) * b @ a + (start if initial else 0)
@@ -51,7 +51,7 @@ def test_chain(nx: int, nu: int, seed: int) -> None:
     full[:, nx + 1 : nx + 1 + nu] = r.normal(size=(nx, nu))
     s, a = r.normal(size=(nx, lz)), r.normal(size=(nx, lz))
     pattern = [list(np.flatnonzero(row)) for row in mask]
-    engine, address = compile_kernel(dense.chain("chain", pattern, lz), "chain")
+    _engine, address = compile_kernel(dense.chain("chain", pattern, lz), "chain")
     t, total = aligned(nx * lz).reshape(nx, lz), aligned_copy(a)
     call_pointers(address, aligned_copy(full), aligned_copy(s), t, total, np.array([0.3, 0.7]))
     want = full + 0.3 * full[:, :nx] @ s
@@ -90,7 +90,7 @@ def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.nda
     value = aligned((nx + 1) * s.lx).reshape(nx + 1, s.lx)
     value[:nx, :nx], value[:nx, nx], value[nx, :nx] = p, slope, slope
     gain = aligned(nu * s.lx).reshape(nu, s.lx)
-    engine, address = compile_kernel(emit_riccati_node(s), "riccati_node")
+    _engine, address = compile_kernel(emit_riccati_node(s), "riccati_node")
     eps, scratch = aligned(s.lg), aligned(s.scratch()["total"])
     call_pointers(address, aligned_copy(ab), aligned_copy(hm), aligned_copy(rows), eps, value, gain, scratch)
     return gain[:, : nx + 1], value[: nx + 1, : nx + 1]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from toys import call_scalar, compile_ir
 
+from toys import call_scalar, compile_ir
 from wbmpc.errors import KernelError
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from toys import call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
 
+from toys import call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
 from wbmpc.kernel.compiled import output_maps
 
 MAKERS = {"swerve": swerve_solver, "rezero": rezero_solver, "pendulum": pendulum}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from toys import pendulum, robot
 
+from toys import pendulum, robot
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
@@ -100,7 +100,7 @@ def test_observations_are_checked() -> None:
     ):
         with pytest.raises(InputError, match=message):
             mpc.update(observation)
-    with pytest.raises(InputError, match="mpc.rate"):
+    with pytest.raises(InputError, match=r"mpc\.rate"):
         MPC(mpc.ocp, REAL_TIME, 0.0)
     with pytest.raises(InputError, match=r"did you mean 'state'\?"):
         mpc.reference["stat"] = Reference.constant(np.zeros(4))
@@ -123,7 +123,7 @@ def swerve_workspace(n: int = 30):  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("twist", [(0.0, 0.2, 0.0), (0.15, -0.15, 0.0), (0.0, 0.0, 0.3), (0.1, 0.1, 0.2)])
 def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> None:
     model, solver = swerve_workspace()
-    preview = lambda t, pose: np.tile(twist, (len(t), 1))  # noqa: E731
+    preview = lambda t, pose: np.tile(twist, (len(t), 1))
     guess = SteeringGuess(model, preview)
     guess(solver, 0.0, model.home)
     base, steer, wheel = (solver.ws.u[:, model.input[g]] for g in ("base", "steer", "wheel"))
@@ -166,7 +166,7 @@ def test_guess_comes_once_per_standstill() -> None:
 
 def test_guess_waits_for_a_motion() -> None:
     model, solver = swerve_workspace()
-    later = lambda t, pose: np.where(t[:, None] > 5.0, [[0.0, 0.2, 0.0]], 0.0)  # noqa: E731
+    later = lambda t, pose: np.where(t[:, None] > 5.0, [[0.0, 0.2, 0.0]], 0.0)
     guess = SteeringGuess(model, later)
     guess(solver, 0.0, model.home)
     assert np.abs(solver.ws.u).max() == 0.0

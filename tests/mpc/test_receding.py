@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
-from toys import Rows, ToyDynamics, pendulum, robot
 
+from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.mpc import Policy
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, SQPSolver
@@ -26,8 +26,8 @@ def test_shift_of_a_linear_trajectory(backend: str, delta: float) -> None:
     """States are linear between nodes, inputs between the middles of the intervals; the ends hold."""
     solver = pendulum(backend)
     grid = solver.ws.grid
-    x = lambda t: np.outer(t, [1.0, -2.0, 0.5, 3.0]) + [0.1, 0.2, 0.3, 0.4]  # noqa: E731
-    u = lambda t: np.outer(t, [4.0, -1.0]) + [1.0, 2.0]  # noqa: E731
+    x = lambda t: np.outer(t, [1.0, -2.0, 0.5, 3.0]) + [0.1, 0.2, 0.3, 0.4]
+    u = lambda t: np.outer(t, [4.0, -1.0]) + [1.0, 2.0]
     middle = 0.5 * (grid[1:] + grid[:-1])
     solver.guess(x(grid), u(middle))
     shifted(solver, delta)
@@ -65,7 +65,9 @@ def quaternions() -> np.ndarray:
 TIMES = np.array([0.1, 0.4, 0.5, 0.9, 1.1])
 
 
-def sampled(reference: Reference, t0: float = 0.0, term: str = "hand", schedule: ModeSchedule | None = None) -> np.ndarray:
+def sampled(
+    reference: Reference, t0: float = 0.0, term: str = "hand", schedule: ModeSchedule | None = None
+) -> np.ndarray:
     model = robot("rezero")
     ocp = OptimalControlProblem(model.dynamics(), 1.3, 40)
     ocp.add(Cost("hand", residuals.FramePose(model, "tool")))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, swerve_solver
 
+from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, swerve_solver
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, sets
 
 MAKERS = {
@@ -62,7 +62,7 @@ def test_cost_gradient(solver) -> None:  # type: ignore[no-untyped-def]
         want = h * differences(of_z(solver, problem.values["cost"], p, w), np.concatenate([x, u]))[0]
         np.testing.assert_allclose(np.array(gradient).ravel(), want, atol=1e-7 * (1.0 + np.abs(want).max()))
         value, gradient, _ = problem.derivatives["terminal_quadratic"](x, p, w)
-        want = differences(lambda z: np.array(problem.values["terminal"](z, p, w)).ravel(), x)[0]
+        want = differences(lambda z, p=p, w=w: np.array(problem.values["terminal"](z, p, w)).ravel(), x)[0]
         np.testing.assert_allclose(np.array(gradient).ravel(), want, atol=1e-7 * (1.0 + np.abs(want).max()))
 
 
@@ -70,15 +70,14 @@ def gauss_newton(solver, place: str, stage) -> np.ndarray:  # type: ignore[no-un
     """Σ Jᵀ W J over the costs, J by finite differences of each residual, W from the terms as they were given."""
     problem, (x, u, p, w) = solver.problem, stage
     z = np.concatenate([x, u]) if place == "path" else x
-    total = np.zeros((z.size, z.size))
+    total, nx = np.zeros((z.size, z.size)), problem.nx
     for cost in solver.ocp.costs:
         if cost.at not in (place, "all"):
             continue
         residual = ca.Function(
             "r", [problem.x, problem.u, problem.p, problem.w], [cost.residual(problem.symbols(cost.name))]
         )
-        nx = problem.nx
-        r = lambda z, f=residual: np.array(f(z[:nx], z[nx:] if z.size > nx else u, p, w)).ravel()  # noqa: E731
+        r = lambda z, f=residual: np.array(f(z[:nx], z[nx:] if z.size > nx else u, p, w)).ravel()
         weight = cost.weight if place == "path" or cost.terminal_weight is None else cost.terminal_weight
         curve = np.array(ca.DM(cost.norm.curvature(ca.DM(r(z))))).ravel() if isinstance(cost.norm, SmoothL1) else 1.0
         j = differences(r, z)

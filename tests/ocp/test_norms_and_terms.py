@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from toys import Rows, ToyDynamics, pendulum, robot
 
+from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.errors import InputError
 from wbmpc.ocp import (
     Constraint,
@@ -50,7 +50,7 @@ def test_barrier_formula_and_curvature() -> None:
     mu, delta = 0.2, 0.1
     b = RelaxedBarrier(mu, delta)
     near = 0.5 * (((POINTS - 2 * delta) / delta) ** 2 - 1) - np.log(delta)
-    want = mu * np.where(POINTS > delta, -np.log(np.maximum(POINTS, delta)), near)
+    want = mu * np.where(delta < POINTS, -np.log(np.maximum(POINTS, delta)), near)
     np.testing.assert_allclose(evaluate(b.value), want, rtol=1e-12)
     h = 1e-5
     second = (evaluate(b.gradient, POINTS + h) - evaluate(b.gradient, POINTS - h)) / (2 * h)

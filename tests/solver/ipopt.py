@@ -17,7 +17,7 @@ def _boxes(rows: list, size: int) -> ca.Function:
 
 def _step(solver: SQPSolver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
     """The integrator written anew."""
-    f = lambda x: solver.problem.values["dynamics"](x, u, p, solver.ws.w)  # noqa: E731
+    f = lambda x: solver.problem.values["dynamics"](x, u, p, solver.ws.w)
     if solver.ocp.integrator == "rk2":
         end = x + h * f(x + 0.5 * h * f(x))
     else:

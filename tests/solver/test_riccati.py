@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
-from toys import LinearQuadratic
 
+from toys import LinearQuadratic
 from wbmpc.solver import SQP, SQPSolver
 
 
