@@ -16,7 +16,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "mpc", "estimation", "plant",
-    "control", "loop", "log", "result", "report", "experiments", "benchmark", "cli", "__main__",
+    "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from wbmpc.log import Log
 from wbmpc.report import MOST_POINTS, _thin, number, page, to_json, versions, write_run
 from wbmpc.result import Metric, MpcStatistics
 
+CHROMIUM = shutil.which("chromium")
 FELL = FakeSettings(fall_at=2.0)
 
 
@@ -106,6 +109,31 @@ def test_page_of_a_fall_says_so() -> None:
     text = page(run(FELL, 3))
     assert "The run ended early: the robot fell at 2.00 s" in text
     assert '"card verdict bad"' in text
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+@pytest.mark.parametrize("width", [1200, 500])
+def test_plots_stay_within_their_cards(tmp_path: Path, width: int) -> None:
+    """Measured by a browser; the first plot is a narrow one, which is drawn before its neighbour is there."""
+    result = run(FakeSettings(), 3)
+    result.plots = [result.plots[i] for i in (1, 2, 0)]
+    measure = (
+        "<script>addEventListener('load', () => setTimeout(() => { document.title = [...document.querySelectorAll('.plots > div')]"
+        ".map(d => d.querySelector('.main-svg').getBoundingClientRect().right <= d.getBoundingClientRect().right"
+        " ? 'fits' : 'spills').join(' ') }, 1500))</script></body>"
+    )
+    text = page(result)
+    (tmp_path / "page.html").write_text(text.replace("</body>", measure) if text.count("</body>") == 1 else "")
+    options = (
+        "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+        f"--disable-component-update --disable-sync --virtual-time-budget=6000 --window-size={width},2000 "
+        f"--user-data-dir={tmp_path / 'profile'} --dump-dom"
+    )
+    out = subprocess.run(
+        [str(CHROMIUM), *options.split(), (tmp_path / "page.html").as_uri()], capture_output=True, text=True, timeout=90
+    )
+    found = re.search(r"<title>(.*?)</title>", out.stdout)
+    assert found is not None and found.group(1) == "fits fits fits"
 
 
 def test_thinning_keeps_the_extremes_and_the_ends() -> None:

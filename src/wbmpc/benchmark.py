@@ -27,7 +27,6 @@ from wbmpc.ocp.transcription import BoxRow
 from wbmpc.report import versions
 from wbmpc.solver import SQP, SQPSolver
 
-
 #: A peer that has not answered after this time [s] is stopped and reported so.
 PEER_SECONDS = 40.0
 
@@ -230,7 +229,7 @@ def _peer(
 def run_benchmark(repeat: int = 200, progress: Callable[[float, str], None] | None = None) -> dict[str, Any]:
     """All problems by all solvers: rows with milliseconds per iteration, to convergence, and the largest difference."""
     rows: list[dict[str, Any]] = []
-    makers = (swerve_bench, partial(swerve_bench, brakes="open"), rezero_bench)
+    makers: tuple[Any, ...] = (swerve_bench, partial(swerve_bench, brakes="open"), rezero_bench)
     for k, make in enumerate(makers):
         problem = make()
         t = problem.solver.problem

@@ -32,7 +32,7 @@ h1 { font-size: 30px; line-height: 1.2; margin: 0; } h2 { font-size: 20px; margi
 th, td { text-align: left; padding: 7px 14px; white-space: nowrap; } tr + tr > * { border-top: 1px solid var(--line); }
 th { color: var(--soft); font-weight: 600; } .n { text-align: right; font-variant-numeric: tabular-nums; }
 .met { color: var(--good); } .missed { color: var(--bad); font-weight: 600; }
-.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(440px, 100%), 1fr)); gap: 16px; }
+.plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(440px, 100%), 1fr)); gap: 16px; }
 .plots > div { padding: 8px; min-width: 0; }
 h3 { font-size: 16px; font-weight: 600; margin: 6px 8px 0; }
 .plots > div.wide { grid-column: 1 / -1; }
@@ -208,7 +208,11 @@ def _solve_times(result: RunResult) -> str:
 
 
 def page(result: RunResult) -> str:
-    """The report as one HTML page that needs no network."""
+    """The report as one HTML page that needs no network.
+
+    A plot is drawn as soon as it is read. The grid keeps its columns while it fills (``auto-fill``), and plots are fitted
+    once more at the end, when a scroll bar may have come: else they would be wider than their cards.
+    """
     from plotly.offline import get_plotlyjs
 
     plots = "".join(
@@ -235,5 +239,5 @@ def page(result: RunResult) -> str:
 <details class="card"><summary>Settings of this run</summary><pre>{settings}</pre></details>
 <details class="card" open><summary>Versions and processor</summary><dl>{installed}</dl></details>
 <p class="sub">The figures are in metrics.json and all signals in log.npz, beside this page.</p>
-</main></body></html>
+</main><script>addEventListener("load", () => dispatchEvent(new Event("resize")))</script></body></html>
 """

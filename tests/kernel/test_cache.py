@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from toys import LinearQuadratic
 from wbmpc.kernel import build_kernel, cache
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Quadratic, RelaxedBarrier, SmoothL1, Transcription, sets
 from wbmpc.solver import SQP, SQPSolver
 
 
@@ -77,8 +79,18 @@ def test_directory_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
     assert cache.cache_directory() == Path.home() / ".cache" / "wbmpc"
 
 
+@dataclass(frozen=True)
+class Stiff(Quadratic):
+    """½ r² with another Gauss-Newton curvature."""
+
+    factor: float = 2.0
+
+    def curvature(self, r: ca.SX) -> ca.SX:
+        return self.factor * ca.SX.ones(r.shape)
+
+
 def test_norms_belong_to_the_key(folder: Path) -> None:
-    """Gauss-Newton curvature is not in the values; scale, weight's shape and barrier must not share an entry."""
+    """Gauss-Newton curvature is not in the values; norms of the same value and other curvature share no entry."""
     lq = LinearQuadratic(3, 2, 0)
 
     def problem(norm: object, mu: float) -> OptimalControlProblem:
@@ -88,7 +100,8 @@ def test_norms_belong_to_the_key(folder: Path) -> None:
         ocp.add(Constraint("soft", residual, sets.NonNegative(), penalty=RelaxedBarrier(mu, 0.1)))
         return ocp
 
-    for norm, mu in ((SmoothL1(1.0), 0.1), (SmoothL1(2.0), 0.1), (SmoothL1(1.0), 0.2)):
+    norms = (SmoothL1(1.0), SmoothL1(2.0), Quadratic(), Stiff(), Stiff(3.0))
+    for norm, mu in (*((n, 0.1) for n in norms), (SmoothL1(1.0), 0.2)):
         assert not build_kernel(Transcription(problem(norm, mu))).from_cache
         assert build_kernel(Transcription(problem(norm, mu))).from_cache
 

@@ -65,9 +65,11 @@ def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:
     nx, nu, ng = s.nx, s.nu, s.ng
     h = r.normal(size=(nx + nu, nx + nu + 2))
     p = r.normal(size=(nx, nx + 2))
+    # well-conditioned rows, or the answer depends on the kernel's small compliance
+    turn = np.linalg.qr(r.normal(size=(nu, nu)))[0][:, :ng].T * r.uniform(0.5, 2.0, (ng, 1))
     return (
         r.normal(size=(nx, nx)), r.normal(size=nx), r.normal(size=(nx, nu)), h @ h.T, r.normal(size=nx + nu),
-        r.normal(size=(ng, nx)), r.normal(size=(ng, nu)), r.normal(size=ng), p @ p.T, r.normal(size=nx),
+        r.normal(size=(ng, nx)), turn, r.normal(size=ng), p @ p.T, r.normal(size=nx),
     )  # fmt: skip
 
 
@@ -96,7 +98,7 @@ def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.nda
     return gain[:, : nx + 1], value[: nx + 1, : nx + 1]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.integers(1, 9), st.integers(1, 9), st.data())
 def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObject) -> None:
     s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))))

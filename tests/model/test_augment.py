@@ -15,7 +15,13 @@ from wbmpc.solver import SQP, SQPSolver, Status
 def arm_problem(dynamics, robot) -> OptimalControlProblem:
     ocp = OptimalControlProblem(dynamics, 2.0, 40)
     ocp.add(Cost("posture", residuals.State(robot), {"arm": 10.0, "base": 1.0}, at="all"))
-    ocp.add(Cost("speed", residuals.Input(robot, tracked=False), {"base": 1.0, "leg": 1.0, "steer": 1.0, "wheel": 0.01, "arm": 0.1}))
+    ocp.add(
+        Cost(
+            "speed",
+            residuals.Input(robot, tracked=False),
+            {"base": 1.0, "leg": 1.0, "steer": 1.0, "wheel": 0.01, "arm": 0.1},
+        )
+    )
     ocp.add(Constraint("rolling", residuals.WheelRolling(robot)))
     return ocp
 
@@ -62,7 +68,9 @@ def test_drive_lag_follows_the_exponential() -> None:
     np.testing.assert_allclose(x[robot.state["arm"]] - robot.home[robot.state["arm"]], travelled, rtol=1e-4)
 
 
-@pytest.mark.parametrize("wrap", [lambda d: InputRate(d, ["wheel"]), lambda d: DriveLag(d, {"wheel": 0.02, "arm": 0.05})])
+@pytest.mark.parametrize(
+    "wrap", [lambda d: InputRate(d, ["wheel"]), lambda d: DriveLag(d, {"wheel": 0.02, "arm": 0.05})]
+)
 def test_jacobian_against_finite_differences(wrap) -> None:
     dynamics = wrap(load_robot("rezero").dynamics())
     nx, nu = dynamics.state.size, dynamics.input.size
@@ -75,7 +83,9 @@ def test_jacobian_against_finite_differences(wrap) -> None:
     value, jacobian = (np.array(v) for v in both(z, parameters))
     np.testing.assert_allclose(value, np.array(plain(z, parameters)), atol=1e-10)
     h = 1e-6
-    difference = [np.array(plain(z + h * e, parameters) - plain(z - h * e, parameters)).ravel() / (2 * h) for e in np.eye(nx + nu)]
+    difference = [
+        np.array(plain(z + h * e, parameters) - plain(z - h * e, parameters)).ravel() / (2 * h) for e in np.eye(nx + nu)
+    ]
     np.testing.assert_allclose(jacobian, np.array(difference).T, atol=1e-5)
 
 

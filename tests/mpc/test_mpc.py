@@ -110,7 +110,7 @@ def test_observations_are_checked() -> None:
 
 
 # ---------------------------------------------------------------------- steering guess
-def swerve_workspace(n: int = 30):  # type: ignore[no-untyped-def]
+def swerve_workspace(n: int = 240):  # type: ignore[no-untyped-def]
     from types import SimpleNamespace
 
     model = robot("swerve-ur10")

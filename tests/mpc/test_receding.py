@@ -122,6 +122,13 @@ def test_hold(kind: str) -> None:
     np.testing.assert_array_equal(got, values[index])
 
 
+def test_hold_forgives_rounding() -> None:
+    """A sample at 3 · 0.1 s (a little more than 0.3) holds at 0.3 s already."""
+    assert 3 * 0.1 > 0.3
+    got = sampled(Reference([0.0, 3 * 0.1], [[1.0] * 6, [2.0] * 6], "hold"), 0.3, "twist")
+    np.testing.assert_array_equal(got, 2.0)
+
+
 def test_a_jump_between_two_samples_of_the_same_time() -> None:
     reference = Reference([0.0, 0.65, 0.65, 1.0], [[0.0] * 6, [1.0] * 6, [5.0] * 6, [5.0] * 6])
     got = sampled(reference, 0.0, "twist")[:, 0]

@@ -19,6 +19,8 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver.driver import backward
+from wbmpc.solver.workspace import BLOCKS, OFFSETS
 
 
 def compare(solver: SQPSolver, x0: np.ndarray, tolerance: float = 1e-6, near: bool = False):  # type: ignore[no-untyped-def]
@@ -135,6 +137,28 @@ def test_quaternion_base_has_the_same_optimum() -> None:
     np.testing.assert_allclose(2.0 * np.arctan2(base[:, 6], base[:, 3]), a.x[:, 2], atol=1e-5)
     assert np.abs(a.x[-1, 2]) > 1e-3  # it does turn
     assert np.abs(np.linalg.norm(base[:, 3:], axis=1) - 1.0).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["rk2", "rk4", "quaternion"])
+def test_linearised_dynamics_are_the_derivative_of_the_step(kind: str) -> None:
+    """[A B] of the first interval against differences of the simulated step, unit quaternions included."""
+    r = np.random.default_rng(2)
+    solver = quaternion_solver("quaternion") if kind == "quaternion" else pendulum(integrator=kind)
+    nx, nu, h = solver.problem.nx, solver.problem.nu, solver.ws.grid[1]
+    u = r.normal(size=nu)
+    x = 0.3 * r.normal(size=nx)
+    if kind == "quaternion":
+        x[2:7], u[:3] = [0.3, np.cos(0.4), 0.0, 0.0, np.sin(0.4)], [1.0, -0.5, 4.0]
+    solver.guess(x, u)
+    backward(solver.ws.memory, solver.ws.table, True)
+    s, start = solver.kernel.sizes, solver.ws.table[OFFSETS + BLOCKS.index("ab")]
+    ab = solver.ws.memory[start : start + nx * s.lz].reshape(nx, s.lz)
+    columns = []
+    for d in 1e-6 * np.eye(nx + nu):
+        high, low = (solver.simulate(x + sign * d[:nx], u + sign * d[nx:], h) for sign in (1, -1))
+        columns.append((high - low) / 2e-6)
+    got = np.hstack([ab[:, :nx], ab[:, s.first : s.first + nu]])
+    np.testing.assert_allclose(got, np.array(columns).T, atol=1e-7)
 
 
 def test_quaternion_norm_does_not_drift_in_simulation() -> None:

@@ -14,10 +14,12 @@ from wbmpc.solver import SQP
 
 
 class HandCost(Settings):
-    """Weights of the hand: position [1/m²], pitch and yaw and (not controllable at rest) roll-like error [1/rad²]."""
+    """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
+    which the arm cannot control at rest; linear and angular velocity."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
+    roll: Weight = 3.0
     twist: Weight = 1.0
     angular: Weight = 0.2
 
@@ -55,7 +57,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     h, b, t = cost.hand, cost.body, cost.torque
-    pose = np.array([h.weight] * 3 + [h.orientation] * 3)
+    pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
     body: dict[str, Any] = {
@@ -70,7 +72,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     ocp.add(
         Cost(
             "hand",
-            residuals.FramePose(robot, robot.tool),
+            residuals.FramePose(robot, robot.tool, axes="reference"),
             list(pose),
             at="all",
             terminal_weight=list(cost.terminal * pose),

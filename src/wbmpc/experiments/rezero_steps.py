@@ -34,12 +34,13 @@ IDEALISATIONS = [
 
 @dataclass(frozen=True)
 class Step:
-    """A change of the hand's pose: translation [m] in the world, or a rotation about a world or hand axis [rad]."""
+    """A change of the hand's pose: translation [m] in the world, or a rotation [rad] about a world or hand axis."""
 
     name: str
     move: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] | None = None
     angle: float = 0.0
+    of_hand: bool = False
 
 
 STEPS = (
@@ -50,36 +51,39 @@ STEPS = (
     Step("+z 0.1 m", (0.0, 0.0, 0.1)),
     Step("-z 0.1 m", (0.0, 0.0, -0.1)),
     Step("yaw 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6),
-    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9),
+    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9, of_hand=True),
 )
+EULER = ("yaw", "pitch", "roll")
+#: A roll about the forearm, which an arm with yaw and two pitch joints does not have: asked for last, then home again.
+IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=True)
 
 
 class RezeroStepsSettings(ExperimentSettings):
-    """``hold`` [s] of each step and of home between them; ``preview``: whether the MPC sees a step before it comes;
+    """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them; ``preview``: whether the MPC sees a step before it comes;
     ``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes."""
 
     mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=1e-2)
     cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=1.0)
-    settle: float = Field(3.0, ge=0.5)
+    settle: float = Field(5.0, ge=0.5)
+    rest: float = Field(10.0, ge=0.0)
     preview: bool = True
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0)
 
 
 def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's pose after a step from home; yaw about the world's vertical, pitch about the hand's own axis."""
+    """The hand's pose after a step from home."""
     if step.axis is None:
         return position + np.array(step.move), quaternion
     turn = lie.quaternion_about(step.axis, step.angle)
-    first = step.axis[2] != 0.0
-    turned = lie.quaternion_multiply(turn, quaternion) if first else lie.quaternion_multiply(quaternion, turn)
+    turned = lie.quaternion_multiply(quaternion, turn) if step.of_hand else lie.quaternion_multiply(turn, quaternion)
     return position, turned
 
 
 @dataclass(frozen=True)
 class _Schedule:
-    """Home for ``settle``, then the steps one after another, each from the last home: times and poses that hold."""
+    """Home for ``settle``, the steps one after another, the impossible one, home again: times and poses that hold."""
 
     times: np.ndarray
     positions: np.ndarray
@@ -88,10 +92,10 @@ class _Schedule:
 
     @classmethod
     def of(cls, settings: RezeroStepsSettings, robot: RobotModel) -> _Schedule:
-        position, quaternion = robot.pose(robot.home)
-        poses = [(position, quaternion)] + [target(s, position, quaternion) for s in STEPS]
-        times = [0.0, *(settings.settle + settings.hold * np.arange(len(STEPS)))]
-        duration = settings.settle + settings.hold * len(STEPS)
+        home = robot.pose(robot.home)
+        poses = [home, *(target(s, *home) for s in (*STEPS, IMPOSSIBLE)), home]
+        times = [0.0, *(settings.settle + settings.hold * np.arange(len(STEPS) + 2))]
+        duration = times[-1] + settings.rest
         return cls(np.array(times), np.array([p for p, _ in poses]), np.array([q for _, q in poses]), duration)
 
     def reference(self) -> Reference:
@@ -164,6 +168,13 @@ def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> n
     return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
 
 
+def _orientation_error(log: Log, schedule: _Schedule, pose: int, use: np.ndarray) -> float:
+    """Length [rad] of the mean rotation vector from a pose of the schedule to the hand."""
+    wanted = lie.quaternion_conjugate(schedule.quaternions[pose])
+    errors = [lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[use]]
+    return float(np.linalg.norm(np.mean(errors, axis=0)))
+
+
 def _rise(t: np.ndarray, done: np.ndarray) -> float:
     """Time from 10 to 90 % [s]; infinite if it never gets there."""
     low, high = np.flatnonzero(done > 0.1), np.flatnonzero(done > 0.9)
@@ -178,23 +189,22 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
         if t[-1] < end - 0.1:
             continue
-        window = (t >= start - lead) & (t < end - (lead if k + 1 < len(STEPS) else 0.0))
+        window = (t >= start - lead) & (t < end - lead)
         rises.append(_rise(t[window], _progress_of(k, log, schedule, window)))
         # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
-        late = end - (lead if k + 1 < len(STEPS) else 0.0)
-        last = (t >= late - 1.0) & (t < late)
+        last = (t >= end - lead - 1.0) & (t < end - lead)
         steady.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
-        wanted = lie.quaternion_conjugate(schedule.quaternions[k + 1])
-        mean = np.mean(
-            [lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[last]], axis=0
-        )
-        turned.append(float(np.linalg.norm(mean)))
+        turned.append(_orientation_error(log, schedule, k + 1, last))
+    start = schedule.times[len(STEPS) + 1]
+    roll = (t >= start + settings.hold - lead - 1.0) & (t < start + settings.hold - lead)
+    unreachable = _orientation_error(log, schedule, len(STEPS) + 1, roll) if roll.any() else float("inf")
     worst = lambda values: max(values) if values else float("inf")
     return {
         "rise_time_max": Metric(worst(rises), "s", goal=1.2),
         "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),
         "steady_position_error_world_max": Metric(worst(steady), "m"),
         "steady_orientation_error_max": Metric(worst(turned), "rad"),
+        "unreachable_rotation_error": Metric(unreachable, "rad"),
         "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
         "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),
         "fell": Metric(float(fell), "1", goal=0.0),
@@ -215,7 +225,7 @@ def _plots(log: Log, schedule: _Schedule, robot: RobotModel, mpc: MPC) -> list[P
         Plot("Hand position and its reference", "time [s]", "position [m]", [*lines, *goals]),
         Plot("Hand position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(hand - asked, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
-        Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(("yaw", "pitch", "roll"))]),
+        Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
         Plot("Torques over their limits", "time [s]", "|torque| / limit", [
             Series(n, t, np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
         ]),

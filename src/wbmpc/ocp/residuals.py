@@ -111,7 +111,7 @@ class Input(_Component):
 
 @dataclass(frozen=True)
 class FramePose:
-    """Pose error of a frame: position (3) [m], world axes; orientation (3) [rad], world axes.
+    """Pose error of a frame: position (3) [m] in world axes; orientation (3) [rad] in world or the reference's ``axes``.
 
     Reference: position (3) and quaternion (4). ``orientation``: "log" (default), twice the vector part of the error
     quaternion for "vector" (Minniti et al. 2019, section IV-B), which is flat at 180 degrees.
@@ -120,6 +120,7 @@ class FramePose:
     robot: RobotModel
     frame: str
     orientation: Literal["log", "vector"] = "log"
+    axes: Literal["world", "reference"] = "world"
 
     size = 6
     reference = 7
@@ -131,7 +132,9 @@ class FramePose:
 
     def __call__(self, s: Symbols) -> ca.SX:
         pose = self.robot.frame_pose(s.x, self.frame)
-        error = lie.quaternion_multiply(pose.quaternion, lie.quaternion_conjugate(s.reference[3:7]))
+        wanted = lie.quaternion_conjugate(s.reference[3:7])
+        pair = (pose.quaternion, wanted) if self.axes == "world" else (wanted, pose.quaternion)
+        error = lie.quaternion_multiply(*pair)
         rotation = lie.quaternion_log(error) if self.orientation == "log" else 2.0 * lie.quaternion_error_vector(error)
         return ca.vertcat(pose.position - s.reference[0:3], rotation)
 
