@@ -31,6 +31,7 @@ format: $(VENV)/.tested
 	$(BIN)/ruff format .
 
 pictures: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(BIN)/python scripts/pictures.py
 
 $(VENV)/bin/python:

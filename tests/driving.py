@@ -32,7 +32,7 @@ class Motion:
 
     def share(self, t: np.ndarray) -> np.ndarray:
         """Speed over full speed."""
-        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * np.clip(s / self.ramp, 0.0, 1.0))  # noqa: E731
+        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * np.clip(s / self.ramp, 0.0, 1.0))
         return rise(t - self.start) - rise(t - self.start - self.length)
 
     @property

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from driving import CONFIGURATIONS, Motion, drive
 
+from driving import CONFIGURATIONS, Motion, drive
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_problem
 from wbmpc.model import load_robot

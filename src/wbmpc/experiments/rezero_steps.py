@@ -59,8 +59,11 @@ IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=
 
 
 class RezeroStepsSettings(ExperimentSettings):
-    """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them; ``preview``: whether the MPC sees a step before it comes;
-    ``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes."""
+    """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
+
+    ``preview``: whether the MPC sees a step before it comes; ``observer``: whether constant disturbances are estimated;
+    ``drive_lag`` [s] that the controller assumes.
+    """
 
     mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=1e-2)
     cost: RezeroCost = RezeroCost()

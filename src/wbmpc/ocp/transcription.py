@@ -235,7 +235,7 @@ class Transcription:
         value, gradient, hessian = self._quadratic("path", self.z)
         end = self._quadratic("terminal", self.x)
         rows = self.equality
-        make: Any = lambda name, inputs, out: ca.Function(name, inputs, ca.cse(out))
+        make: Any = lambda name, inputs, out: ca.Function(name, inputs, [ca.SX(e) for e in ca.cse(out)])
         h = self.h
         return {
             "dynamics_jacobian": make("dynamics_jacobian", args, [ca.densify(f), jacobian]),

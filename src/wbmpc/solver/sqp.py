@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -119,6 +120,9 @@ class SQPSolver:
         from wbmpc.solver.receding import make_tables
 
         if self._tables is None:
+            for name, term in self.ocp.terms.items():
+                if isinstance(term.residual, FramePose) and name not in self.references:
+                    raise InputError(f"term '{name}': its reference (a pose) is not set")
             self._tables = make_tables(self.problem, self.references, self.schedule)
         return self._tables
 

@@ -1,0 +1,48 @@
+"""What readers copy runs: the examples and the README's program. Truth: exit status and the figures they print."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def run_python(arguments: list[str]) -> str:
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT / "src")}
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def figure(text: str, pattern: str) -> float:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return float(found.group(1))
+
+
+@pytest.mark.parametrize("name", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
+def test_examples_are_short(name: str) -> None:
+    assert len((ROOT / "examples" / name).read_text().splitlines()) <= 80
+
+
+def test_first_example_tracks() -> None:
+    assert figure(run_python(["examples/01_arm_on_swerve.py"]), r"mean ([\d.]+) mm") < 1.0
+
+
+def test_second_example_stands_and_arrives() -> None:
+    text = run_python(["examples/02_ball_robot.py"])
+    assert "stood" in text
+    assert figure(text, r"last second: ([\d.]+) mm") < 10.0
+
+
+def test_program_of_the_readme() -> None:
+    program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert program is not None
+    speed = figure(run_python(["-c", program.group(1)]), r"\[ *([\d.]+)")
+    assert 0.1 < speed < 0.3
