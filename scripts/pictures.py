@@ -38,7 +38,7 @@ def rezero() -> None:
     """The ball robot in the middle of a step: it leans into it."""
     result = rezero_steps.run(rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0), 0)
     robot, log = load_robot("rezero"), result.log
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    _, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     k = int(np.argmax(log.array("tilt")))
     state = log.array("state")[k] * np.where(np.arange(robot.state.size) < 8, 1.0, 0.0)
     plant = RezeroPlant(robot.description, state, torque, Perturbation.none())

@@ -45,4 +45,4 @@ def test_program_of_the_readme() -> None:
     program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert program is not None
     speed = figure(run_python(["-c", program.group(1)]), r"\[ *([\d.]+)")
-    assert 0.1 < speed < 0.3
+    assert 0.05 < speed < 0.3  # the reference moves at 0.2 m/s, the arm takes a part of it
