@@ -290,9 +290,9 @@ def forward(m, o, x0):  # type: ignore[no-untyped-def]
 
 @compiled
 def kkt_residual(m, o):  # type: ignore[no-untyped-def]
-    """max |H δz|: with the multipliers of the quadratic problem that is the Lagrangian's gradient at the iterate."""
+    """(max |H δz|, δzᵀ H δz). With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate."""
     n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, nz = 0.0, nx + 1 + nu
+    largest, curvature, nz = 0.0, 0.0, nx + 1 + nu
     for k in range(n):
         h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
         for i in range(nz):
@@ -304,12 +304,14 @@ def kkt_residual(m, o):  # type: ignore[no-untyped-def]
                     low, high = (j, i) if j < i else (i, j)
                     total += m[h + high * lz + low] * (m[dx + j] if j < nx else m[du + j])
             largest = max(largest, abs(total))
+            curvature += total * (m[dx + i] if i < nx else m[du + i])
     for i in range(nx):
         total = 0.0
         for j in range(nx):
             total += m[o[TERMINAL] + i * lx + j] * m[o[DX] + n * lx + j]
         largest = max(largest, abs(total))
-    return largest
+        curvature += total * m[o[DX] + n * lx + i]
+    return largest, curvature
 
 
 @compiled
@@ -345,7 +347,7 @@ def trial(m, o, x0, alpha):  # type: ignore[no-untyped-def]
 
 @compiled
 def accept(cost, violation, base_cost, base_violation, slope, penalty, alpha):  # type: ignore[no-untyped-def]
-    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.29)."""
+    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36)."""
     merit, base = cost + penalty * violation, base_cost + penalty * base_violation
     rounding = 1e-9 * (1.0 + abs(base_cost))  # of a sum of many terms
     return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * base_violation) + rounding
@@ -377,7 +379,7 @@ def solve(m, o, x0, iterations, tolerance, feasibility, smallest, certify, force
             gaps += abs(x0[i] - m[o[X] + i])
         violation = gaps + rows
         largest, slope = forward(m, o, x0)
-        kkt = kkt_residual(m, o) if certify else np.nan
+        kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
         log[it, 0], log[it, 1], log[it, 2], log[it, 3], log[it, 4] = cost, violation, kkt, largest, 0.0
         log[it, 5], log[it, 6] = gaps, rows
         if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(largest)):
@@ -385,7 +387,7 @@ def solve(m, o, x0, iterations, tolerance, feasibility, smallest, certify, force
         if certify and kkt <= tolerance and violation <= feasibility:
             return CONVERGED, it + 1
         if violation > 1e-12:
-            penalty = max(penalty, 2.0 * slope / violation)
+            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / violation)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
         first_alpha = max(0.5 * first_alpha, 0.1) if kkt > last_kkt else min(1.3 * first_alpha, 1.0)
         last_kkt = kkt

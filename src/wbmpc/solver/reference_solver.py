@@ -164,14 +164,17 @@ class InterpretedSolver:
         for k in reversed(range(n)):
             ws.k[k], feeds[k], value, slope = riccati_step(*nodes[k], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
-        kkt, along = 0.0, 0.0
+        kkt, along, curvature = 0.0, 0.0, 0.0
         for k, (a, b, gap, h, g, *_) in enumerate(nodes):
             du.append(ws.k[k] @ dx[k] + feeds[k])
             dz = np.concatenate([dx[k], du[k]])
-            kkt, along = max(kkt, np.abs(h @ dz).max()), along + g @ dz
+            kkt, along, curvature = max(kkt, np.abs(h @ dz).max()), along + g @ dz, curvature + dz @ h @ dz
             dx.append(a @ dx[k] + b @ du[k] + gap)
         kkt, along = max(kkt, np.abs(end @ dx[n]).max()), along + end_slope @ dx[n]
-        return {"dx": np.array(dx), "du": np.array(du), "kkt": kkt, "slope": along, "value": value}
+        curvature += dx[n] @ end @ dx[n]
+        return {
+            "dx": np.array(dx), "du": np.array(du), "kkt": kkt, "slope": along, "curvature": curvature, "value": value,
+        }  # fmt: skip
 
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
@@ -196,7 +199,8 @@ class InterpretedSolver:
             if settings.certify and s["kkt"] <= settings.tolerance and violation <= settings.feasibility:
                 return 0, it + 1
             if violation > 1e-12:
-                penalty = max(penalty, 2.0 * s["slope"] / violation)
+                curvature = s["curvature"] if settings.certify else 0.0  # the compiled solver has it only then
+                penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / violation)
             first_alpha = max(0.5 * first_alpha, 0.1) if s["kkt"] > last_kkt else min(1.3 * first_alpha, 1.0)
             last_kkt = s["kkt"]
             alpha = first_alpha
