@@ -5,21 +5,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.solver import SQP
 
 
 class HandCost(Settings):
     """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
-    which the arm cannot control at rest; linear and angular velocity."""
+    which the arm cannot control at rest; linear and angular velocity. ``limit`` [m, rad]: errors beyond it pull no
+    harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
     roll: Weight = 3.0
+    limit: float = Field(default=0.1, gt=0)
     twist: Weight = 1.0
     angular: Weight = 0.2
 
@@ -74,6 +77,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
             "hand",
             residuals.FramePose(robot, robot.tool, axes="reference"),
             list(pose),
+            norm=SmoothL1(h.limit),
             at="all",
             terminal_weight=list(cost.terminal * pose),
         )
