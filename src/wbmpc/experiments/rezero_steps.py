@@ -70,7 +70,7 @@ class RezeroStepsSettings(ExperimentSettings):
     hold: float = Field(5.0, ge=1.0)
     settle: float = Field(5.0, ge=0.5)
     rest: float = Field(10.0, ge=0.0)
-    preview: bool = False
+    preview: bool = True
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0)
 

@@ -17,12 +17,11 @@ from wbmpc.errors import InputError
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
 from wbmpc.plant.world import (
-    NO_TORQUE,
     ROBOT,
     TIMESTEP,
     Array,
     Edit,
-    Hook,
+    InWorld,
     World,
     add_drive,
     add_floor,
@@ -66,7 +65,7 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
     )
 
 
-class RezeroPlant:
+class RezeroPlant(InWorld):
     """Physics and drives of a ball robot.
 
     ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm
@@ -187,31 +186,6 @@ class RezeroPlant:
         self._history.append((self.data.qpos.copy(), self.data.qvel.copy()))
 
     # ------------------------------------------------------------------ running
-    @property
-    def time(self) -> float:
-        """Simulated time [s]."""
-        return self.world.time
-
-    @property
-    def fell(self) -> bool:
-        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
-        return self.world.fell
-
-    @property
-    def external(self) -> Hook | None:
-        """Called before every physics step with (model, data)."""
-        return self.world.external
-
-    @external.setter
-    def external(self, hook: Hook | None) -> None:
-        self.world.external = hook
-
-    def push(
-        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
-    ) -> None:
-        """Push a body until changed: see :meth:`World.push`."""
-        self.world.push(force, torque, body, point)
-
     def _state_of(self, q: Array, v: Array) -> Array:
         return minimal_state(q[3:7], v[0:6], q[0:3], q[self._arm_q], v[self._arm_v])
 

@@ -20,12 +20,11 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
 from wbmpc.plant.world import (
-    NO_TORQUE,
     ROBOT,
     TIMESTEP,
     Array,
     Edit,
-    Hook,
+    InWorld,
     World,
     add_drive,
     add_floor,
@@ -49,7 +48,7 @@ _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 _IMU_INTERVAL = 0.0025
 
 
-class SwervePlant:
+class SwervePlant(InWorld):
     """Physics, drives, brakes and sensors of a swerve robot.
 
     ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
@@ -209,31 +208,6 @@ class SwervePlant:
         self._history.append(d.qpos[self._all])
 
     # ------------------------------------------------------------------ running
-    @property
-    def time(self) -> float:
-        """Simulated time [s]."""
-        return self.world.time
-
-    @property
-    def fell(self) -> bool:
-        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
-        return self.world.fell
-
-    @property
-    def external(self) -> Hook | None:
-        """Called before every physics step with (model, data)."""
-        return self.world.external
-
-    @external.setter
-    def external(self, hook: Hook | None) -> None:
-        self.world.external = hook
-
-    def push(
-        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
-    ) -> None:
-        """Push a body until changed: see :meth:`World.push`."""
-        self.world.push(force, torque, body, point)
-
     def _set_brakes(self, brake: Array) -> None:
         for dof, is_open in zip(self._v["leg"], brake, strict=True):
             self.model.dof_frictionloss[dof] = 0.0 if is_open > 0.5 else BRAKE_TORQUE

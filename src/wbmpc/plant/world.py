@@ -224,3 +224,34 @@ class World:
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""
         return {name: float(self.data.qpos[i]) for name, i in self._joints.items()}
+
+
+class InWorld:
+    """What a plant hands on to its world: time, the fall, pushes."""
+
+    world: World
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.world.time
+
+    @property
+    def fell(self) -> bool:
+        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
+        return self.world.fell
+
+    @property
+    def external(self) -> Hook | None:
+        """Called before every physics step with (model, data)."""
+        return self.world.external
+
+    @external.setter
+    def external(self, hook: Hook | None) -> None:
+        self.world.external = hook
+
+    def push(
+        self, force: ArrayLike, torque: ArrayLike = NO_TORQUE, body: str | None = None, point: ArrayLike | None = None
+    ) -> None:
+        """Push a body until changed: see :meth:`World.push`."""
+        self.world.push(force, torque, body, point)
