@@ -13,38 +13,50 @@ from wbmpc.plant import Perturbation, RezeroPlant, SwervePlant
 from wbmpc.plant.render import Camera, Renderer
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SIZE = (1200, 675)
+SIZE, FINER = (1200, 700), 2
 
 
 def save(name: str, picture: np.ndarray) -> None:
+    """Write a picture that was drawn ``FINER`` times larger: halving it smooths edges and shadows."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(picture).quantize(192).save(IMAGES / name, optimize=True)
+    small = Image.fromarray(picture).resize(SIZE, Image.Resampling.LANCZOS)
+    small.quantize(256).save(IMAGES / name, optimize=True)
+
+
+def draw(plant: SwervePlant | RezeroPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
+    """The plant with the way that its hand is asked to go."""
+    with Renderer(plant, SIZE[0] * FINER, SIZE[1] * FINER) as renderer:
+        return renderer.frame(camera, line)
 
 
 def swerve() -> None:
-    """The swerve robot on its way along the sine, at 60 % of one period's run."""
-    result = swerve_track.run(swerve_track.SwerveTrackSettings(periods=1, rest=2.0), 0)
+    """The swerve robot on its way along the sine, in the second period."""
+    result = swerve_track.run(swerve_track.SwerveTrackSettings(periods=2, rest=2.0), 0)
     robot, log = load_robot("swerve-ur10"), result.log
-    k = int(0.6 * len(log.times("base")))
+    k = int(0.62 * len(log.times("base")))
     parts = {g: log.array(g)[k] for g in ("base", "steer", "arm")}
     state = robot.state.split(robot.home) | parts
     plant = SwervePlant(robot.description, state, Perturbation.none())
-    camera = Camera(target=(0.35, 0.35, 0.5), distance=4.3, azimuth=2.5, elevation=-0.32)
-    with Renderer(plant, *SIZE) as renderer:
-        save("swerve.png", renderer.frame(camera, log.array("hand_reference")[::4]))
+    camera = Camera(target=(0.25, 0.3, 0.38), distance=4.6, azimuth=2.35, elevation=-0.36, field=0.5)
+    save("swerve.png", draw(plant, camera, log.array("hand_reference")[::4]))
 
 
 def rezero() -> None:
-    """The ball robot in the middle of a step: it leans into it."""
-    result = rezero_steps.run(rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0), 0)
+    """The ball robot in the middle of the 0.4 m step to the other side: it leans into it. The line joins both goals."""
+    settings = rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0)
+    result = rezero_steps.run(settings, 0)
     robot, log = load_robot("rezero"), result.log
-    _, torque = robot.equilibrium(robot.home[robot.state["arm"]])
-    k = int(np.argmax(log.array("tilt")))
+    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    start = settings.settle + 3 * settings.hold
+    during = (log.times("state") > start) & (log.times("state") < start + 0.7)
+    k = int(np.argmax(np.where(during, log.array("tilt"), 0.0)))
     state = log.array("state")[k] * np.where(np.arange(robot.state.size) < 8, 1.0, 0.0)
     plant = RezeroPlant(robot.description, state, torque, Perturbation.none())
-    camera = Camera(target=(0.12, 0.0, 0.55), distance=2.4, azimuth=2.0, elevation=-0.2)
-    with Renderer(plant, *SIZE) as renderer:
-        save("rezero.png", renderer.frame(camera))
+    camera = Camera(target=(0.2, 0.1, 0.47), distance=2.2, azimuth=2.75, elevation=-0.2, field=0.55)
+    height = np.array([0.0, 0.0, robot.base.base.ball_radius])
+    position, _ = robot.pose(home)
+    line = position + height + np.outer(np.linspace(-0.2, 0.2, 21), [0.0, 1.0, 0.0])
+    save("rezero.png", draw(plant, camera, line))
 
 
 if __name__ == "__main__":
