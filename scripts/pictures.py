@@ -43,7 +43,7 @@ def swerve() -> None:
 
 def rezero() -> None:
     """The ball robot in the middle of the 0.4 m step to the other side: it leans into it. The line joins both goals."""
-    settings = rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0)
+    settings = rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0, preview=False)
     result = rezero_steps.run(settings, 0)
     robot, log = load_robot("rezero"), result.log
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
@@ -52,7 +52,7 @@ def rezero() -> None:
     k = int(np.argmax(np.where(during, log.array("tilt"), 0.0)))
     state = log.array("state")[k] * np.where(np.arange(robot.state.size) < 8, 1.0, 0.0)
     plant = RezeroPlant(robot.description, state, torque, Perturbation.none())
-    camera = Camera(target=(0.2, 0.1, 0.47), distance=2.2, azimuth=2.75, elevation=-0.2, field=0.55)
+    camera = Camera(target=(0.1, -0.03, 0.47), distance=2.1, azimuth=2.9, elevation=-0.2, field=0.55)
     height = np.array([0.0, 0.0, robot.base.base.ball_radius])
     position, _ = robot.pose(home)
     line = position + height + np.outer(np.linspace(-0.2, 0.2, 21), [0.0, 1.0, 0.0])

@@ -9,13 +9,14 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.control import SwerveAgent
+from wbmpc.errors import InputError
 from wbmpc.estimation import ReleaseOdometry
 from wbmpc.experiments.paths import SinePath, nearest_distance
 from wbmpc.experiments.settings import ExperimentSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
-from wbmpc.model import load_robot
+from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwerveCommand, SwervePlant
@@ -38,7 +39,7 @@ class SwerveTrackSettings(ExperimentSettings):
     [s] of standing (0.2 to 0.4 was best on seeds 0 to 9)."""
 
     cost: SwerveCost = SwerveCost()
-    robot: Literal["swerve-ur10", "swerve-fixed-ur10"] = "swerve-ur10"
+    robot: str = "swerve-ur10"
     variant: Literal["horizontal", "vertical"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, gt=0, le=0.8)
@@ -98,7 +99,7 @@ HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
 
 def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run; metrics are those of section "Names of the metrics" in docs/experiments.md."""
-    robot = load_robot(settings.robot)
+    robot = _swerve_robot(settings.robot)
     references = _References(settings)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     references.set(mpc, robot.home)
@@ -141,11 +142,20 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     )  # fmt: skip
 
 
+def _swerve_robot(name: str) -> RobotModel:
+    robot = load_robot(name)
+    if robot.description.base.type != "swerve":
+        raise InputError(f"robot: '{name}' has a base of type '{robot.description.base.type}'; valid: swerve")
+    return robot
+
+
 def _stand(plant: SwervePlant, agent: SwerveAgent, timing: Timing, seconds: float) -> None:
     """Let the robot stand with closed brakes while the gyro's bias is averaged; ends before the run's time 0."""
     for _ in range(round(seconds / timing.period)):
         agent.rest(plant.measure())
-        plant.step(SwerveCommand.stop(), timing.steps)
+        plant.step(
+            SwerveCommand.stop(len(agent.robot.base.geometry.hinge), len(agent.robot.input.groups["arm"])), timing.steps
+        )
 
 
 def _turn(yaw: float) -> np.ndarray:
