@@ -26,6 +26,7 @@ SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et 
 IDEALISATIONS = [
     "there is no state estimator yet: the controller gets the simulator's state, 5 ms old, with noise of 1 mm and 2 mrad "
     "(speeds 0.01 m/s and 0.02 rad/s); the estimated frame is therefore the world",
+    "with preview (the default) the MPC sees a step coming one horizon ahead",
     "the arm's geometry and masses are assumed (not published)",
     "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
