@@ -22,6 +22,7 @@ class SwerveAgent:
     """Estimation, prediction and tracking of a swerve robot at the controller's rate.
 
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
+    ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
     """
 
@@ -34,6 +35,7 @@ class SwerveAgent:
         steer_gain: float = 5.0,
         planned_steering: bool = True,
         gyro_share: float = 0.0,
+        lag: float = 0.0,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
@@ -41,6 +43,9 @@ class SwerveAgent:
         self.wheels_alone = WheelOdometry(robot.base.geometry, pose)
         self.gyro_share, self.gyro_bias = gyro_share, 0.0
         self._rest: list[float] = []
+        self.lag = lag
+        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._rates = np.zeros(robot.input.size)
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
@@ -67,23 +72,32 @@ class SwerveAgent:
         return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
-        """The state at time ``until``, by the inputs that will be applied from ``t`` on."""
-        state, given = self.robot.state, self.robot.input
+        """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe.
+
+        The plan's clock runs ahead of the wall's by the lag: what is commanded now acts that much later.
+        """
+        state = self.robot.state
         x = self.state()
         if plans.current is not None and self.planned_steering:
-            x[state["steer"]] = plans.current.state(t)[state["steer"]]
+            x[state["steer"]] = plans.current.state(t + self.lag)[state["steer"]]
+        # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
+        self._move(x, self._rates, self.lag, self.brakes(t))
         for k in range(round((until - t) / self.period)):
             now = t + (k + 0.5) * self.period
             policy = plans.at(now)
             if policy is None:
                 break
-            u = policy.feedforward(now)
-            x[state["base"]] = lie.se2_step(x[state["base"]], u[given["base"]] * self.period)
-            for group in ("leg", "steer", "wheel", "arm"):
-                if group in state:
-                    rate = u[given[group]] * (self.brakes(now) if group == "leg" else 1.0)
-                    x[state[group]] += rate * self.period
-        return Observation(until, x)
+            u = policy.feedforward(now + self.lag)
+            self._move(x, u, self.period, self.brakes(now))
+        return Observation(until + self.lag, x)
+
+    def _move(self, x: np.ndarray, u: np.ndarray, h: float, brake: np.ndarray) -> None:
+        """Integrate input rates u over h [s] into the state x, in place; the planned steering has no lag."""
+        state, given = self.robot.state, self.robot.input
+        x[state["base"]] = lie.se2_step(x[state["base"]], u[given["base"]] * h)
+        for group in ("leg", "steer", "wheel", "arm"):
+            if group in state:
+                x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
 
     def command(self, t: float, plans: Plans) -> SwerveCommand:
         """Drive speeds for this tick; a stop once the plan has run out."""
@@ -92,8 +106,11 @@ class SwerveAgent:
         if t > policy.end:
             n = len(m.steer)
             return SwerveCommand(np.zeros(n), np.zeros(n), np.zeros(len(m.arm)), np.zeros(len(self.brakes(t))))
-        u = policy.feedforward(t)
-        planned = policy.state(t)[self.robot.state["steer"]]
+        u = policy.feedforward(t + self.lag)
+        planned = policy.state(t + self.lag)[self.robot.state["steer"]]
+        self._rates += self._blend * (u - self._rates)
+        if self.planned_steering:
+            self._rates[given["steer"]] = 0.0
         steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
         wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.

@@ -37,7 +37,7 @@ IDEALISATIONS = [
 class SwerveTrackSettings(ExperimentSettings):
     """``path``: periods of the sine (6 periods are the paper's 15.96 m), its amplitude [m] and direction; ``speed`` along
     it [m/s]; ``gyro_share``: part of the odometry's yaw that comes from the gyro, whose bias is averaged over ``rest``
-    [s] of standing (0.2 to 0.4 was best on seeds 0 to 9)."""
+    [s] of standing (0.2 to 0.4 was best on seeds 0 to 9); ``drive_lag`` [s] that the controller assumes."""
 
     cost: SwerveCost = SwerveCost()
     robot: str = "swerve-ur10"
@@ -47,6 +47,7 @@ class SwerveTrackSettings(ExperimentSettings):
     amplitude: float = Field(0.498, gt=0, le=0.6)
     gyro_share: float = Field(0.4, ge=0, le=1)
     rest: float = Field(20.0, ge=0, le=120)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
 
 
 #: Length of one period [m] (15.96 m for six) and heights, offsets of the hand's path [m].
@@ -107,7 +108,13 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     pose0 = plant.truth().pose
-    agent = SwerveAgent(robot, pose0, timing.period, gyro_share=settings.gyro_share if settings.rest > 0.0 else 0.0)
+    agent = SwerveAgent(
+        robot,
+        pose0,
+        timing.period,
+        gyro_share=settings.gyro_share if settings.rest > 0.0 else 0.0,
+        lag=settings.drive_lag,
+    )
     _stand(plant, agent, timing, settings.rest)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
