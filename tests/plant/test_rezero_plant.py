@@ -201,3 +201,17 @@ def test_bad_torques_are_refused(bad):
         plant().step(RezeroCommand(bad))
     with pytest.raises(InputError, match="ball base"):
         RezeroPlant(load_robot("swerve-ur10").description)
+
+
+def test_planner_and_plant_share_no_numbers() -> None:
+    """Doubling the plant's masses leaves the planner's mass matrix as it was; the plant's were not the planner's before."""
+    robot = load_robot("rezero")
+    home, torque = robot.equilibrium([0.0, 1.0, 0.8])
+    before = robot.mass_matrix(home[:8])
+    plant = RezeroPlant(robot.description, home, torque, seed=3)
+    planned = sum(link.mass for link in robot.tree.links)
+    assert abs(float(plant.model.body_mass.sum()) - planned) > 1e-3
+    plant.model.body_mass[:] *= 2.0
+    plant.model.body_inertia[:] *= 2.0
+    np.testing.assert_array_equal(robot.mass_matrix(home[:8]), before)
+    np.testing.assert_array_equal(load_robot("rezero").mass_matrix(home[:8]), before)
