@@ -15,7 +15,7 @@ from wbmpc.model import load_robot
 from wbmpc.mpc import SteeringGuess
 from wbmpc.ocp import Reference
 from wbmpc.plant import Perturbation
-from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver import SQP, Solver, Status
 
 #: Quantised encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.
 NOISY = Perturbation(steer_noise=0.005)
@@ -75,7 +75,7 @@ def test_sideways_is_stationary_without_the_guess() -> None:
     robot = load_robot("swerve-ur10")
     cost = SwerveCost(hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
     ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40), cost)
-    solver = SQPSolver(ocp, SQP(iterations=200))
+    solver = Solver(ocp, SQP(iterations=200))
     goal = robot.home.copy()
     goal[robot.state["base"]] = [0.0, 1.0, 0.0]
     hand, orientation = robot.pose(robot.home)

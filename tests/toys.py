@@ -17,7 +17,7 @@ from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
 from wbmpc.kernel.compiled import _machine, _target
 from wbmpc.model import Layout, load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, sets
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 from wbmpc.solver.workspace import aligned
 
 
@@ -144,7 +144,7 @@ class LinearQuadratic:
 
 def pendulum(
     backend: str = "compiled", integrator: str = "rk2", n: int = 12, equality: bool = True, **sqp: object
-) -> SQPSolver:
+) -> Solver:
     """A cart with a pendulum, two inputs tied by an equality, boxes on states and inputs, a general inequality."""
 
     def f(x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
@@ -172,7 +172,7 @@ def pendulum(
             "tip_range", Rows(1, lambda s: 1.5 - (s.x[0] + ca.sin(s.x[1])) ** 2), sets.NonNegative(), penalty=barrier
         )
     )
-    solver = SQPSolver(ocp, SQP(**{"iterations": 60, "backend": backend, **sqp}))
+    solver = Solver(ocp, SQP(**{"iterations": 60, "backend": backend, **sqp}))
     times = np.array([0.0, 0.5, 1.0])
     solver.set_reference("state", Reference(times, np.array([[0.0, 0, 0, 0], [0.4, 0, 0.5, 0], [0.6, 0, 0, 0]])))
     solver.guess(np.zeros(4))
@@ -215,11 +215,11 @@ def aligned_copy(array: np.ndarray) -> np.ndarray:
     return out
 
 
-def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp: object) -> SQPSolver:
+def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp: object) -> Solver:
     """The swerve experiments' problem; the hand is to follow a sine that moves, the base its mean line."""
     model = robot("swerve-ur10")
     settings = MpcSettings(horizon=horizon, intervals=n, first_interval=first)
-    solver = SQPSolver(swerve_problem(model, settings, SwerveCost()), SQP(**{"iterations": 300, **sqp}))
+    solver = Solver(swerve_problem(model, settings, SwerveCost()), SQP(**{"iterations": 300, **sqp}))
     t = np.linspace(0.0, 2.0 * horizon, 400)
     along = 0.2 * np.where(t < 2.0, t * t / 4.0, t - 1.0)
     position, quaternion = model.pose(model.home)
@@ -233,11 +233,11 @@ def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp:
     return solver
 
 
-def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> SQPSolver:
+def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> Solver:
     """The ball robot's problem: the hand is to go ``step`` [m] forward."""
     model = robot("rezero")
     settings = MpcSettings(horizon=0.05 * n, intervals=n, first_interval=0.0, barrier_mu=1e-2)
-    solver = SQPSolver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
+    solver = Solver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
     home, torque = model.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
     solver.set_reference("hand", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
@@ -248,7 +248,7 @@ def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> SQPSolver:
     return solver
 
 
-def random_stage(solver: SQPSolver, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def random_stage(solver: Solver, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """A state near the middle of the ranges, an input, node and constant parameters with unit quaternions."""
     problem = solver.problem
     d = problem.ocp.dynamics

@@ -24,7 +24,7 @@ _PLACES = {
     "residuals": "wbmpc.ocp",
     "sets": "wbmpc.ocp",
     "SQP": "wbmpc.solver",
-    "SQPSolver": "wbmpc.solver",
+    "Solver": "wbmpc.solver",
     "Solution": "wbmpc.solver",
     "Status": "wbmpc.solver",
     "MPC": "wbmpc.mpc",

@@ -25,7 +25,7 @@ from wbmpc.model import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference, RelaxedBarrier
 from wbmpc.ocp.transcription import BoxRow
 from wbmpc.report import versions
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 
 #: A peer that has not answered after this time [s] is stopped and reported so.
 PEER_SECONDS = 40.0
@@ -36,7 +36,7 @@ class Problem:
     """A solver with its references set, its start, and the guess that every solver gets."""
 
     name: str
-    solver: SQPSolver
+    solver: Solver
     x0: np.ndarray
     u0: np.ndarray
 
@@ -50,7 +50,7 @@ def swerve_bench(intervals: int = 100, settings: SQP | None = None, brakes: str 
     ocp = swerve_problem(robot, MpcSettings(intervals=intervals, first_interval=0.0), SwerveCost())
     if brakes == "open":
         del ocp.terms["brakes"]
-    solver = SQPSolver(ocp, settings or SQP(iterations=300))
+    solver = Solver(ocp, settings or SQP(iterations=300))
     if brakes == "open":
         solver.set_schedule(ModeSchedule((Mode("open", {"brake": [1.0] * 4}),)))
     path = SinePath(0.15, 2.66, 1, 0.255, start=0.5, ramp=2.0)
@@ -74,7 +74,7 @@ def rezero_bench(intervals: int = 65, settings: SQP | None = None, step: float =
     robot = load_robot("rezero", contact="force")
     horizon = 0.02 * intervals if intervals > 40 else 1.3
     mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2)
-    solver = SQPSolver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
+    solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
@@ -100,7 +100,7 @@ def _step(f: ca.Function, x: ca.SX, u: ca.SX, p: np.ndarray, w: np.ndarray, h: f
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3, u, p, w))
 
 
-def nonlinear_program(solver: SQPSolver, x0: np.ndarray) -> tuple[dict[str, ca.SX], list[int]]:
+def nonlinear_program(solver: Solver, x0: np.ndarray) -> tuple[dict[str, ca.SX], list[int]]:
     """The discretised problem as CasADi's ``nlpsol`` takes it, stage by stage (x_k, u_k), and the rows of each stage.
 
     The parameters are sampled for a horizon that starts at time 0.
@@ -187,7 +187,7 @@ def _ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[s
     solver.solve(problem.x0)
     solver.guess(problem.x0, problem.u0)
     solution = solver.solve(problem.x0)
-    single = SQPSolver(solver.ocp, SQP(iterations=1, certify=False, force_step=True))
+    single = Solver(solver.ocp, SQP(iterations=1, certify=False, force_step=True))
     for name, reference in solver.references.items():
         single.set_reference(name, reference)
     single.guess(solution.x, solution.u)

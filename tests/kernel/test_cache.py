@@ -15,7 +15,7 @@ import pytest
 from toys import LinearQuadratic
 from wbmpc.kernel import build_kernel, cache
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Quadratic, RelaxedBarrier, SmoothL1, Transcription, sets
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 
 
 def transcription(seed: int = 0) -> Transcription:
@@ -30,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def solve(use_cache: bool = True) -> np.ndarray:
     lq = LinearQuadratic(3, 2, 1)
-    solver = SQPSolver(lq.problem(), SQP(iterations=20), use_cache=use_cache)
+    solver = Solver(lq.problem(), SQP(iterations=20), use_cache=use_cache)
     return solver.solve(lq.x0).u
 
 
@@ -109,9 +109,9 @@ def test_norms_belong_to_the_key(folder: Path) -> None:
 SCRIPT = """
 import numpy as np
 from toys import LinearQuadratic
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 lq = LinearQuadratic(2, 1, 0)
-s = SQPSolver(lq.problem(), SQP(iterations=20))
+s = Solver(lq.problem(), SQP(iterations=20))
 z = s.solve(lq.x0)
 assert not s.kernel.from_cache
 print(z.status.name)

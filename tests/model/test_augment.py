@@ -9,7 +9,7 @@ import pytest
 from wbmpc.errors import InputError
 from wbmpc.model import DriveLag, InputRate, load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver import SQP, Solver, Status
 
 
 def arm_problem(dynamics, robot) -> OptimalControlProblem:
@@ -39,7 +39,7 @@ def test_acceleration_limits_hold_and_the_arm_arrives() -> None:
     rate = residuals.ProblemInput(dynamics, ["arm_rate"])
     ocp.add(Cost("acceleration", rate, 1e-3))
     ocp.add(Constraint("accelerations", rate, sets.Box(-2.0, 2.0), penalty=RelaxedBarrier(1e-3, 1e-2)))
-    solver = SQPSolver(ocp, SQP(iterations=100))
+    solver = Solver(ocp, SQP(iterations=100))
     solver.set_reference("posture", Reference.constant(goal_of(robot)))
     start = np.concatenate([robot.home, np.zeros(6)])
     solver.guess(start)
@@ -57,7 +57,7 @@ def test_acceleration_limits_hold_and_the_arm_arrives() -> None:
 def test_drive_lag_follows_the_exponential() -> None:
     robot = load_robot("swerve-ur10")
     dynamics = DriveLag(robot.dynamics(), {"arm": 0.1})
-    solver = SQPSolver(arm_problem(dynamics, robot))
+    solver = Solver(arm_problem(dynamics, robot))
     x = np.concatenate([robot.home, np.zeros(6)])
     u = np.zeros(21)
     u[robot.input["arm"]] = 0.5

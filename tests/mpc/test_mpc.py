@@ -10,7 +10,7 @@ from wbmpc.errors import InputError, RunAborted
 from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 
 REAL_TIME = SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
 START = np.array([0.1, 0.3, 0.0, 0.0])
@@ -27,7 +27,7 @@ def make(guess=None, **settings) -> MPC:  # type: ignore[no-untyped-def]
 def test_first_policy_is_the_iterated_solution() -> None:
     mpc = make(first_iterations=60)
     policy = mpc.update(Observation(3.0, START))
-    solver = SQPSolver(mpc.ocp, SQP(iterations=200))
+    solver = Solver(mpc.ocp, SQP(iterations=200))
     solver.set_reference("state", Reference.constant(np.zeros(4)))
     solver.guess(np.zeros(4))
     found = solver.solve(START)
@@ -57,7 +57,7 @@ class Poison:
     def __init__(self, *times: float) -> None:
         self.times = times
 
-    def __call__(self, solver: SQPSolver, t: float, x0: np.ndarray) -> None:
+    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         if any(abs(t - bad) < 1e-9 for bad in self.times):
             solver.ws.x[:] = np.nan
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.mpc import Policy
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 from wbmpc.solver.receding import make_tables, sample_all, shift
 
 
-def shifted(solver: SQPSolver, delta: float) -> None:
+def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
         solver.twin._shift(delta)
     else:
@@ -72,13 +72,13 @@ def sampled(
     ocp = OptimalControlProblem(model.dynamics(), 1.3, 40)
     ocp.add(Cost("hand", residuals.FramePose(model, "tool")))
     ocp.add(Cost("twist", residuals.FrameTwist(model, "tool")))
-    solver = SOLVER.setdefault("s", SQPSolver(ocp, SQP(iterations=1)))
+    solver = SOLVER.setdefault("s", Solver(ocp, SQP(iterations=1)))
     tables = make_tables(solver.problem, {term: reference}, schedule or ModeSchedule((Mode("m"),)))
     sample_all(solver.ws.memory, solver.ws.table, tables, t0)
     return solver.ws.p[:, solver.problem.node.slices[f"reference.{term}"]].copy()
 
 
-SOLVER: dict[str, SQPSolver] = {}
+SOLVER: dict[str, Solver] = {}
 GRID = np.linspace(0.0, 1.3, 41)
 
 
@@ -147,7 +147,7 @@ def test_modes_change_at_the_event() -> None:
     """A node exactly on the event has the new mode; the absolute time decides, not the place on the horizon."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u, mode=1), 1.0, 10)
     ocp.add(Cost("all", Rows(1, lambda s: s.x), modes=("b",)))
-    solver = SQPSolver(ocp, SQP(iterations=1, certify=False), use_cache=False)
+    solver = Solver(ocp, SQP(iterations=1, certify=False), use_cache=False)
     solver.set_schedule(ModeSchedule((Mode("a", {"m": [3.0]}), Mode("b", {"m": [4.0]})), (10.3,)))
     for t0, first in ((10.0, 3), (10.1, 2), (10.25, 1), (10.3, 0), (9.0, 11), (12.0, 0)):
         solver.run(np.zeros(1), t0)

@@ -22,7 +22,7 @@ from wbmpc.ocp import (
     residuals,
     sets,
 )
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 from wbmpc.solver.reference_solver import barrier
 from wbmpc.solver.workspace import box_table
 
@@ -235,7 +235,7 @@ def test_solver_input_is_checked() -> None:
 def test_a_weight_changed_is_a_weight_given() -> None:
     lower, changed = pendulum("interpreted"), pendulum("interpreted")
     x0 = np.array([0.1, 0.3, 0.0, 0.0])
-    assert isinstance(changed, SQPSolver)
+    assert isinstance(changed, Solver)
     before = lower.solve(x0)
     changed.set_weight("input", 5.0)
     after = changed.solve(x0)

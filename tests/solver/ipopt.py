@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import RelaxedBarrier
-from wbmpc.solver import SQPSolver
+from wbmpc.solver import Solver
 
 
 def _boxes(rows: list, size: int) -> ca.Function:
@@ -15,7 +15,7 @@ def _boxes(rows: list, size: int) -> ca.Function:
     return ca.Function("boxes", [z], [sum(terms, ca.SX(0))])
 
 
-def _step(solver: SQPSolver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
+def _step(solver: Solver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
     """The integrator written anew."""
     f = lambda x: solver.problem.values["dynamics"](x, u, p, solver.ws.w)
     if solver.ocp.integrator == "rk2":
@@ -30,7 +30,7 @@ def _step(solver: SQPSolver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.
     return end
 
 
-def solve(solver: SQPSolver, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def solve(solver: Solver, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Optimal x (N + 1, nx), u (N, nu) and cost, from the solver's present trajectories and parameters."""
     t = solver.problem
     n, nx, nu, p, w = t.ocp.intervals, t.nx, t.nu, solver.ws.p, solver.ws.w

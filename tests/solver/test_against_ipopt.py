@@ -18,12 +18,12 @@ from wbmpc.ocp import (
     residuals,
     sets,
 )
-from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.driver import backward
 from wbmpc.solver.workspace import BLOCKS, OFFSETS
 
 
-def compare(solver: SQPSolver, x0: np.ndarray, tolerance: float = 1e-6, near: bool = False):  # type: ignore[no-untyped-def]
+def compare(solver: Solver, x0: np.ndarray, tolerance: float = 1e-6, near: bool = False):  # type: ignore[no-untyped-def]
     """``near``: IPOPT starts from the found solution with noise, where it fails from afar (it still has to agree)."""
     x_start, u_start = solver.ws.x.copy(), solver.ws.u.copy()
     found = solver.solve(x0)
@@ -61,7 +61,7 @@ def test_rezero_step_of_the_hand() -> None:
     compare(rezero_solver(), x0)
 
 
-def brakes_solver(modes: ModeSchedule, n: int = 15) -> SQPSolver:
+def brakes_solver(modes: ModeSchedule, n: int = 15) -> Solver:
     solver = swerve_solver(n, horizon=3.0, first=0.1)
     model = robot("swerve-ur10")
     t = np.array([0.0, 10.0])
@@ -97,7 +97,7 @@ def test_one_open_brake_moves_one_leg() -> None:
     assert moved[1:].max() < 1e-9
 
 
-def quaternion_solver(orientation: str, n: int = 12) -> SQPSolver:
+def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     """Hand, input and joint terms only, so that both bases mean the same; rk4 makes both integrators exact enough."""
     model = robot("swerve-ur10", orientation=orientation)
     ocp = OptimalControlProblem(model.dynamics(), 1.5, n, integrator="rk4")
@@ -113,7 +113,7 @@ def quaternion_solver(orientation: str, n: int = 12) -> SQPSolver:
     ocp.add(Constraint("brakes", residuals.BrakedLegs(model)))
     box = sets.Box(model.limits.input_lower, model.limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(model, tracked=False), box, penalty=RelaxedBarrier(1e-3, 0.02)))
-    solver = SQPSolver(ocp, SQP(iterations=300))
+    solver = Solver(ocp, SQP(iterations=300))
     position, quaternion = model.pose(model.home)
     solver.set_reference("hand", Reference.poses([0.0], [position + np.array([0.4, 0.2, 0.05])], quaternion))
     parts = [model.home[model.state[g]] for g in ("leg", "steer", "arm")]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from toys import LinearQuadratic
-from wbmpc.solver import SQP, SQPSolver
+from wbmpc.solver import SQP, Solver
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Step:
 
 
 def one_step(lq: LinearQuadratic, backend: str = "compiled") -> Step:
-    solver = SQPSolver(lq.problem(), SQP(iterations=1, certify=False, backend=backend), use_cache=False)
+    solver = Solver(lq.problem(), SQP(iterations=1, certify=False, backend=backend), use_cache=False)
     solver.guess(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
     nx = lq.nx
     if backend == "interpreted":

@@ -9,7 +9,7 @@ import pytest
 
 from toys import LinearQuadratic, Rows, ToyDynamics, pendulum, rezero_solver, robot, swerve_solver
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem
-from wbmpc.solver import SQP, SQPSolver, Status
+from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.workspace import LOG
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
@@ -89,7 +89,7 @@ def test_iteration_limit() -> None:
     assert len(found.log) == 2
 
 
-def cliff(backend: str, **sqp: object) -> SQPSolver:
+def cliff(backend: str, **sqp: object) -> Solver:
     """A cost whose Gauss-Newton step always leaves the domain of the logarithm."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 2)
 
@@ -99,7 +99,7 @@ def cliff(backend: str, **sqp: object) -> SQPSolver:
         return ca.sqrt(1e-6 - s.u * s.u) * 1e3 + 1e4 * s.u
 
     ocp.add(Cost("cliff", Rows(1, f), 1.0))
-    return SQPSolver(ocp, SQP(backend=backend, **sqp))
+    return Solver(ocp, SQP(backend=backend, **sqp))
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
@@ -124,7 +124,7 @@ def test_merit_decreases_on_the_way() -> None:
 
 def test_linear_quadratic_problem_converges() -> None:
     lq = LinearQuadratic(4, 3, 1, n=8, seed=11)
-    solver = SQPSolver(lq.problem(), SQP(iterations=50), use_cache=False)
+    solver = Solver(lq.problem(), SQP(iterations=50), use_cache=False)
     found = solver.solve(lq.x0)
     x, u = lq.kkt(lq.x0)
     assert found.status is Status.CONVERGED
@@ -135,7 +135,7 @@ def test_linear_quadratic_problem_converges() -> None:
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_short_horizons(n: int) -> None:
     lq = LinearQuadratic(3, 2, 1, n=n, seed=3)
-    found = SQPSolver(lq.problem(), SQP(iterations=60), use_cache=False).solve(lq.x0)
+    found = Solver(lq.problem(), SQP(iterations=60), use_cache=False).solve(lq.x0)
     np.testing.assert_allclose(found.u, lq.kkt(lq.x0)[1], atol=1e-5)
 
 

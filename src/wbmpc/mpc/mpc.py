@@ -11,10 +11,10 @@ import numpy as np
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
-from wbmpc.solver import SQP, Solution, SQPSolver, Status
+from wbmpc.solver import SQP, Solution, Solver, Status
 
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
-Guess = Callable[[SQPSolver, float, np.ndarray], None]
+Guess = Callable[[Solver, float, np.ndarray], None]
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Observation:
 class References:
     """``mpc.reference["hand"] = Reference...``: what the terms compare with."""
 
-    def __init__(self, solver: SQPSolver) -> None:
+    def __init__(self, solver: Solver) -> None:
         self._solver = solver
 
     def __setitem__(self, name: str, reference: Reference) -> None:
@@ -69,7 +69,7 @@ class MPC:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         settings = solver or SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
-        self.solver = SQPSolver(ocp, settings)
+        self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
         self._first = first_iterations

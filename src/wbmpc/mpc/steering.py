@@ -13,7 +13,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
-from wbmpc.solver import SQPSolver
+from wbmpc.solver import Solver
 
 #: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
 SLOW, FAST, MOVING = 0.02, 0.04, 0.005
@@ -37,7 +37,7 @@ class SteeringGuess:
         self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
         self._armed, self._done = True, False
 
-    def __call__(self, solver: SQPSolver, t: float, x0: np.ndarray) -> None:
+    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         base = self.robot.input["base"]
         now = float(speed(solver.ws.u[0, base]))
         if now > FAST:
@@ -54,7 +54,7 @@ class SteeringGuess:
         self._done = True
         self._write(solver, twists, x0)
 
-    def _write(self, solver: SQPSolver, twists: np.ndarray, x0: np.ndarray) -> None:
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> None:
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
         leg = x0[state["leg"]] if "leg" in state else np.zeros(geometry.modules)

@@ -1,6 +1,6 @@
 """Solvers: settings (:class:`SQP`), the solver bound to a problem, and solutions."""
 
 from wbmpc.solver.solution import Solution, Status
-from wbmpc.solver.sqp import SQP, SQPSolver
+from wbmpc.solver.solver import SQP, Solver
 
-__all__ = ["SQP", "SQPSolver", "Solution", "Status"]
+__all__ = ["SQP", "Solution", "Solver", "Status"]

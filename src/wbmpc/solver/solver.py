@@ -44,7 +44,7 @@ class SQP:
 
 
 @dataclass
-class SQPSolver:
+class Solver:
     """One problem bound to one solver: owns the kernel, the memory and the warm start."""
 
     ocp: OptimalControlProblem
