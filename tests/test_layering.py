@@ -23,8 +23,7 @@ ONLY_IN = {
     "plotly": {"report"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
-    "numba": {"kernel", "solver"},
-    "llvmlite": {"kernel", "solver"},
+    "llvmlite": {"kernel"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
@@ -99,7 +98,7 @@ CHECK = """
 import os, sys
 environment, directory = dict(os.environ), set(os.listdir())
 import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
-heavy = [m for m in ('casadi', 'mujoco', 'numba', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
+heavy = [m for m in ('casadi', 'mujoco', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
 assert not heavy, heavy
 import wbmpc.experiments, wbmpc.benchmark
 assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())

@@ -50,7 +50,7 @@ def test_files_of_a_run(tmp_path: Path) -> None:
     assert data["metrics"]["path_length"] == {"value": 20.53, "unit": "m"}
     assert data["settings"] == result.settings
     assert data["idealisations"] == result.idealisations
-    assert {"wbmpc", "mujoco", "casadi", "numpy", "numba", "python", "cpu"} <= set(data["versions"])
+    assert {"wbmpc", "mujoco", "casadi", "numpy", "llvmlite", "python", "cpu"} <= set(data["versions"])
     with np.load(files["log"]) as log:
         np.testing.assert_array_equal(log["hand"], result.log.array("hand"))
         np.testing.assert_array_equal(log["hand.time"], result.log.times("hand"))

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import casadi as ca
-import llvmlite.binding as llvm
 import numpy as np
 
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
-from wbmpc.kernel.compiled import _machine, _target
+from wbmpc.kernel.machine import compile_module, load_object
 from wbmpc.model import Layout, load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, sets
 from wbmpc.solver import SQP, Solver
@@ -187,10 +186,7 @@ def robot(name: str, **base: str):  # type: ignore[no-untyped-def]
 
 def compile_ir(ir: str) -> object:
     """Machine code of an LLVM module."""
-    cpu, flags = _target()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(ir), _machine(cpu, flags, opt=1))
-    engine.finalize_object()
-    return engine
+    return load_object(compile_module(ir))
 
 
 def call_scalar(address: int, arguments: list[np.ndarray], sizes: list[int]) -> list[np.ndarray]:

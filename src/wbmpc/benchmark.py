@@ -111,7 +111,7 @@ def nonlinear_program(solver: Solver, x0: np.ndarray) -> tuple[dict[str, ca.SX],
     n, width = t.ocp.intervals, ws.p.shape[1]
     flat = np.zeros((n + 1) * width)
     for k in range(n + 1):
-        sample(solver.tables(), float(ws.grid[k]), flat, k * width)
+        sample(*solver.tables(), float(ws.grid[k]), flat, k * width)
     p, w, h = flat.reshape(n + 1, width)[:, : t.node.size], ws.w[: t.constant.size], np.diff(ws.grid)
     x = [ca.SX.sym(f"x{k}", t.nx) for k in range(n + 1)]
     u = [ca.SX.sym(f"u{k}", t.nu) for k in range(n)]

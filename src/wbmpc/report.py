@@ -87,7 +87,7 @@ def versions() -> dict[str, str]:
         "machine": platform.machine(),
         "cpu": _processor(),
     }
-    for name in ("casadi", "mujoco", "numba", "llvmlite", "numpy", "scipy"):
+    for name in ("casadi", "mujoco", "llvmlite", "numpy", "scipy"):
         try:
             out[name] = version(name)
         except PackageNotFoundError:

@@ -9,6 +9,7 @@ import pytest
 from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.errors import InputError
 from wbmpc.ocp import (
+    AugmentedLagrangian,
     Constraint,
     Cost,
     Mode,
@@ -110,7 +111,7 @@ def test_boxes_become_rows_and_others_stay_symbolic() -> None:
         problem(Constraint("a", ROW, box), Constraint("b", Rows(1, lambda s: s.u[0] * s.u[1]), sets.NonNegative()))
     )
     assert [(i, s, c) for i, s, c, *_ in t.path_boxes] == [(2, 1.0, 1.0), (2, -1.0, 2.0), (3, -1.0, 3.0)]
-    assert [c.name for c, _ in t._general] == ["b"]
+    assert [c.name for c, _ in t.path.general_barriers] == ["b"]
     assert t.terminal_boxes == []
     assert float(t.values["cost"]([0, 0], [2, 3], [], [])) == pytest.approx(-1e-2 * np.log(6.0))
 
@@ -128,13 +129,18 @@ def test_bad_boxes(box: sets.Box, message: str) -> None:
         Transcription(problem(Constraint("a", ROW, box)))
 
 
-def test_hard_inequalities_are_refused() -> None:
-    with pytest.raises(InputError, match="hard inequalities are not supported"):
-        Constraint("a", ROW, sets.Box(0, 1), hard=True)
-    with pytest.raises(InputError, match="equality is possible at the path only"):
-        Constraint("a", ROW, at="terminal")
-    with pytest.raises(InputError, match="compliance"):
-        Constraint("a", ROW, compliance=-1.0)
+def test_bad_constraints() -> None:
+    for more, message in (
+        ({"hard": True, "penalty": AugmentedLagrangian()}, "exclude each other"),
+        ({"compliance": -1.0}, "compliance"),
+        ({"slack": 0.0}, "slack must be positive"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Constraint("a", ROW, sets.Box(0, 1), **more)
+    with pytest.raises(InputError, match="no input to depend on"):
+        Transcription(problem(Constraint("a", ROW, at="terminal")))
+    with pytest.raises(InputError, match="no input to depend on"):
+        Transcription(problem(Constraint("a", ROW, sets.Box(0, 1), at="terminal", hard=True)))
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import casadi as ca
-import llvmlite
-import llvmlite.binding as llvm
 import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache, dense
+from wbmpc.kernel.machine import compile_module, load_object, target_text
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
 from wbmpc.ocp import Transcription
 
@@ -24,23 +23,35 @@ _FUNCTIONS = (
     "dynamics",
     "cost",
     "equality",
+    "rows",
     "terminal",
+    "end_rows",
+    "jump",
     "dynamics_jacobian",
     "cost_quadratic",
     "equality_jacobian",
+    "rows_jacobian",
     "terminal_quadratic",
+    "end_rows_jacobian",
+    "jump_jacobian",
 )
+_KERNELS = ("riccati_node", "chain", "add_rows")
 #: Order of the addresses in :attr:`Kernel.addresses`.
-ADDRESSES = (*_FUNCTIONS, "riccati_node", "chain")
+ADDRESSES = (*_FUNCTIONS, *_KERNELS)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)]."""
+    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)].
+
+    ``ng``: rows of the Riccati recursion; ``nr``, ``ne``: general rows with a state of their own, at the path and at the end.
+    """
 
     nx: int
     nu: int
     ng: int
+    nr: int
+    ne: int
 
     @property
     def first(self) -> int:
@@ -136,6 +147,9 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
             for q, c in entries("equality_jacobian", 1)
         ],
     ]
+    for name in ("rows_jacobian", "end_rows_jacobian"):
+        maps[name] = [maps[name][0], [[q * lz + place(c)] for q, c in entries(name, 1)]]
+    maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
     return maps
 
 
@@ -193,6 +207,15 @@ def emit_riccati_node(s: Sizes) -> str:
     return "\n".join([*parts, body.text()])
 
 
+def emit_add_rows(s: Sizes) -> str:
+    """H += Aᵀ B for ``nr`` rows of the extended node vector; arguments A, B (rows times their weights), H."""
+    if s.nr == 0:
+        return "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\nret void\n}"
+    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False)
+    body = "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\n"
+    return f"{product}\n{body}call void @k_rows(ptr %A, ptr %B, ptr %H, ptr %H)\nret void\n}}"
+
+
 def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
     pattern: list[list[int]] = [[] for _ in range(nx)]
     for r, c in zip(*jacobian.get_triplet(), strict=True):
@@ -204,31 +227,17 @@ def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
 def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     """The whole LLVM module of a problem."""
     functions = {**transcription.values, **transcription.derivatives}
-    sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0])
+    own = (len(transcription.path.general), len(transcription.end.general))
+    sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
     maps = output_maps(functions, sizes)
     parts = [DECLARATIONS, dense.FMA]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _FUNCTIONS]
     pattern = _pattern(functions["dynamics_jacobian"].sparsity_out(1), sizes.nx)
-    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz)]
+    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz), emit_add_rows(sizes)]
     return "\n".join(parts), sizes
 
 
-def _target() -> tuple[str, str]:
-    """CPU name and features; 512-bit vectors are asked for where the target has them."""
-    features = llvm.get_host_cpu_features()
-    flags = features.flatten()
-    if features.get("avx512f"):
-        flags += ",-prefer-256-bit"
-    return llvm.get_host_cpu_name(), flags
-
-
-def _machine(cpu: str, flags: str, opt: int) -> Any:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
-
-
-def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
+def problem_key(transcription: Transcription) -> str:
     """Hash of the problem before differentiation, of the generator and of the target."""
     digest = hashlib.sha256()
     for name, function in transcription.values.items():
@@ -237,11 +246,8 @@ def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    digest.update(
-        json.dumps(
-            [cpu, flags, llvmlite.__version__, getattr(ca, "__version__", ""), cache.source_fingerprint()]
-        ).encode()
-    )
+    text = [target_text(), getattr(ca, "__version__", ""), cache.source_fingerprint()]
+    digest.update(json.dumps(text).encode())
     return digest.hexdigest()
 
 
@@ -250,25 +256,18 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
 
     Raises :class:`KernelError` when an operation cannot be compiled.
     """
-    cpu, flags = _target()
-    machine = _machine(cpu, flags, opt=1)
-    key = problem_key(transcription, cpu, flags)
+    key = problem_key(transcription)
     found = cache.load(key) if use_cache else None
     if found is None:
         ir, sizes = emit_problem(transcription)
-        try:
-            code = machine.emit_object(llvm.parse_assembly(ir))
-        except RuntimeError as error:
-            raise KernelError(f"the generated code was refused: {str(error)[:400]}") from error
+        code = compile_module(ir)
         if use_cache:
-            cache.save(key, code, {"nx": sizes.nx, "nu": sizes.nu, "ng": sizes.ng})
+            cache.save(key, code, asdict(sizes))
     else:
         code, description = found
         sizes = Sizes(**description)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(cpu, flags, opt=1))
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    names = [f"w_{n}" for n in _FUNCTIONS] + ["riccati_node", "chain"]
+    engine = load_object(code)
+    names = [*(f"w_{n}" for n in _FUNCTIONS), *_KERNELS]
     addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
     if np.any(addresses == 0):
         raise KernelError("the compiled code lacks a function")

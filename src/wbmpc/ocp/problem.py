@@ -10,7 +10,6 @@ import numpy as np
 from wbmpc import trajectory
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import Dynamics
-from wbmpc.ocp.sets import Zero
 from wbmpc.ocp.terms import Constraint, Cost
 
 Term = Cost | Constraint
@@ -21,6 +20,7 @@ class OptimalControlProblem:
 
     ``intervals``: number of intervals N. ``first_interval`` [s]: geometric grid, fine near now; uniform when left out;
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
+    ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
     """
 
     def __init__(
@@ -32,11 +32,13 @@ class OptimalControlProblem:
         first_interval: float | None = None,
         grid: Sequence[float] | None = None,
         integrator: Literal["rk2", "rk4"] = "rk2",
+        align_events: bool = False,
     ) -> None:
         if integrator not in ("rk2", "rk4"):
             raise unknown_name("integrator", integrator, ("rk2", "rk4"))
         self.dynamics = dynamics
         self.integrator = integrator
+        self.align_events = align_events
         self.grid = _grid(horizon, intervals, first_interval, grid)
         self.terms: dict[str, Term] = {}
 
@@ -56,11 +58,22 @@ class OptimalControlProblem:
 
     @property
     def equalities(self) -> list[Constraint]:
-        return [t for t in self.terms.values() if isinstance(t, Constraint) and isinstance(t.set, Zero)]
+        return [t for t in self.terms.values() if isinstance(t, Constraint) and t.equality]
 
     @property
     def inequalities(self) -> list[Constraint]:
-        return [t for t in self.terms.values() if isinstance(t, Constraint) and not isinstance(t.set, Zero)]
+        return [t for t in self.terms.values() if isinstance(t, Constraint) and not t.equality]
+
+    def refined(self, step: float) -> OptimalControlProblem:
+        """The same problem on a grid whose intervals are cut so that none is longer than ``step`` [s]."""
+        cuts = np.maximum(np.ceil(np.diff(self.grid) / step - 1e-9), 1).astype(int)
+        grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]
+        other = OptimalControlProblem(
+            self.dynamics, self.horizon, len(grid), grid=[*grid, self.horizon], integrator=self.integrator,
+            align_events=self.align_events,
+        )  # fmt: skip
+        other.terms = self.terms
+        return other
 
     def add(self, term: Term) -> None:
         """Add a term; its name must be new."""

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ocp.norms import Norm, Quadratic, RelaxedBarrier
+from wbmpc.ocp.norms import AugmentedLagrangian, Norm, Quadratic, RelaxedBarrier
 from wbmpc.ocp.residuals import Residual
 from wbmpc.ocp.sets import Set, Zero
 
@@ -53,11 +53,16 @@ class Cost:
 
 @dataclass(frozen=True)
 class Constraint:
-    """``residual ∈ set``.
+    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
 
-    ``Zero`` on the path is a state-input equality and enters the Riccati recursion exactly; ``compliance`` (one number
-    for all rows) softens it: the residual may be compliance times its multiplier. Inequalities are relaxed barriers
-    (``penalty``); ``hard`` inequalities are refused until the interior point solver is there.
+    Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``compliance`` (one number for all
+    rows) softens them: the residual may be compliance times its multiplier. Rows of the state alone, and rows at the end,
+    have proximal multipliers: exact at convergence. With ``penalty=AugmentedLagrangian(ρ)`` all rows have multipliers.
+
+    Inequalities: relaxed barriers (``penalty=RelaxedBarrier(μ, δ)``), multipliers (``AugmentedLagrangian``), or ``hard``:
+    a primal-dual interior point inside the Riccati recursion. A hard row that depends on the state holds wherever it can be
+    held and else has the exact L1 ``slack`` penalty (per unit of the row's range and second); rows of inputs alone have
+    no slack. State rows do not apply to the measured state itself.
     """
 
     name: str
@@ -65,20 +70,24 @@ class Constraint:
     set: Set = field(default_factory=Zero)
     at: At = "path"
     modes: tuple[str, ...] | None = None
-    penalty: RelaxedBarrier = field(default_factory=RelaxedBarrier)
+    penalty: RelaxedBarrier | AugmentedLagrangian = field(default_factory=RelaxedBarrier)
     hard: bool = False
+    slack: float = 1e3
     compliance: float = 0.0
 
     def __post_init__(self) -> None:
         _check_place(self.name, self.at)
-        if isinstance(self.set, Zero) and self.at != "path":
-            raise InputError(f"constraint '{self.name}': an equality is possible at the path only, got at='{self.at}'")
-        if self.hard and not isinstance(self.set, Zero):
-            raise InputError(
-                f"constraint '{self.name}': hard inequalities are not supported yet; valid: hard=False (relaxed barrier)"
-            )
         if self.compliance < 0.0:
             raise InputError(f"constraint '{self.name}': compliance must not be negative, got {self.compliance}")
+        if not self.slack > 0.0:
+            raise InputError(f"constraint '{self.name}': slack must be positive (math.inf: none), got {self.slack}")
+        if self.hard and isinstance(self.penalty, AugmentedLagrangian):
+            raise InputError(f"constraint '{self.name}': hard=True and an AugmentedLagrangian exclude each other")
+
+    @property
+    def equality(self) -> bool:
+        """Whether the residual has to vanish."""
+        return isinstance(self.set, Zero)
 
 
 def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:

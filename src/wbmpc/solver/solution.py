@@ -17,6 +17,7 @@ class Status(Enum):
     ITERATION_LIMIT = "stopped at the iteration limit"
     NO_STEP = "stopped: no step length improves cost or constraints"
     NOT_FINITE = "failed: the cost, a constraint or the step is not finite"
+    DIVERGED = "failed: the cost or the step grows without bound"
 
 
 @dataclass(frozen=True)

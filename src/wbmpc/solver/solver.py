@@ -1,7 +1,8 @@
-"""SQP by multiple shooting with a Riccati recursion: the solver that users hold."""
+"""The solver that users hold: one problem, one algorithm, its memory and its warm start."""
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,34 +14,11 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
+from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
-_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE)
-
-
-@dataclass(frozen=True)
-class SQP:
-    """Settings.
-
-    ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
-    ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
-    ``force_step``; ``backend``: machine code, or the interpreted twin.
-    """
-
-    iterations: int = 100
-    tolerance: float = 1e-8
-    feasibility: float = 1e-6
-    smallest_step: float = 1e-3
-    certify: bool = True
-    force_step: bool = False
-    backend: Literal["compiled", "interpreted"] = "compiled"
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise InputError(f"SQP: iterations must be at least 1, got {self.iterations}")
-        if self.backend not in ("compiled", "interpreted"):
-            raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
+_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
 
 
 @dataclass
@@ -52,6 +30,8 @@ class Solver:
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        if isinstance(self.settings, SLQ):
+            self.ocp = self.ocp.refined(self.settings.step)
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
         from wbmpc.solver.workspace import make_workspace
 
@@ -69,7 +49,10 @@ class Solver:
         self.references: dict[str, Reference] = {}
         self.schedule = ModeSchedule((nothing,))
         self._tables = None
-        self.log = np.zeros((self.settings.iterations, len(LOG)))
+        self.log = np.zeros((self.settings.most_iterations, len(LOG)))
+        self.numbers = self.settings.numbers()
+        if self.kernel is not None:
+            self._bind()
 
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
@@ -129,24 +112,24 @@ class Solver:
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        if self.settings.backend == "interpreted":
+            return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
+        self.x0[:] = x0
+        tables, out = self.tables(), self._out
+        self._entry(
+            self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
+            self._numbers, self._log, ctypes.addressof(out),
+        )  # fmt: skip
+        return out[0], out[1]
+
+    def _bind(self) -> None:
+        """Addresses of what every solve passes on: a call then costs microseconds."""
         from wbmpc.solver.receding import receding_solve
 
-        s = self.settings
-        if s.backend == "interpreted":
-            return self.twin.run(self.tables(), t0, delta, x0, s, self.log)
-        args = (
-            t0,
-            delta,
-            x0,
-            s.iterations,
-            s.tolerance,
-            s.feasibility,
-            s.smallest_step,
-            s.certify,
-            s.force_step,
-            self.log,
-        )
-        return receding_solve(self.ws.memory, self.ws.table, self.tables(), *args)  # type: ignore[no-any-return]
+        self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
+        self.x0 = np.zeros(self.problem.nx)
+        arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
+        self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
@@ -155,7 +138,7 @@ class Solver:
         from wbmpc.solver.receding import simulate
 
         out = np.empty(self.problem.nx)
-        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x), np.ascontiguousarray(u), h, out)
+        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), h, out)
         return out
 
     def solve(self, x0: np.ndarray, t0: float = 0.0) -> Solution:
