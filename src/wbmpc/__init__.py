@@ -23,6 +23,10 @@ _PLACES = {
     "SmoothL1": "wbmpc.ocp",
     "residuals": "wbmpc.ocp",
     "sets": "wbmpc.ocp",
+    "AugmentedLagrangian": "wbmpc.ocp",
+    "ILQR": "wbmpc.solver",
+    "InteriorPoint": "wbmpc.solver",
+    "SLQ": "wbmpc.solver",
     "SQP": "wbmpc.solver",
     "Solver": "wbmpc.solver",
     "Solution": "wbmpc.solver",
@@ -31,6 +35,7 @@ _PLACES = {
     "Observation": "wbmpc.mpc",
     "Policy": "wbmpc.mpc",
     "InputError": "wbmpc.errors",
+    "SolveFailed": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
 __all__ = ["__version__", *_PLACES]

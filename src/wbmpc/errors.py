@@ -18,6 +18,10 @@ class RunAborted(WbmpcError):
     """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
 
 
+class SolveFailed(WbmpcError):
+    """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
+
+
 class KernelError(WbmpcError):
     """Generated code could not be built or loaded."""
 

@@ -104,7 +104,7 @@ def equality_rows(
     """Sort the rows of equality terms, given as (term, residual, switch)."""
     parts, compliance, names = [], [], []
     for term, r, switch in terms:
-        with_input = np.array(_depends(r, u))
+        with_input = depends(r, u)
         row_name = row_names(term)
         soft = isinstance(term.penalty, AugmentedLagrangian)
         rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
@@ -166,7 +166,7 @@ def inequality_rows(
     for term, r, switch in terms:
         sides = _sides(term, r.shape[0])
         selection = None if term.modes is not None else _selection(r, z)
-        with_input = np.array(_depends(r, u))
+        with_input = depends(r, u)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
         places = [(path, term.at != "terminal", sides)]
@@ -242,12 +242,12 @@ def _paired_widths(sides: list[_Side], selection: list[tuple[int, float, float]]
     return out
 
 
-def _depends(r: ca.SX, u: ca.SX) -> list[bool]:
+def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
     """For every row, whether it depends on the input."""
-    if u.shape[0] == 0:
-        return [False] * r.shape[0]
-    rows = set(ca.jacobian(r, u).sparsity().get_triplet()[0])
-    return [i in rows for i in range(r.shape[0])]
+    found = np.zeros(r.shape[0], bool)
+    if u.shape[0]:
+        found[list(set(ca.jacobian(r, u).sparsity().get_triplet()[0]))] = True
+    return found
 
 
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:

@@ -19,8 +19,9 @@ from wbmpc.errors import InputError
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.ocp.rows import BoxRow, Place, equality_rows, inequality_rows
+from wbmpc.ocp.rows import BoxRow, Place, depends, equality_rows, inequality_rows
 from wbmpc.ocp.schedule import ModeSchedule
+from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
 
 
@@ -127,6 +128,37 @@ class Transcription:
     def terminal_boxes(self) -> list[BoxRow]:
         """Relaxed barriers on single states at the end."""
         return self.end.barriers
+
+    def with_input(self, term: Constraint) -> np.ndarray:
+        """For every row of a term, whether it depends on the input."""
+        return depends(self._residual(term), self.u)
+
+    def broken(self, term: Constraint) -> ca.SX:
+        """How far every row of a constraint is from being met, in the residual's unit; 0 in modes where it does not count."""
+        r, switch = self._residual(term), self._switch(term.name)
+        if term.equality:
+            return switch * ca.fabs(r)
+        if isinstance(term.set, Box):
+            lower, upper = term.set.bounds(r.shape[0])
+            parts = [ca.fmax(0.0, lo - r[i]) if np.isfinite(lo) else ca.SX(0) for i, lo in enumerate(lower)]
+            over = [ca.fmax(0.0, r[i] - up) if np.isfinite(up) else ca.SX(0) for i, up in enumerate(upper)]
+            return switch * (ca.vertcat(*parts) + ca.vertcat(*over))
+        return switch * ca.fmax(0.0, -r)
+
+    @property
+    def rates(self) -> ca.SX:
+        """ẋ, (nx, 1)."""
+        return self._f[0]
+
+    def term_values(self, place: str) -> dict[str, ca.SX]:
+        """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
+        at = (place, "all")
+        out = {t.name: self._residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
+        for cost in self.ocp.costs:
+            if cost.at in at:
+                weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+                out[cost.name] = weight * cost.norm.value(self._residual(cost))
+        return out
 
     def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
         """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``place``."""

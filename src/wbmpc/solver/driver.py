@@ -8,6 +8,7 @@ from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM
 from wbmpc.solver.places import (
     COST,
     DU,
+    DUAL,
     DX,
     END_BOXES,
     END_COST,
@@ -15,6 +16,7 @@ from wbmpc.solver.places import (
     FILTER,
     FILTERED,
     GRID,
+    LEFT,
     LX,
     MU,
     NG,
@@ -23,7 +25,11 @@ from wbmpc.solver.places import (
     NX,
     PATH_BOXES,
     POLICY,
+    PRIMAL,
+    PRODUCT,
     QUATERNIONS,
+    RESIDUAL,
+    ROW_SLOPE,
     SHIFT,
     SLOPES,
     SMALL,
@@ -129,12 +135,15 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     return cost + row_cost, violation + row_violation
 
 
-@compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
-def accept(cost, violation, base_cost, base_violation, slope, penalty, alpha):  # type: ignore[no-untyped-def]
-    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36)."""
+@compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
+def accept(cost, violation, base_cost, base_violation, slope, drop, penalty, alpha):  # type: ignore[no-untyped-def]
+    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36).
+
+    ``slope``, ``drop``: how fast the cost rises and the violation falls along the step.
+    """
     merit, base = cost + penalty * violation, base_cost + penalty * base_violation
-    rounding = 1e-9 * (1.0 + abs(base_cost))  # of a sum of many terms
-    return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * base_violation) + rounding
+    rounding = 1e-9 * (1.0 + abs(base_cost) + penalty)  # of sums of many terms
+    return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * drop) + rounding
 
 
 @compiled(BOOL, NUMS, INTS, NUM4, NUM, NUM)
@@ -187,17 +196,17 @@ def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
 
 @compiled(NUM2, NUMS, INTS, NUMS, NUMS, NUM4, NUM, NUM)
 def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
-    """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation, slope,
-    largest primal step. Returns (α, cost at the trial point)."""
-    cost, violation, slope, reach = base
-    single, ratio = s[SINGLE] > 0.0, first
+    """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
+    slope, drop. Returns (α, cost at the trial point)."""
+    cost, violation, slope, drop = base
+    reach, single, ratio = m[o[STATE] + PRIMAL], s[SINGLE] > 0.0, first
     while ratio >= s[SMALLEST]:
         alpha = ratio * reach
         c, v = trial(m, o, x0, alpha, single)
         if s[USE_FILTER] > 0.0:
             if accept_by_filter(m, o, (c, v, cost, violation), slope, alpha):
                 return alpha, c
-        elif accept(c, v, cost, violation, slope, penalty, alpha):
+        elif accept(c, v, cost, violation, slope, drop, penalty, alpha):
             return alpha, c
         ratio *= 0.5
     if s[FORCE] > 0.0:
@@ -221,6 +230,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     penalty, first, last_kkt, shift, certify = 0.0, 1.0, np.inf, 0.0, s[CERTIFY] > 0.0
     rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
     m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
+    m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
+    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = 0.0, 0.0, 0.0
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
     if rows:
@@ -234,10 +245,10 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             gaps += abs(x0[i] - m[o[X] + i])
         violation += gaps + equalities
         largest, slope = forward(m, o, x0)
-        primal, dual, row_slope, product, residual = 1.0, 1.0, 0.0, 0.0, 0.0
         if rows:
-            primal, dual, row_slope, product, residual = rows_step(m, o, s[TAU])
-            slope += row_slope
+            rows_step(m, o, s[TAU])
+        slope += m[state + ROW_SLOPE]
+        dual, product, residual = m[state + DUAL], m[state + PRODUCT], m[state + RESIDUAL]
         kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
         log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = cost, violation, kkt, largest, 0.0
         log[row + 5], log[row + 6], log[row + 7], log[row + 8], log[row + 9] = (
@@ -259,14 +270,18 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             return DIVERGED, it
         feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
         mu = m[state + MU]
-        if certify and kkt <= s[TOLERANCE] and feasible and (mu <= s[MU_END] or not rows) and product <= 10.0 * mu:
-            return CONVERGED, it
-        if violation > 1e-12:
-            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / violation)
+        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu:
+            if mu <= s[MU_END] or not rows:
+                return CONVERGED, it
+            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf
+            continue
+        drop = violation - m[state + LEFT]
+        if drop > 1e-10:
+            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
         first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
         last_kkt = kkt
-        alpha, _ = search(m, o, x0, s, (cost, violation, slope, primal), penalty, first)
+        alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:
             shift = max(10.0 * shift, 1e-4)
             if shift > s[LARGEST_SHIFT]:
@@ -276,7 +291,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         take(m, o)
         if rows:
             take_rows(m, o, alpha, dual)
-            after = next_mu(mu, s[MU_END], max(kkt, violation) if certify else 0.0, product)
+            error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
+            after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
             if after < mu:
                 m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
         log[row + 4] = alpha

@@ -368,21 +368,23 @@ class InterpretedSolver:
             if abs(cost) > HUGE or size > HUGE:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
-            if (
-                c.certify
-                and kkt <= c.tolerance
-                and feasible
-                and (not has_rows or (self.mu <= c.mu_end and product <= 10 * self.mu))
-            ):
-                return 0, it
-            if violation > 1e-12:
+            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu:
+                if self.mu <= c.mu_end or not has_rows:
+                    return 0, it
+                self.mu, first, last_kkt = next_mu.python(self.mu, c.mu_end, 0.0, self.mu), 1.0, np.inf
+                continue
+            h = np.append(np.diff(self.ws.grid), 1.0)
+            drop = violation - sum(
+                w * np.abs((r.h + r.change)[r.equal & r.counts]).sum() for w, r in zip(h, self.own, strict=True)
+            )
+            if drop > 1e-10:
                 curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
-                penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / violation)
+                penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
             first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
             last_kkt = kkt
             reaches = [r.reach(c.tau) for r in self.own]
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
-            alpha = self._search(s, x0, c, (cost, violation, s["slope"]), penalty, first, primal)
+            alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
             if alpha == 0.0:
                 shift = max(10.0 * shift, 1e-4)
                 if shift > c.largest_shift:
@@ -392,7 +394,8 @@ class InterpretedSolver:
             for rows in self.own:
                 rows.take(alpha, dual)
             if has_rows:
-                after = next_mu.python(self.mu, c.mu_end, max(kkt, violation) if c.certify else 0.0, product)
+                error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
+                after = next_mu.python(self.mu, c.mu_end, error, product)
                 if after < self.mu:
                     self.mu, last_kkt = after, np.inf
             self.policy = True
@@ -402,7 +405,7 @@ class InterpretedSolver:
         return 1, it
 
     def _search(
-        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, float, float], penalty: float, first: float,
+        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,
         reach: float,
     ) -> float:  # fmt: skip
         """The accepted step length, 0 for none; the iterate has moved."""

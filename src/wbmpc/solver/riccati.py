@@ -12,6 +12,7 @@ from wbmpc.solver.places import (
     END_BOXES,
     END_J,
     END_Q,
+    END_ROW_GENERAL,
     EPS,
     EQUALITY_J,
     GRID,
@@ -25,6 +26,7 @@ from wbmpc.solver.places import (
     RICCATI,
     ROW_C,
     ROW_D,
+    ROW_GENERAL,
     ROW_J,
     ROW_TABLE,
     ROWS,
@@ -43,7 +45,7 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import add_barrier, barrier_value, counts, linearise_rows, node_rows, rows_merit
+from wbmpc.solver.rows import add_barrier, barrier_value, counts, linearise_rows, node_rows
 from wbmpc.solver.stages import linearise_dynamics, row_index, stage, stage_end
 
 
@@ -56,6 +58,9 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
     matrix, small, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[SMALL], o[G] + k * lz
     gap = linearise_dynamics(m, o, k)
     m[small + 2] = h
+    if o[ROW_GENERAL] > 0:  # the rows add where the cost's functions write nothing
+        for i in range((nx + 1 + nu) * lz):
+            m[matrix + i] = 0.0
     stage(o, COST_Q, x, u, p, small + 3, matrix, matrix)
     cost = m[small + 3] + h * barrier_value(m, o, 0, o[PATH_BOXES], x, u)
     add_barrier(m, o, 0, o[PATH_BOXES], x, u, h, matrix, lz)
@@ -63,8 +68,7 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
         m[gradient + i] = m[matrix + nx * lz + i]
     for i in range(nx + 1, nx + 1 + nu):
         m[gradient + i] = m[matrix + i * lz + nx]
-    linearise_rows(m, o, k, x, u, matrix, lz)
-    row_cost, row_violation = rows_merit(m, o, k, x, u, 0.0)
+    row_cost, row_violation = linearise_rows(m, o, k, x, u, matrix, lz)
     shift = m[o[STATE] + SHIFT]
     if shift > 0.0:
         for i in range(nx + 1 + nu):
@@ -74,7 +78,7 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
         stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
         for q in range(ng):
             violation += abs(m[o[E] + q * lz + nx])
-    return cost + h * row_cost, gap, violation, h * row_violation
+    return cost + row_cost, gap, violation, row_violation
 
 
 @compiled(NUM2, NUMS, INTS)
@@ -82,13 +86,15 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     """Terminal cost and rows' violation; Hessian and gradient into ``terminal`` and the value function."""
     n, nx, lx = o[N], o[NX], o[LX]
     x, end = o[X] + n * nx, o[TERMINAL]
+    if o[END_ROW_GENERAL] > 0:
+        for i in range((nx + 1) * lx):
+            m[end + i] = 0.0
     stage_end(o, END_Q, x, o[P] + n * o[NP], o[SMALL], end)
     add_barrier(m, o, o[PATH_BOXES], o[END_BOXES], x, x, 1.0, end, lx)
     for i in range(nx):
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
-    linearise_rows(m, o, n, x, x, end, lx)
-    row_cost, violation = rows_merit(m, o, n, x, x, 0.0)
+    row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):

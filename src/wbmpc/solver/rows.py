@@ -15,12 +15,13 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.ocp.rows import Kind
-from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM5, NUMS, call3, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM5, NUMS, call3, compiled
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
     BOXES,
     DU,
+    DUAL,
     DX,
     END_J,
     END_ROW_BOXES,
@@ -29,15 +30,21 @@ from wbmpc.solver.places import (
     END_ROWS_J,
     GRID,
     INDEX,
+    LEFT,
     LX,
     LZ,
     MU,
     NP,
     NU,
     NX,
+    PRIMAL,
+    PRODUCT,
+    RESIDUAL,
     ROW_BOXES,
     ROW_C,
     ROW_D,
+    ROW_DS,
+    ROW_DT,
     ROW_E,
     ROW_GENERAL,
     ROW_H,
@@ -46,6 +53,7 @@ from wbmpc.solver.places import (
     ROW_N,
     ROW_S,
     ROW_SCALED,
+    ROW_SLOPE,
     ROW_T,
     ROW_TABLE,
     ROW_VALUES,
@@ -113,10 +121,11 @@ def weight(kind, h, t, l, s, penalty, mu):  # type: ignore[no-untyped-def]  # no
     """(σ, e) of a row."""
     if kind == HARD:
         if np.isinf(penalty):
-            return l / t, h - mu / l - t
+            inverse = 1.0 / l
+            return l / t, h - mu * inverse - t
         y = penalty - l
-        softness = t / l + s / y
-        return 1.0 / softness, h - mu / l + mu / y - l * softness
+        inverse = 1.0 / (l * y)  # divisions are what a row costs
+        return l * y / (t * y + s * l), h - mu * inverse * (y - l) - t - s * l * l * inverse
     if kind == MULTIPLIER:
         return (penalty if l > penalty * h else 0.0), h - l / penalty
     return penalty, h + l / penalty
@@ -135,14 +144,20 @@ def smooth_merit(kind, h, t, l, s, penalty, mu):  # type: ignore[no-untyped-def]
     return 0.0, abs(h)
 
 
-@compiled(NUM4, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
-def steps(t, l, s, penalty, mu, sigma, reach):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(δt, δl, δs, next l) of a hard row; ``reach`` = J δz + e."""
-    following = -sigma * reach
+@compiled(NUM5, NUM, NUM, NUM, NUM, NUM, NUM)
+def steps(t, l, s, penalty, mu, following):  # type: ignore[no-untyped-def]  # noqa: E741
+    """(δt, δs, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of the logarithms and of the slack) of a hard row."""
     dl = following - l
-    dt = (mu - l * t - t * dl) / l
-    ds = 0.0 if np.isinf(penalty) else (mu + s * dl) / (penalty - l) - s
-    return dt, dl, ds, following
+    if np.isinf(penalty):
+        by_l, by_t = 1.0 / l, 1.0 / t
+        dt = mu * by_l - t - t * dl * by_l
+        return dt, 0.0, -dt * by_t, -dl * by_l, -mu * dt * by_t
+    y = penalty - l
+    inverse, other = 1.0 / (l * y), 1.0 / (t * s)
+    by_l, by_y, by_t, by_s = y * inverse, l * inverse, s * other, t * other
+    dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
+    slope = ds * (penalty - mu * by_s) - mu * dt * by_t
+    return dt, ds, max(-dt * by_t, -ds * by_s), max(-dl * by_l, dl * by_y), slope
 
 
 @compiled(INT3, INTS, INT)
@@ -151,12 +166,6 @@ def node_rows(o, k):  # type: ignore[no-untyped-def]
     if k < o[N]:
         return 0, o[ROW_BOXES], o[ROW_GENERAL]
     return o[ROW_BOXES] + o[ROW_GENERAL], o[END_ROW_BOXES], o[END_ROW_GENERAL]
-
-
-@compiled(NUM, NUM, NUM, NUM)
-def reachable(value, step, tau):  # type: ignore[no-untyped-def]
-    """The largest step length that keeps 1 − ``tau`` of a positive value."""
-    return -tau * value / step if step < -tau * value else 1.0
 
 
 @compiled(BOOL, INTS, INT, INT)
@@ -188,9 +197,9 @@ def general_values(m, o, k, x, u):  # type: ignore[no-untyped-def]
 def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
     """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w."""
     first, boxes, general = node_rows(o, k)
-    place, mu, kinds = k * o[ROWS], m[o[STATE] + MU], row_index(o) + row_count(o)
     if boxes + general == 0:
         return 0.0, 0.0
+    place, mu, kinds = k * o[ROWS], m[o[STATE] + MU], row_index(o) + row_count(o)
     general_values(m, o, k, x, u)
     cost, violation, product = 0.0, 0.0, 1.0
     for j in range(boxes + general):
@@ -199,17 +208,13 @@ def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
             continue
         h = box_value(m, o, r, x, u) if j < boxes else m[o[SMALL] + 16 + j - boxes]
         kind, penalty = o[kinds + r], m[o[ROW_TABLE] + 3 * r + 2]
-        t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
+        t, s = m[o[ROW_T] + q] + alpha * m[o[ROW_DT] + q], m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
         if kind == HARD:
-            if alpha > 0.0:
-                reach = m[o[ROW_D] + q] + m[o[ROW_E] + q]
-                dt, _, ds, _ = steps(t, l, s, penalty, mu, m[o[ROW_C] + q], reach)
-                t, s = t + alpha * dt, s + alpha * ds
             product *= t if np.isinf(penalty) else t * s
             if not 1e-200 < product < 1e200:
                 cost -= mu * np.log(product)
                 product = 1.0
-        c, v = smooth_merit(kind, h, t, l, s, penalty, mu)
+        c, v = smooth_merit(kind, h, t, m[o[ROW_L] + q], s, penalty, mu)
         cost, violation = cost + c, violation + v
     return cost - mu * np.log(product), violation
 
@@ -232,16 +237,17 @@ def add_general(m, o, k, jacobian, place, general, w, matrix, ld):  # type: igno
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, INT)
+@compiled(NUM2, NUMS, INTS, INT, INT, INT, INT, INT)
 def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
-    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``."""
+    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation)."""
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
-        return
+        return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
     mu, place, index = m[o[STATE] + MU], k * o[ROWS], row_index(o)
     kinds, lz = index + row_count(o), o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
+    cost, violation, product = 0.0, 0.0, 1.0
     if general > 0:
         out, p = o[SMALL] + 16, o[P] + k * o[NP]
         if k < o[N]:
@@ -254,8 +260,16 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
         m[o[ROW_H] + q] = h
         sigma, e = 0.0, 0.0
         if counts(o, r, k):
-            penalty = m[o[ROW_TABLE] + 3 * r + 2]
-            sigma, e = weight(o[kinds + r], h, m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q], penalty, mu)
+            kind, penalty = o[kinds + r], m[o[ROW_TABLE] + 3 * r + 2]
+            t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
+            sigma, e = weight(kind, h, t, l, s, penalty, mu)
+            if kind == HARD:
+                product *= t if np.isinf(penalty) else t * s
+                if not 1e-200 < product < 1e200:
+                    cost -= mu * np.log(product)
+                    product = 1.0
+            c, v = smooth_merit(kind, h, t, l, s, penalty, mu)
+            cost, violation = cost + c, violation + v
         m[o[ROW_C] + q], m[o[ROW_E] + q] = sigma, e
         if j < boxes:
             sign = m[o[ROW_TABLE] + 3 * r]
@@ -264,6 +278,7 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
             m[jacobian + (j - boxes) * lz + o[NX]] = e
     if general > 0:
         add_general(m, o, k, jacobian, place + boxes, general, w, matrix, ld)
+    return w * (cost - mu * np.log(product)), w * violation
 
 
 @compiled(NUM, NUMS, INTS, INT, INT)
@@ -285,14 +300,14 @@ def row_change(m, o, k, j):  # type: ignore[no-untyped-def]
 
 
 # ---------------------------------------------------------------------- all nodes
-@compiled(NUM5, NUMS, INTS, NUM)
+@compiled(NONE, NUMS, INTS, NUM)
 def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
-    """Steps of slacks and multipliers: (largest primal and dual step length, slope of their cost, complementarity, residual).
+    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see places.py).
 
-    ``tau``: fraction to the boundary. Complementarity is the largest product l t or y s at the iterate, the residual the
-    largest |h + s − t|, or |h| of an equality.
+    ``tau``: fraction to the boundary.
     """
-    primal, dual, slope, product, mu, residual = 1.0, 1.0, 0.0, 0.0, m[o[STATE] + MU], 0.0
+    state, mu = o[STATE], m[o[STATE] + MU]
+    primal, dual, slope, product, residual, left = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
@@ -308,41 +323,38 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
             if o[kinds + r] == EQUAL:
                 m[o[ROW_N] + q] = penalty * reach
                 residual = max(residual, abs(m[o[ROW_H] + q]))
+                left += w * abs(m[o[ROW_H] + q] + change)
             elif o[kinds + r] == MULTIPLIER:
                 pull = max(0.0, l - penalty * m[o[ROW_H] + q])
                 m[o[ROW_N] + q] = max(0.0, l - penalty * (m[o[ROW_H] + q] + change))
                 slope -= w * pull * change
                 residual = max(residual, -m[o[ROW_H] + q])
             else:
-                dt, dl, ds, following = steps(t, l, s, penalty, mu, m[o[ROW_C] + q], reach)
-                m[o[ROW_N] + q] = following
-                primal, dual = min(primal, reachable(t, dt, tau)), min(dual, reachable(l, dl, tau))
-                slope -= w * mu * dt / t
+                following = -m[o[ROW_C] + q] * reach
+                dt, ds, shrink, fall, change = steps(t, l, s, penalty, mu, following)
+                m[o[ROW_N] + q], m[o[ROW_DT] + q], m[o[ROW_DS] + q] = following, dt, ds
+                primal, dual, slope = max(primal, shrink), max(dual, fall), slope + w * change
                 product, residual = max(product, l * t), max(residual, abs(m[o[ROW_H] + q] + s - t))
                 if not np.isinf(penalty):
-                    primal, dual = min(primal, reachable(s, ds, tau)), min(dual, reachable(penalty - l, -dl, tau))
-                    slope += w * ds * (penalty - mu / s)
                     product = max(product, (penalty - l) * s)
-    return primal, dual, slope, product, residual
+    m[state + PRIMAL], m[state + DUAL] = tau / max(primal, tau), tau / max(dual, tau)
+    m[state + ROW_SLOPE], m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = slope, product, residual, left
 
 
 @compiled(NONE, NUMS, INTS, NUM, NUM)
 def take_rows(m, o, primal, dual):  # type: ignore[no-untyped-def]
     """Slacks and multipliers move by their steps."""
-    mu, kinds = m[o[STATE] + MU], row_index(o) + row_count(o)
+    kinds = row_index(o) + row_count(o)
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(boxes + general):
             r, q = first + j, k * o[ROWS] + j
             if not counts(o, r, k):
                 continue
-            t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
-            if o[kinds + r] != HARD:
-                m[o[ROW_L] + q] = l + primal * (m[o[ROW_N] + q] - l)
-                continue
-            reach = m[o[ROW_D] + q] + m[o[ROW_E] + q]
-            dt, dl, ds, _ = steps(t, l, s, m[o[ROW_TABLE] + 3 * r + 2], mu, m[o[ROW_C] + q], reach)
-            m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q] = t + primal * dt, l + dual * dl, s + primal * ds
+            l = m[o[ROW_L] + q]  # noqa: E741
+            m[o[ROW_L] + q] = l + (dual if o[kinds + r] == HARD else primal) * (m[o[ROW_N] + q] - l)
+            m[o[ROW_T] + q] += primal * m[o[ROW_DT] + q]
+            m[o[ROW_S] + q] += primal * m[o[ROW_DS] + q]
 
 
 @compiled(NONE, NUMS, INTS, NUM, BOOL)

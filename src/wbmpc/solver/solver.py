@@ -5,15 +5,17 @@ from __future__ import annotations
 import ctypes
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError, SolveFailed, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
+from wbmpc.solver.certificate import Checks, not_finite
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -141,8 +143,11 @@ class Solver:
         simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), h, out)
         return out
 
-    def solve(self, x0: np.ndarray, t0: float = 0.0) -> Solution:
-        """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s]."""
+    def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
+        """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
+
+        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
+        """
         x0 = np.ascontiguousarray(x0, float)
         nx = self.problem.nx
         if x0.shape != (nx,):
@@ -152,7 +157,49 @@ class Solver:
             raise InputError(f"initial state: '{bad}' is not finite")
         start = time.perf_counter()
         status, count = self.run(x0, t0)
-        return self.solution(status, count, time.perf_counter() - start)
+        elapsed = time.perf_counter() - start
+        solution = self.solution(status, count, elapsed)
+        if self.settings.certify or not solution.usable:
+            solution = self._certified(solution)
+        if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
+            raise SolveFailed(str(solution))
+        return solution
+
+    def _certified(self, solution: Solution) -> Solution:
+        """The solution with its violations by name, and the status that these show."""
+        ws, status, detail = self.ws, solution.status, ""
+        if status is Status.NOT_FINITE:
+            detail = not_finite(self.problem, ws)
+            if detail or solution.violation < self.settings.feasibility:
+                return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
+            status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
+        violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
+        worst = max(violations.values(), key=lambda v: v.value, default=None)
+        if status is Status.DIVERGED:
+            k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
+            name = self.ocp.dynamics.state.names[i]
+            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}, cost {solution.cost:.3g}"
+        elif status is not Status.CONVERGED and solution.log[-1, COLUMNS["violation"]] > self.settings.feasibility:
+            detail = (
+                f"largest violation: {worst}" if worst is not None and worst.value > 0.0 else "gaps of the dynamics"
+            )
+            if self._stuck(solution):
+                status = Status.INFEASIBLE
+        elif status is Status.CONVERGED:
+            hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
+            most = max(hard, key=lambda v: v.value, default=None)
+            if most is not None and most.value > 1e-5:
+                status, detail = Status.RELAXED, str(most)
+        return replace(solution, status=status, violations=violations, detail=detail)
+
+    def _stuck(self, solution: Solution) -> bool:
+        """Whether the violation has not halved over the second half of the iterations."""
+        violation = solution.log[:, COLUMNS["violation"]]
+        return solution.status is Status.NO_STEP or bool(violation[-1] > 0.5 * violation[len(violation) // 2])
+
+    @cached_property
+    def _checks(self) -> Checks:
+        return Checks(self.problem)
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory."""

@@ -82,7 +82,7 @@ BLOCKS = (
     "f",  # (6, lx)
     "small",  # (16 + largest number of equalities or general rows,)
     "boxes",  # (relaxed barriers, 4): sign, offset, μ, δ; path first
-    "rows_h",  # (N + 1, rows): value, slack, multiplier, L1 slack, weight σ, offset e, J δz, next multiplier
+    "rows_h",  # (N + 1, rows): value, slack, multiplier, L1 slack, σ, e, J δz, next multiplier, steps of the slacks
     "rows_t",
     "rows_l",
     "rows_s",
@@ -90,13 +90,15 @@ BLOCKS = (
     "rows_e",
     "rows_d",
     "rows_n",
+    "rows_dt",
+    "rows_ds",
     "row_table",  # (path rows, then end rows, 3): sign, offset, penalty
     "row_jacobian",  # (N, nr, lz)
     "row_scaled",  # (nr, lz)
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (8,): μ, shift of the Hessian, …
+    "state",  # (16,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
 )
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
@@ -105,7 +107,7 @@ ADDRESSES = OFFSETS + len(BLOCKS)
 POINTERS = ADDRESSES + len(FUNCTIONS)
 INDICES = POINTERS + 16
 
-_ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n")
+_ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n", "rows_dt", "rows_ds")
 _VIEWS = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du", "rows_h", "rows_t", "rows_l", "rows_s")
 
 
@@ -190,7 +192,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
-        "state": (8,),
+        "state": (16,),
         "filter": (64, 2),
     }
     return shapes | {name: (n + 1, rows) for name in _ROWS}
