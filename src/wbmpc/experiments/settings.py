@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from wbmpc.plant.perturbation import Perturbation
+from wbmpc.solver import SQP, InteriorPoint
 
 Weight = Annotated[float, Field(ge=0)]
 
@@ -19,7 +20,8 @@ class Settings(BaseModel):
 
 class MpcSettings(Settings):
     """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
-    ``delay`` [s]: modelled computation time; ``iterations`` per update; ``barrier_mu`` of the soft limits."""
+    ``delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
+    point (hard) or relaxed barriers (soft), both with ``barrier_mu``."""
 
     rate: float = Field(50.0, gt=0)
     horizon: float = Field(10.0, gt=0)
@@ -27,7 +29,12 @@ class MpcSettings(Settings):
     first_interval: float = Field(0.017, ge=0)
     delay: float = Field(0.010, ge=0)
     iterations: int = Field(1, ge=1, le=50)
+    limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(1e-3, gt=0)
+
+    def solver(self) -> SQP:
+        """The solver's real-time settings."""
+        return SQP.real_time(self.iterations, interior_point=InteriorPoint("real_time", self.barrier_mu))
 
 
 class ControlSettings(Settings):

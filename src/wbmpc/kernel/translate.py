@@ -20,7 +20,7 @@ from wbmpc.kernel.scalar import literal
 
 #: Types: number, integer, truth value, array of numbers, array of integers, nothing; several numbers are a tuple of these.
 NUM, INT, BOOL, NUMS, INTS, NONE = "F", "I", "B", "M", "O", "V"
-NUM2, NUM3, NUM4, NUM5 = ((NUM,) * n for n in (2, 3, 4, 5))
+NUM2, NUM3, NUM4, NUM6 = ((NUM,) * n for n in (2, 3, 4, 6))
 INT2, INT3 = (INT,) * 2, (INT,) * 3
 Type = str | tuple[str, ...]
 

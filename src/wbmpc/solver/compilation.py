@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import BOOL, INT, INT2, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM5, NUMS, PointerCall
+from wbmpc.kernel.translate import BOOL, INT, INT2, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM6, NUMS, PointerCall
 
 LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"))
 compiled = LIBRARY.compiled
@@ -21,7 +21,7 @@ __all__ = [
     "NUM2",
     "NUM3",
     "NUM4",
-    "NUM5",
+    "NUM6",
     "NUMS",
     "call2",
     "call3",

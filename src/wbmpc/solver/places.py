@@ -18,7 +18,7 @@ VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch
 J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
 ROW_H, ROW_T, ROW_L, ROW_S = (_place[n] for n in ("rows_h", "rows_t", "rows_l", "rows_s"))
 ROW_C, ROW_E, ROW_D, ROW_N = (_place[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
-ROW_DT, ROW_DS = (_place[n] for n in ("rows_dt", "rows_ds"))
+ROW_DT, ROW_DS, ROW_Y = (_place[n] for n in ("rows_dt", "rows_ds", "rows_y"))
 ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
 GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old", "state", "filter"))
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.ocp.rows import Kind
-from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM5, NUMS, call3, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM6, NUMS, call3, compiled
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
@@ -57,6 +57,7 @@ from wbmpc.solver.places import (
     ROW_T,
     ROW_TABLE,
     ROW_VALUES,
+    ROW_Y,
     ROWS,
     ROWS_J,
     SMALL,
@@ -116,14 +117,13 @@ def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no
 
 
 # ---------------------------------------------------------------------- one row
-@compiled(NUM2, INT, NUM, NUM, NUM, NUM, NUM, NUM)
-def weight(kind, h, t, l, s, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
+@compiled(NUM2, INT, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
+def weight(kind, h, t, l, s, y, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
     """(σ, e) of a row."""
     if kind == HARD:
         if np.isinf(penalty):
             inverse = 1.0 / l
             return l / t, h - mu * inverse - t
-        y = penalty - l
         inverse = 1.0 / (l * y)  # divisions are what a row costs
         return l * y / (t * y + s * l), h - mu * inverse * (y - l) - t - s * l * l * inverse
     if kind == MULTIPLIER:
@@ -144,20 +144,25 @@ def smooth_merit(kind, h, t, l, s, penalty, mu):  # type: ignore[no-untyped-def]
     return 0.0, abs(h)
 
 
-@compiled(NUM5, NUM, NUM, NUM, NUM, NUM, NUM)
-def steps(t, l, s, penalty, mu, following):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(δt, δs, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of the logarithms and of the slack) of a hard row."""
+@compiled(NUM6, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
+def steps(t, l, s, y, penalty, mu, following, ahead):  # type: ignore[no-untyped-def]  # noqa: E741
+    """(δt, δs, δl, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of logarithms and slack) of a hard row.
+
+    ``following``: next multiplier; ``ahead`` = h + J δz.
+    """
     dl = following - l
     if np.isinf(penalty):
         by_l, by_t = 1.0 / l, 1.0 / t
         dt = mu * by_l - t - t * dl * by_l
-        return dt, 0.0, -dt * by_t, -dl * by_l, -mu * dt * by_t
-    y = penalty - l
+        return dt, 0.0, dl, -dt * by_t, -dl * by_l, -mu * dt * by_t
     inverse, other = 1.0 / (l * y), 1.0 / (t * s)
     by_l, by_y, by_t, by_s = y * inverse, l * inverse, s * other, t * other
     dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
+    if s * l > t * y:  # the slack carries the row: δl is the small difference of large numbers
+        ds = t + dt - ahead - s
+        dl = y - (mu - y * ds) * by_s
     slope = ds * (penalty - mu * by_s) - mu * dt * by_t
-    return dt, ds, max(-dt * by_t, -ds * by_s), max(-dl * by_l, dl * by_y), slope
+    return dt, ds, dl, max(-dt * by_t, -ds * by_s), max(-dl * by_l, dl * by_y), slope
 
 
 @compiled(INT3, INTS, INT)
@@ -262,7 +267,7 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
         if counts(o, r, k):
             kind, penalty = o[kinds + r], m[o[ROW_TABLE] + 3 * r + 2]
             t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
-            sigma, e = weight(kind, h, t, l, s, penalty, mu)
+            sigma, e = weight(kind, h, t, l, s, m[o[ROW_Y] + q], penalty, mu)
             if kind == HARD:
                 product *= t if np.isinf(penalty) else t * s
                 if not 1e-200 < product < 1e200:
@@ -331,12 +336,13 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
                 residual = max(residual, -m[o[ROW_H] + q])
             else:
                 following = -m[o[ROW_C] + q] * reach
-                dt, ds, shrink, fall, change = steps(t, l, s, penalty, mu, following)
-                m[o[ROW_N] + q], m[o[ROW_DT] + q], m[o[ROW_DS] + q] = following, dt, ds
-                primal, dual, slope = max(primal, shrink), max(dual, fall), slope + w * change
+                y, ahead = m[o[ROW_Y] + q], m[o[ROW_H] + q] + change
+                dt, ds, dl, shrink, fall, rise = steps(t, l, s, y, penalty, mu, following, ahead)
+                m[o[ROW_N] + q], m[o[ROW_DT] + q], m[o[ROW_DS] + q] = l + dl, dt, ds
+                primal, dual, slope = max(primal, shrink), max(dual, fall), slope + w * rise
                 product, residual = max(product, l * t), max(residual, abs(m[o[ROW_H] + q] + s - t))
                 if not np.isinf(penalty):
-                    product = max(product, (penalty - l) * s)
+                    product = max(product, y * s)
     m[state + PRIMAL], m[state + DUAL] = tau / max(primal, tau), tau / max(dual, tau)
     m[state + ROW_SLOPE], m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = slope, product, residual, left
 
@@ -351,8 +357,9 @@ def take_rows(m, o, primal, dual):  # type: ignore[no-untyped-def]
             r, q = first + j, k * o[ROWS] + j
             if not counts(o, r, k):
                 continue
-            l = m[o[ROW_L] + q]  # noqa: E741
-            m[o[ROW_L] + q] = l + (dual if o[kinds + r] == HARD else primal) * (m[o[ROW_N] + q] - l)
+            change = (dual if o[kinds + r] == HARD else primal) * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
+            m[o[ROW_L] + q] += change
+            m[o[ROW_Y] + q] -= change
             m[o[ROW_T] + q] += primal * m[o[ROW_DT] + q]
             m[o[ROW_S] + q] += primal * m[o[ROW_DS] + q]
 
@@ -379,7 +386,7 @@ def start_rows(m, o, least, keep):  # type: ignore[no-untyped-def]
             t = h if h > least else least  # also for a NaN
             l = l if kept and l > 0.0 else mu / t  # noqa: E741
             l = min(max(l, 1e-12), 0.99 * penalty)  # noqa: E741
-            m[o[ROW_T] + q], m[o[ROW_L] + q] = t, l
+            m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_Y] + q] = t, l, penalty - l
             m[o[ROW_S] + q] = 0.0 if np.isinf(penalty) else max(t - h, mu / (penalty - l))
 
 

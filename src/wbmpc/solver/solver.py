@@ -195,7 +195,8 @@ class Solver:
     def _stuck(self, solution: Solution) -> bool:
         """Whether the violation has not halved over the second half of the iterations."""
         violation = solution.log[:, COLUMNS["violation"]]
-        return solution.status is Status.NO_STEP or bool(violation[-1] > 0.5 * violation[len(violation) // 2])
+        slow = len(violation) >= 10 and violation[-1] > 0.5 * violation[len(violation) // 2]
+        return solution.status is Status.NO_STEP or bool(slow)
 
     @cached_property
     def _checks(self) -> Checks:

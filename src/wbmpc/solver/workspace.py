@@ -92,6 +92,7 @@ BLOCKS = (
     "rows_n",
     "rows_dt",
     "rows_ds",
+    "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
     "row_table",  # (path rows, then end rows, 3): sign, offset, penalty
     "row_jacobian",  # (N, nr, lz)
     "row_scaled",  # (nr, lz)
@@ -107,7 +108,7 @@ ADDRESSES = OFFSETS + len(BLOCKS)
 POINTERS = ADDRESSES + len(FUNCTIONS)
 INDICES = POINTERS + 16
 
-_ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n", "rows_dt", "rows_ds")
+_ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n", "rows_dt", "rows_ds", "rows_y")
 _VIEWS = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du", "rows_h", "rows_t", "rows_l", "rows_s")
 
 
