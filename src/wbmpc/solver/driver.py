@@ -29,6 +29,7 @@ from wbmpc.solver.places import (
     PRODUCT,
     QUATERNIONS,
     RESIDUAL,
+    ROW_COST,
     ROW_SLOPE,
     SHIFT,
     SLOPES,
@@ -231,7 +232,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
     m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
-    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = 0.0, 0.0, 0.0
+    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
     if rows:
@@ -250,7 +251,13 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         slope += m[state + ROW_SLOPE]
         dual, product, residual = m[state + DUAL], m[state + PRODUCT], m[state + RESIDUAL]
         kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
-        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = cost, violation, kkt, largest, 0.0
+        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = (
+            cost - m[state + ROW_COST],
+            violation,
+            kkt,
+            largest,
+            0.0,
+        )
         log[row + 5], log[row + 6], log[row + 7], log[row + 8], log[row + 9] = (
             gaps,
             equalities,
@@ -293,7 +300,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             take_rows(m, o, alpha, dual)
             error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
             after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
-            if after < mu:
+            if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
+                after = min(s[MU_START], 10.0 * mu)
+            if after != mu:
                 m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
         log[row + 4] = alpha
         o[POLICY] = 1

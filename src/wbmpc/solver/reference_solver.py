@@ -361,7 +361,20 @@ class InterpretedSolver:
             size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
             product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
             kkt = s["kkt"] if c.certify else np.nan
-            log[it] = (cost, violation, kkt, size, 0.0, violation, 0.0, residual, product, self.mu, shift, 1.0)
+            log[it] = (
+                cost - self._row_cost(),
+                violation,
+                kkt,
+                size,
+                0.0,
+                violation,
+                0.0,
+                residual,
+                product,
+                self.mu,
+                shift,
+                1.0,
+            )
             it += 1
             if not np.isfinite([cost, violation, s["slope"]]).all():
                 return NOT_FINITE, it
@@ -396,13 +409,19 @@ class InterpretedSolver:
             if has_rows:
                 error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
                 after = next_mu.python(self.mu, c.mu_end, error, product)
-                if after < self.mu:
+                after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
+                if after != self.mu:
                     self.mu, last_kkt = after, np.inf
             self.policy = True
             log[it - 1, 4] = alpha
             if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
         return 1, it
+
+    def _row_cost(self) -> float:
+        """What the rows add to the cost at the iterate."""
+        h = np.append(np.diff(self.ws.grid), 1.0)
+        return float(sum(w * r.merit(r.h, 0.0, self.mu)[0] for w, r in zip(h, self.own, strict=True)))
 
     def _search(
         self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,

@@ -25,6 +25,7 @@ from wbmpc.solver.places import (
     PATH_BOXES,
     RICCATI,
     ROW_C,
+    ROW_COST,
     ROW_D,
     ROW_GENERAL,
     ROW_J,
@@ -51,7 +52,10 @@ from wbmpc.solver.stages import linearise_dynamics, row_index, stage, stage_end
 
 @compiled(NUM4, NUMS, INTS, INT, INT)
 def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
-    """All of node k, its Hessian into buffer ``slot``: (cost, gap, violation of equalities, of rows)."""
+    """All of node k, its Hessian into buffer ``slot``: (cost, gap, violation of equalities, of rows).
+
+    The rows' part of the cost is also added up in ``state``.
+    """
     nx, nu, ng, lz = o[NX], o[NU], o[NG], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
@@ -78,6 +82,7 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
         stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
         for q in range(ng):
             violation += abs(m[o[E] + q * lz + nx])
+    m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
 
@@ -95,6 +100,7 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
     row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
+    m[o[STATE] + ROW_COST] = row_cost
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):
