@@ -17,7 +17,7 @@ from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_COMPLIANCE = 1e-9
+RELATIVE_COMPLIANCE = 1e-12
 
 _FUNCTIONS = (
     "dynamics",
@@ -83,6 +83,7 @@ class Sizes:
             "T": self.nu * self.lx,
             "R": self.nu * self.lg,
             "Z": self.ng * self.lx,
+            "Y": self.ng * self.lx,
             "S": self.ng * self.lg,
             "I": self.lg,
         }
@@ -175,6 +176,10 @@ def emit_riccati_node(s: Sizes) -> str:
             product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
             dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
+            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False),
+            dense.soften("k_soft", ng, lx),
+            dense.schur_forward("k_forth", ng, lg, lx),
+            product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
         ]
     o = s.scratch()
     body = dense.Body("riccati_node", "AB H E EPS P K X")
@@ -201,6 +206,14 @@ def emit_riccati_node(s: Sizes) -> str:
         call("k_pz", z, z, "%P", "%P")
         call("k_back", sc, inverse, z)
         call("k_t", z, r, t, mu)
+        call("k_gains", mu, d, t, "%K")
+        # once more for what the rows still lack: a saturated input makes the Schur complement ill-conditioned
+        left = at("X", o["Y"])
+        call("k_left", "%K", at("E", first), left, "%E")
+        call("k_soft", left, z, "%EPS")
+        call("k_forth", sc, inverse, left)
+        call("k_back", sc, inverse, left)
+        call("k_more", left, r, t, t)
         call("k_gains", mu, d, t, "%K")
     else:
         call("k_gains", mu, d, mu, "%K")

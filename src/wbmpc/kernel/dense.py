@@ -184,6 +184,31 @@ def schur_factor(name: str, n: int, lds: int, ldz: int, relative: float) -> str:
     return b.text()
 
 
+def schur_forward(name: str, n: int, lds: int, ldz: int) -> str:
+    """Z ← Z L⁻ᵀ column by column, from the first; arguments S (holds L), D, Z."""
+    b = Body(name, "S D Z")
+    zb = ldz // 8
+    for j in range(n):
+        acc = [b.load("Z", j * ldz + 8 * i) for i in range(zb)]
+        for q in range(j):
+            factor = b.splat(b.negate(b.load_scalar("S", q * lds + j)))
+            acc = [b.fma(b.load("Z", q * ldz + 8 * i), factor, acc[i]) for i in range(zb)]
+        spread = b.splat(b.load_scalar("D", j))
+        for i in range(zb):
+            b.store(b.scale(acc[i], spread), "Z", j * ldz + 8 * i)
+    return b.text()
+
+
+def soften(name: str, n: int, ld: int) -> str:
+    """Y[q] ← Y[q] − E_q Z[q]; arguments Y, Z (n vectors each), E (n)."""
+    b = Body(name, "Y Z E")
+    for q in range(n):
+        factor = b.splat(b.negate(b.load_scalar("E", q)))
+        for i in range(0, ld, 8):
+            b.store(b.fma(b.load("Z", q * ld + i), factor, b.load("Y", q * ld + i)), "Y", q * ld + i)
+    return b.text()
+
+
 def schur_back(name: str, n: int, lds: int, ldz: int) -> str:
     """Z ← Z L⁻¹, from the last column; arguments S (holds L), D, Z."""
     b = Body(name, "S D Z")

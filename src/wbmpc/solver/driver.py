@@ -29,6 +29,7 @@ from wbmpc.solver.places import (
     PRODUCT,
     QUATERNIONS,
     RESIDUAL,
+    RHO,
     ROW_COST,
     ROW_SLOPE,
     SHIFT,
@@ -74,7 +75,7 @@ SETTINGS = (
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
 #: A plan that has grown beyond this [units of the states] has diverged.
-HUGE = 1e12
+HUGE = 1e10
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
@@ -233,6 +234,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
+    m[state + RHO], last_residual = 1.0, np.inf
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
     if rows:
@@ -297,11 +299,17 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         shift = 0.2 * shift if shift > 1e-6 else 0.0
         take(m, o)
         if rows:
-            take_rows(m, o, alpha, dual)
+            # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
+            solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
+            take_rows(m, o, alpha, dual, solved)
             error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
             after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
             if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
                 after = min(s[MU_START], 10.0 * mu)
+            if certify and (solved or alpha > 0.9):
+                if residual > 0.25 * last_residual:
+                    m[state + RHO] = min(4.0 * m[state + RHO], 1e6)
+                last_residual, last_kkt = residual, np.inf
             if after != mu:
                 m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
         log[row + 4] = alpha

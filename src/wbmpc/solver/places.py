@@ -24,8 +24,9 @@ GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old
 
 #: Places in the block ``state``: μ of the interior point, shift of the Hessian, entries in the filter; then what the rows'
 #: step found: largest primal and dual step length, slope of the rows' cost, largest complementarity product, largest primal
-#: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost.
-MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST = range(10)
+#: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;
+#: last the factor of the multiplier rows' ρ.
+MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO = range(11)
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
 DYNAMICS, COST, EQUALITY, ROW_VALUES = (_call[n] for n in ("dynamics", "cost", "equality", "rows"))
