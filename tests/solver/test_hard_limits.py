@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toys import LinearQuadratic, Rows, ToyDynamics, pendulum
+from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum
 from wbmpc.errors import InputError, SolveFailed
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solver, Status
@@ -93,21 +93,10 @@ def test_random_limits_against_osqp(nx: int, nu: int, n: int, data: st.DataObjec
     assert np.abs(found.u - 0.05).max() < 0.35 + 1e-9
 
 
-def hardened(settings: SQP, **kwargs: object) -> Solver:
-    """The cart with the pendulum, its inequalities hard: boxes, a scaled box, a general row; at the path and the end."""
-    base = pendulum(**kwargs)
-    for name, term in base.ocp.terms.items():
-        if isinstance(term, Constraint) and not term.equality:
-            base.ocp.terms[name] = replace(term, hard=True)
-    solver = Solver(base.ocp, settings)
-    solver.set_reference("state", base.references["state"])
-    return solver
-
-
 @pytest.mark.parametrize("algorithm", [SQP, ILQR])
 @pytest.mark.parametrize("line_search", ["merit", "filter"])
 def test_nonlinear_problem_against_ipopt(algorithm: type[SQP], line_search: str) -> None:
-    solver = hardened(algorithm(iterations=300, line_search=line_search))
+    solver = hardened_pendulum(algorithm(iterations=300, line_search=line_search))
     found = solver.solve(START)
     assert found.status is Status.CONVERGED, found
     solver.guess(START)
@@ -120,11 +109,11 @@ def test_nonlinear_problem_against_ipopt(algorithm: type[SQP], line_search: str)
 
 
 def test_slq_is_the_same_problem_on_a_finer_grid() -> None:
-    fine = hardened(SLQ(iterations=300, step=0.02))
+    fine = hardened_pendulum(SLQ(iterations=300, step=0.02))
     found = fine.solve(START)
     assert found.status is Status.CONVERGED
     assert np.diff(found.times).max() <= 0.02 + 1e-12
-    assert set(np.round(hardened(SQP()).ws.grid, 9)) <= set(np.round(found.times, 9))
+    assert set(np.round(hardened_pendulum(SQP()).ws.grid, 9)) <= set(np.round(found.times, 9))
     x, u, _ = ipopt.solve(fine, START)
     np.testing.assert_allclose(found.x, x, atol=1e-6)
     np.testing.assert_allclose(found.u, u, atol=1e-5)
@@ -135,7 +124,7 @@ def test_slq_is_the_same_problem_on_a_finer_grid() -> None:
 def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
     interior = InteriorPoint(mode)
     a, b = (
-        hardened(algorithm(iterations=9, backend=k, interior_point=interior, largest_shift=0.0))
+        hardened_pendulum(algorithm(iterations=9, backend=k, interior_point=interior, largest_shift=0.0))
         for k in ("compiled", "interpreted")
     )
     for s in (a, b):
@@ -151,14 +140,13 @@ def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
 
 
 def test_every_iterate_of_single_shooting_is_a_motion_of_the_model() -> None:
-    solver = hardened(ILQR(iterations=3, certify=False))
+    solver = hardened_pendulum(ILQR(iterations=3, certify=False))
     solver.run(START)
     x = START
     np.testing.assert_array_equal(solver.ws.x[0], START)
     for k, h in enumerate(np.diff(solver.ws.grid)):
-        memory = solver.twin_step(x, k, h) if hasattr(solver, "twin_step") else solver.simulate(x, solver.ws.u[k], h)
-        np.testing.assert_allclose(solver.ws.x[k + 1], memory, atol=1e-9)
-        x = memory
+        x = solver.simulate(x, solver.ws.u[k], h)
+        np.testing.assert_allclose(solver.ws.x[k + 1], x, atol=1e-9)
 
 
 # ---------------------------------------------------------------------- limits that cannot be held

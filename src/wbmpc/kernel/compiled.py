@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -12,7 +13,7 @@ import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache, dense
-from wbmpc.kernel.machine import compile_module, load_object, target_text
+from wbmpc.kernel.machine import compile_module, load_object, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
 from wbmpc.ocp import Transcription
 
@@ -158,7 +159,7 @@ def emit_riccati_node(s: Sizes) -> str:
     """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch)."""
     nx1, nu, ng, lx, lz, lg, first = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first
     xb, zb, gb = lx // 8, lz // 8, lg // 8
-    product = dense.matrix_product
+    product = partial(dense.matrix_product, budget=vector_budget())
     parts = [
         product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
         product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
@@ -224,7 +225,7 @@ def emit_add_rows(s: Sizes) -> str:
     """H += Aᵀ B for ``nr`` rows of the extended node vector; arguments A, B (rows times their weights), H."""
     if s.nr == 0:
         return "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\nret void\n}"
-    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False)
+    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False, vector_budget())
     body = "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\n"
     return f"{product}\n{body}call void @k_rows(ptr %A, ptr %B, ptr %H, ptr %H)\nret void\n}}"
 
@@ -264,6 +265,14 @@ def problem_key(transcription: Transcription) -> str:
     return digest.hexdigest()
 
 
+def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
+    """The sizes that a cache entry states; None for an entry of another format or target, which is built anew."""
+    try:
+        return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
+    except (KeyError, TypeError):
+        return None
+
+
 def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
     """Compile a problem, or load it from the cache.
 
@@ -271,14 +280,14 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     """
     key = problem_key(transcription)
     found = cache.load(key) if use_cache else None
-    if found is None:
+    sizes = _cached_sizes(found)
+    if found is None or sizes is None:
         ir, sizes = emit_problem(transcription)
-        code = compile_module(ir)
+        code, found = compile_module(ir), None
         if use_cache:
-            cache.save(key, code, asdict(sizes))
+            cache.save(key, code, {"target": target_text(), "sizes": asdict(sizes)})
     else:
-        code, description = found
-        sizes = Sizes(**description)
+        code = found[0]
     engine = load_object(code)
     names = [*(f"w_{n}" for n in _FUNCTIONS), *_KERNELS]
     addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
