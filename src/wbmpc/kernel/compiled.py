@@ -35,6 +35,9 @@ _FUNCTIONS = (
     "terminal_quadratic",
     "end_rows_jacobian",
     "jump_jacobian",
+    "lagrangian",
+    "dynamics_hessian",
+    "end_lagrangian",
 )
 _KERNELS = ("riccati_node", "chain", "add_rows")
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -151,6 +154,9 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name in ("rows_jacobian", "end_rows_jacobian"):
         maps[name] = [maps[name][0], [[q * lz + place(c)] for q, c in entries(name, 1)]]
+    both = lambda r, c, ld: sorted({place(c) * ld + place(r), place(r) * ld + place(c)})
+    for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
+        maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
     return maps
 
@@ -260,7 +266,7 @@ def problem_key(transcription: Transcription) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    text = [target_text(), getattr(ca, "__version__", ""), cache.source_fingerprint()]
+    text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
     digest.update(json.dumps(text).encode())
     return digest.hexdigest()
 

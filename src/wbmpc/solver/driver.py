@@ -13,6 +13,7 @@ from wbmpc.solver.places import (
     END_BOXES,
     END_COST,
     EQUALITY,
+    EXACT,
     FILTER,
     FILTERED,
     GRID,
@@ -36,6 +37,7 @@ from wbmpc.solver.places import (
     SLOPES,
     SMALL,
     STATE,
+    THETA,
     UT,
     XT,
     K,
@@ -234,7 +236,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
-    m[state + RHO], last_residual = 1.0, np.inf
+    m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
     if rows:
@@ -270,8 +272,12 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         log[row + 10], log[row + 11] = shift, dual
         it += 1
         if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
-            if s[LARGEST_SHIFT] > 0.0 and it < limit and np.isfinite(cost) and np.isfinite(violation):
-                shift = max(10.0 * shift, 1e-6)  # the subproblem is not convex
+            if it < limit and np.isfinite(cost) and np.isfinite(violation) and s[LARGEST_SHIFT] > 0.0:
+                # the subproblem is not convex: fewer second derivatives, then a larger shift
+                if o[EXACT] > 0 and m[state + THETA] > 0.0:
+                    m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
+                    continue
+                shift = max(10.0 * shift, 1e-6)
                 if shift <= s[LARGEST_SHIFT]:
                     continue
             return NOT_FINITE, it
@@ -296,7 +302,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             if shift > s[LARGEST_SHIFT]:
                 return NO_STEP, it
             continue
-        shift = 0.2 * shift if shift > 1e-6 else 0.0
+        shift, m[state + THETA] = 0.2 * shift if shift > 1e-6 else 0.0, min(1.0, 2.0 * m[state + THETA] + 0.01)
         take(m, o)
         if rows:
             # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
@@ -307,9 +313,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
                 after = min(s[MU_START], 10.0 * mu)
             if certify and (solved or alpha > 0.9):
-                if residual > 0.25 * last_residual:
-                    m[state + RHO] = min(4.0 * m[state + RHO], 1e6)
-                last_residual, last_kkt = residual, np.inf
+                if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
+                    m[state + RHO], last_kkt = min(4.0 * m[state + RHO], 1e6), np.inf
+                last_residual = residual
             if after != mu:
                 m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
         log[row + 4] = alpha

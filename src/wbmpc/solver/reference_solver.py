@@ -428,9 +428,11 @@ class InterpretedSolver:
                 after = next_mu.python(self.mu, c.mu_end, error, product)
                 after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
                 if c.certify and (solved or alpha > 0.9):
-                    for r in self.own:
-                        r.rho = min(4.0 * r.rho, 1e6) if residual > 0.25 * last_residual else r.rho
-                    last_residual, last_kkt = residual, np.inf
+                    if residual > c.feasibility and residual > 0.25 * last_residual:
+                        last_kkt = np.inf
+                        for r in self.own:
+                            r.rho = min(4.0 * r.rho, 1e6)
+                    last_residual = residual
                 if after != self.mu:
                     self.mu, last_kkt = after, np.inf
             self.policy = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.exact import exact_end, exact_node
 from wbmpc.solver.places import (
     AB,
     BASE,
@@ -15,6 +16,7 @@ from wbmpc.solver.places import (
     END_ROW_GENERAL,
     EPS,
     EQUALITY_J,
+    EXACT,
     GRID,
     LX,
     LZ,
@@ -62,7 +64,7 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
     matrix, small, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[SMALL], o[G] + k * lz
     gap = linearise_dynamics(m, o, k)
     m[small + 2] = h
-    if o[ROW_GENERAL] > 0:  # the rows add where the cost's functions write nothing
+    if o[ROW_GENERAL] + o[EXACT] > 0:  # rows and second derivatives add where the cost's functions write nothing
         for i in range((nx + 1 + nu) * lz):
             m[matrix + i] = 0.0
     stage(o, COST_Q, x, u, p, small + 3, matrix, matrix)
@@ -82,6 +84,8 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
         stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
         for q in range(ng):
             violation += abs(m[o[E] + q * lz + nx])
+    if o[EXACT] > 0:
+        exact_node(m, o, k, matrix)
     m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
@@ -91,7 +95,7 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     """Terminal cost and rows' violation; Hessian and gradient into ``terminal`` and the value function."""
     n, nx, lx = o[N], o[NX], o[LX]
     x, end = o[X] + n * nx, o[TERMINAL]
-    if o[END_ROW_GENERAL] > 0:
+    if o[END_ROW_GENERAL] + o[EXACT] > 0:
         for i in range((nx + 1) * lx):
             m[end + i] = 0.0
     stage_end(o, END_Q, x, o[P] + n * o[NP], o[SMALL], end)
@@ -101,6 +105,8 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
     row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
     m[o[STATE] + ROW_COST] = row_cost
+    if o[EXACT] > 0:
+        exact_end(m, o, end)
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):

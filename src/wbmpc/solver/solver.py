@@ -37,7 +37,7 @@ class Solver:
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem = Transcription(self.ocp)
+        self.problem = Transcription(self.ocp, self._exact())
         self.kernel = None
         if self.settings.backend == "compiled":
             from wbmpc.kernel import build_kernel
@@ -55,6 +55,21 @@ class Solver:
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
             self._bind()
+
+    def _exact(self) -> bool:
+        if self.settings.hessian != "exact":
+            return False
+        jumps = getattr(self.ocp.dynamics, "jump", None) is not None
+        bad = {
+            f"integrator='{self.ocp.integrator}'": self.ocp.integrator != "rk2",
+            "a state that jumps at events": jumps,
+            "quaternions": bool(self.ocp.dynamics.unit_quaternions),
+            "backend='interpreted'": self.settings.backend != "compiled",
+        }
+        for name, given in bad.items():
+            if given:
+                raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
+        return True
 
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
