@@ -190,11 +190,15 @@ def take(m, o):  # type: ignore[no-untyped-def]
 
 @compiled(NONE, NUMS, INTS, NUMS)
 def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
-    """The present policy from ``x0``: what single shooting starts from."""
+    """A motion from ``x0``, what single shooting starts from: by the last policy, or by feedback around the guess (without it
+    an unstable model would leave the guess at once), or open loop where that is not finite."""
     if o[POLICY] == 0:
+        backward(m, o, False)
+    cost, violation = trial(m, o, x0, 0.0, True)
+    if not (np.isfinite(cost) and np.isfinite(violation)):
         for i in range(o[N] * o[NU] * o[LX]):
             m[o[K] + i] = 0.0
-    trial(m, o, x0, 0.0, True)
+        trial(m, o, x0, 0.0, True)
     take(m, o)
 
 
@@ -233,14 +237,16 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
     penalty, first, last_kkt, shift, certify = 0.0, 1.0, np.inf, 0.0, s[CERTIFY] > 0.0
     rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
-    m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
+    m[state + MU], m[state + FILTERED], m[state + SHIFT] = s[MU_START], 0.0, 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
-    if s[SINGLE] > 0.0:
-        roll_out(m, o, x0)
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0)
+    if s[SINGLE] > 0.0:
+        roll_out(m, o, x0)
+        if rows:
+            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0)
     it = 0
     while it < limit:
         row = it * LOG_COLUMNS
@@ -294,7 +300,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if drop > 1e-10:
             penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
-        first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
+        invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+        first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:

@@ -352,23 +352,27 @@ class InterpretedSolver:
         if delta > 0.0:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
-        self.mu = c.mu_start
+        self.mu, self.shift = c.mu_start, 0.0
+        start = (self.mu, c.least_slack, bool(c.keep_multipliers))
+        self._start_rows(*start)
         if c.single_shooting:
             if not self.policy:
-                ws.k[:] = 0.0
+                self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
-        for k, rows in enumerate(self.own):
-            rows.h = self._rows(k, ws.x[k], ws.u[min(k, len(ws.u) - 1)])
-            rows.start(self.mu, c.least_slack, bool(c.keep_multipliers))
+            self._start_rows(*start)
         return self._iterate_to_the_end(x0, c, log)
+
+    def _start_rows(self, mu: float, least: float, keep: bool) -> None:
+        for k, rows in enumerate(self.own):
+            rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
+            rows.rho = 1.0
+            rows.start(mu, least, keep)
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
         from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
         last_residual = np.inf
-        for r in self.own:
-            r.rho = 1.0
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
@@ -409,7 +413,8 @@ class InterpretedSolver:
             if drop > 1e-10:
                 curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
                 penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
-            first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
+            invisible = abs(s["slope"]) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+            first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
             last_kkt = kkt
             reaches = [r.reach(c.tau) for r in self.own]
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
