@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench study lint format pictures clean
+.PHONY: demo test bench study grids lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -20,6 +20,10 @@ bench: $(VENV)/.installed
 # the reporting seeds of both experiments (minutes)
 study: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/seeds.py
+
+# error and time of the swerve robot's MPC over grids of the horizon (minutes)
+grids: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/grids.py
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
