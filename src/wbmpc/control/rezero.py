@@ -6,10 +6,9 @@ from collections import deque
 
 import numpy as np
 
-from wbmpc.control.plans import Plans
 from wbmpc.estimation import DisturbanceObserver
 from wbmpc.model import RobotModel
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
 

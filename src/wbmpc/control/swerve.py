@@ -11,10 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control.plans import Plans
 from wbmpc.estimation import WheelOdometry
 from wbmpc.model import RobotModel
-from wbmpc.mpc import Observation
+from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
 
