@@ -166,9 +166,9 @@ class Sizes:
         return {"observed": (), "valid_from": (), "t": (), "x": (self.nx,), "parameters": (self.parameters,)}
 
     def policy(self) -> Fields:
-        """A policy; ``observation``: number of the message it answers; ``finished``: when it was handed over [s]."""
+        """A policy; ``observation``: number of the message it answers; ``ready``: when the first answer to that was finished [s]."""
         n, nx, nu = self.n, self.nx, self.nu
-        scalars: Fields = {"observed": (), "valid_from": (), "finished": (), "observation": ()}
+        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": ()}
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx)}
 
 
@@ -178,7 +178,7 @@ class TimedPolicy(Policy):
 
     valid_from: float
     observed: float
-    finished: float
+    ready: float
     observation: int
     number: int
 
@@ -189,9 +189,9 @@ class TimedPolicy(Policy):
         if message is None:
             return None
         v = message.values
-        start, seen, finished = (float(v[name]) for name in ("valid_from", "observed", "finished"))
+        start, seen, ready = (float(v[name]) for name in ("valid_from", "observed", "ready"))
         number = int(v["observation"])
-        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, finished, number, message.number)
+        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, ready, number, message.number)
 
 
 class Board:

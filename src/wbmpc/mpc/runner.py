@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import threading
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -79,6 +80,7 @@ class Runner:
         self._stop_error: Exception | None = None
         self._halt_lock = threading.Lock()
         self._answered, self._until, self._beat = 0, 0.0, 0.0
+        self._current: TimedPolicy | None = None
         self._worker: Worker | None = None
         self._process: Any = None
         self._threads: list[threading.Thread] = []
@@ -131,6 +133,11 @@ class Runner:
     def stopped(self) -> bool:
         """Whether there was a safe stop."""
         return self._stopped.is_set()
+
+    @property
+    def process_id(self) -> int:
+        """Of the process in which the MPC runs."""
+        return os.getpid() if self._process is None else int(self._process.pid)
 
     def _begin(self) -> list[Loop]:
         self.clock.restart()
@@ -223,21 +230,21 @@ class Runner:
             return
         if policy.observation != self._answered:
             self._answered = policy.observation
-            delay = policy.finished - policy.observed
+            delay = policy.ready - policy.observed
             self.own.sample("ready", delay)
             self.latency.add(delay)
         self.plans.add(policy.valid_from, policy)
 
     def _activate(self, due: float) -> None:
-        before = self.plans.current
         self.plans.activate(due)
-        policy = self.plans.current
+        before, policy = self._current, self.plans.current
         if policy is None or policy is before:
             return
         assert isinstance(policy, TimedPolicy)
         self.own.count("policies")
         self.own.count("late", int(due > policy.valid_from + 1e-6))
         self.own.sample("latency", self.clock.now() - policy.observed)
+        self._current = policy
         if before is None:
             self.state = "running"
 

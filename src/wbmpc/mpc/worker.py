@@ -40,6 +40,7 @@ class Worker:
         self.ticker = Ticker(mpc.period, offset)
         self._message: Message | None = None
         self.error: Exception | None = None
+        self._answered, self._ready = 0, 0.0
         ws = mpc.solver.ws
         self._start = ws.x.copy(), ws.u.copy()
 
@@ -104,7 +105,9 @@ class Worker:
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]
-        slot["finished"][...] = self.clock.now()
+        if self._answered != self._message.number:
+            self._answered, self._ready = self._message.number, self.clock.now()
+        slot["ready"][...] = self._ready
         self.policies.commit()
 
 
