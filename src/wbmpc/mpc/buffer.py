@@ -48,37 +48,38 @@ class Mailbox:
     """The newest message of a writer for a reader. ``fields``: shapes by name; all numbers are float64.
 
     ``memory``: int64 words (:meth:`words`), for another process; left out, the memory is private to this process. In one
-    process the same object serves both threads. ``checked``: whether messages carry a checksum.
+    process the same object serves both threads. ``checked``: whether messages carry a checksum. With two ``slots`` or more the
+    reader is rarely overtaken.
     """
 
-    def __init__(self, fields: Fields, memory: Any = None, checked: bool = not ORDERED) -> None:
-        self.fields, self.checked = dict(fields), checked
-        need = self.words(self.fields)
+    def __init__(self, fields: Fields, memory: Any = None, checked: bool = not ORDERED, slots: int = SLOTS) -> None:
+        self.fields, self.checked, self.slots = dict(fields), checked, slots
+        need = self.words(self.fields, slots)
         self.memory = np.zeros(need, np.int64) if memory is None else memory
         words = np.frombuffer(self.memory, np.int64)
         if words.size < need:
             raise InputError(f"mailbox: {need} words of memory are needed, got {words.size}")
         size = _slot_words(self.fields)
         self._latest = words[:1]
-        slots = [words[_HEAD + i * size : _HEAD + (i + 1) * size] for i in range(SLOTS)]
-        self._heads = [s[:2] for s in slots]
+        places = [words[_HEAD + i * size : _HEAD + (i + 1) * size] for i in range(slots)]
+        self._heads = [s[:2] for s in places]
         length = sum(math.prod(s) for s in self.fields.values())
-        self._data = [s[_SLOT_HEAD : _SLOT_HEAD + length].view(np.float64) for s in slots]
+        self._data = [s[_SLOT_HEAD : _SLOT_HEAD + length].view(np.float64) for s in places]
         self._views = [_views(d, self.fields) for d in self._data]
         self._written = self._seen = 0
 
     @staticmethod
-    def words(fields: Fields) -> int:
+    def words(fields: Fields, slots: int = SLOTS) -> int:
         """Length of the memory [words of 8 bytes]."""
-        return _HEAD + SLOTS * _slot_words(fields)
+        return _HEAD + slots * _slot_words(fields)
 
     @classmethod
-    def shared(cls, fields: Fields, checked: bool = not ORDERED) -> Mailbox:
+    def shared(cls, fields: Fields, checked: bool = not ORDERED, slots: int = SLOTS) -> Mailbox:
         """A mailbox that can be an argument of a process that is started."""
-        return cls(fields, shared_words(cls.words(fields)), checked)
+        return cls(fields, shared_words(cls.words(fields, slots)), checked, slots)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.fields, self.memory, self.checked)
+        return type(self), (self.fields, self.memory, self.checked, self.slots)
 
     # ------------------------------------------------------------------ writer
     def begin(self) -> dict[str, np.ndarray]:
@@ -86,14 +87,14 @@ class Mailbox:
 
         The last message that was committed stays readable for the writer too: :meth:`last`.
         """
-        slot = (self._written + 1) % SLOTS
+        slot = (self._written + 1) % self.slots
         self._heads[slot][0] = 0
         return self._views[slot]
 
     def commit(self) -> int:
         """Hand the slot over; returns the message's number."""
         number = self._written + 1
-        slot = number % SLOTS
+        slot = number % self.slots
         if self.checked:
             self._heads[slot][1] = zlib.adler32(self._data[slot])  # type: ignore[arg-type]
         self._heads[slot][0] = number
@@ -113,16 +114,16 @@ class Mailbox:
     @property
     def last(self) -> dict[str, np.ndarray] | None:
         """The writer's last message (not to be changed), None before the first."""
-        return self._views[self._written % SLOTS] if self._written else None
+        return self._views[self._written % self.slots] if self._written else None
 
     # ------------------------------------------------------------------ reader
     def read(self) -> Message | None:
         """The newest message if it has not been read yet, else None. Never waits."""
-        for _ in range(2 * SLOTS):
+        for _ in range(2 * self.slots):
             number = int(self._latest[0])
             if number == self._seen:
                 return None
-            head, data = self._heads[number % SLOTS], self._data[number % SLOTS]
+            head, data = self._heads[number % self.slots], self._data[number % self.slots]
             if head[0] != number:
                 continue
             copy, checksum = data.copy(), int(head[1])
@@ -166,7 +167,7 @@ class Sizes:
         return {"observed": (), "valid_from": (), "t": (), "x": (self.nx,), "parameters": (self.parameters,)}
 
     def policy(self) -> Fields:
-        """A policy; ``observation``: number of the message it answers; ``ready``: when the first answer to that was finished [s]."""
+        """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was."""
         n, nx, nu = self.n, self.nx, self.nu
         scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": ()}
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx)}

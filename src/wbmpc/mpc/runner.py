@@ -27,6 +27,8 @@ from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
 from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
 
 _LOG = logging.getLogger("wbmpc")
+#: Differences of times [s] below this are none.
+_ROUNDING = 1e-9
 
 
 class RobotInterface(Protocol):
@@ -213,7 +215,7 @@ class Runner:
         if bad is not None:
             raise SafeStop(f"{bad} is not finite")
         age, limit = self.clock.now() - float(measurement.time), self.settings.max_observation_age
-        if age > limit:
+        if age > limit + _ROUNDING:
             raise SafeStop(f"the measurement is {age:.3f} s old, the limit is {limit:g} s")
 
     def _check_worker(self) -> None:
@@ -259,14 +261,14 @@ class Runner:
         """Whether there is a policy, young enough; a stop if not."""
         policy, s = self.plans.current, self.settings
         if policy is None:
-            if due > s.patience:
+            if due > s.patience + _ROUNDING:
                 failed = int(self.board["failures"])
                 raise SafeStop(f"no policy within {s.patience:g} s ({failed} solves failed)")
             return False
         assert isinstance(policy, TimedPolicy)
         limit = s.max_policy_age or policy.end - float(policy.times[0])
         age = due - policy.valid_from
-        if age > limit:
+        if age > limit + _ROUNDING:
             failed = int(self.board["failures"])
             raise SafeStop(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
         return True
