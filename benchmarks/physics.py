@@ -42,7 +42,8 @@ def build(kind: type, message: dict[str, np.ndarray]) -> Any:
 class Simulated:
     """The runner's side of it. ``make`` makes the plant, in the other process; the robot stands until the first command.
 
-    ``stop``: the command of a safe stop; ``core``: where the process runs (None: anywhere). Times are the clock's.
+    ``stop``: the command of a safe stop; ``core``: where the process runs (None: anywhere), ``fifo``: before all
+    other processes. Times are the clock's.
     """
 
     def __init__(
@@ -52,12 +53,13 @@ class Simulated:
         stop: Any,
         clock: WallClock,
         core: int | None,
+        fifo: bool = False,
         record: int = 20_000,
     ) -> None:
         self.clock, self._stop, self._kind = clock, stop, type(measurement)
         self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
         self.board, self._started, self._measured = Board.shared(NUMBERS, RECORDS, record), False, measurement
-        arguments = (make, type(stop), self.measurements, self.commands, self.board, core)
+        arguments = (make, type(stop), self.measurements, self.commands, self.board, core, fifo)
         self.process = multiprocessing.get_context("spawn").Process(target=simulate, args=arguments, daemon=True)
         self.process.start()
         while not self.board["ready"]:
@@ -99,11 +101,19 @@ class Simulated:
 
 
 def simulate(
-    make: Callable[[], Any], kind: type, measurements: Mailbox, commands: Mailbox, board: Board, core: int | None
+    make: Callable[[], Any],
+    kind: type,
+    measurements: Mailbox,
+    commands: Mailbox,
+    board: Board,
+    core: int | None,
+    fifo: bool,
 ) -> None:
     """The process: physics as fast as the wall clock, a measurement at every look."""
     if core is not None:
         os.sched_setaffinity(0, {core})
+    if fifo:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))  # after controller and MPC
     plant, clock, command, offset, looks = make(), WallClock(origin=0.0, spin=0.0), None, 0.0, 0
     due = clock.now()
     while not board["end"]:

@@ -32,7 +32,6 @@ from wbmpc.mpc import MPC, RealTime, Runner, Sizes, WallClock
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant
 
-CONTROL_RATE = 400.0
 SETTLE, HOLD = 5.0, 5.0
 PATH = SinePath(0.498, 15.96, 6, 0.255, start=0.5, ramp=2.0)
 HAND_ORIENTATION = lie.rotation_to_quaternion(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
@@ -45,7 +44,7 @@ class Case:
     rate: float
     make_mpc: Callable[[float], MPC]
     make_plant: Callable[[], Any]
-    make_agent: Callable[[MPC, Any], Any]
+    make_agent: Callable[[MPC, Any, float], Any]
     stop: Any
     hand: Callable[[np.ndarray], np.ndarray]
     judged: Callable[[np.ndarray], np.ndarray]
@@ -80,12 +79,12 @@ def make_rezero_plant() -> RezeroPlant:
     return RezeroPlant(robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
-def make_rezero_agent(own: MPC, plant: RezeroPlant) -> RezeroAgent:
+def make_rezero_agent(own: MPC, plant: RezeroPlant, rate: float) -> RezeroAgent:
     """The experiments' controller with an MPC of its own as its model."""
     robot = load_robot("rezero")
     torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
     robot.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    return RezeroAgent(robot, own, torque, 1.0 / CONTROL_RATE, 0.020)
+    return RezeroAgent(robot, own, torque, 1.0 / rate, 0.020)
 
 
 def rezero_case() -> Case:
@@ -126,9 +125,9 @@ def make_swerve_plant() -> SwervePlant:
     return SwervePlant(robot.description, robot.state.split(robot.home), None, 0)
 
 
-def make_swerve_agent(own: MPC, plant: SwervePlant) -> SwerveAgent:
+def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveAgent:
     """The experiments' controller, odometry of the wheels alone."""
-    return SwerveAgent(load_robot("swerve-ur10"), plant.truth().pose, 1.0 / CONTROL_RATE, lag=0.020)
+    return SwerveAgent(load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, lag=0.020)
 
 
 def swerve_case(intervals: int) -> Case:
@@ -179,34 +178,34 @@ def errors(case: Case, times: np.ndarray, hand: np.ndarray) -> np.ndarray:
     return np.linalg.norm(hand[use] - case.hand(times[use]), axis=1)
 
 
-def run(name: str, case: Case, rate: float, seconds: float, process: bool, fifo: bool) -> dict[str, Any]:
+def run(
+    name: str, case: Case, rate: float, seconds: float, control: float, process: bool, fifo: bool
+) -> dict[str, Any]:
     """One run in real time; figures by name."""
     own, plant = case.make_mpc(rate), case.make_plant()
     clock = WallClock()
     cores = sorted(os.sched_getaffinity(0))
     first, last = (cores[0], cores[-1]) if len(cores) > 1 else (None, None)
-    robot = Simulated(case.make_plant, plant.measure(), case.stop, clock, first)
-    agent = Watched(case.make_agent(own, plant))
-    part = own.solver.problem.constant.slices["parameters"]
+    robot = Simulated(case.make_plant, plant.measure(), case.stop, clock, first, fifo)
+    agent = Watched(case.make_agent(own, plant, control))
+    parameters = own.solver.problem.constant.slices["parameters"]
     make = partial(case.make_mpc, rate)
-    settings = RealTime(CONTROL_RATE, max_policy_age=0.25, records=200_000)
+    settings = RealTime(control, max_policy_age=0.25, records=200_000)
     runner = Runner(
         robot, agent, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
-        parameters=lambda: own.solver.ws.w[part], setup=partial(place, last, fifo),
+        parameters=lambda: own.solver.ws.w[parameters], setup=partial(place, last, fifo),
     )  # fmt: skip
     # with the MPC elsewhere the controller sits beside the physics; else on the other core with the MPC's thread
     place(first if process else last, fifo)
     gc.collect()
     gc.disable()
     runner.start()
-    other = cpu_seconds(robot.process.pid), cpu_seconds(runner.process_id), clock.now()
+    parts = {"physics": robot.process.pid, "controller" if process else "controller and MPC": os.getpid()}
+    parts |= {"MPC": runner.process_id} if process else {}
+    began, before = clock.now(), {part: cpu_seconds(pid) for part, pid in parts.items()}
     while clock.now() < seconds and not runner.stopped:
         clock.wait(min(clock.now() + 0.05, seconds))
-    spent = clock.now() - other[2]
-    load = {
-        "physics": (cpu_seconds(robot.process.pid) - other[0]) / spent,
-        "mpc" if process else "control and mpc": (cpu_seconds(runner.process_id) - other[1]) / spent,
-    }
+    load = {p: (cpu_seconds(pid) - before[p]) / (clock.now() - began) for p, pid in parts.items()}
     report = runner.report()
     runner.shutdown()
     robot.close()
@@ -215,7 +214,7 @@ def run(name: str, case: Case, rate: float, seconds: float, process: bool, fifo:
     estimated = np.array([model.pose(x)[0] for x in agent.states])
     figures = {"estimated": errors(case, np.array(agent.times), estimated), "world": errors(case, *robot.hand())}
     return {
-        "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "wanted_rate": rate,
+        "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "wanted_rate": rate, "control_rate": control,
         "fell": bool(robot.board["fell"]), "largest_tilt": robot.board["tilt"], "physics_behind": int(robot.board["behind"]),
         "load": load, "note": case.note,
         "hand_error_mean": {k: float(v.mean()) if v.size else None for k, v in figures.items()},
@@ -247,7 +246,7 @@ def show(r: dict[str, Any]) -> None:
         ("physics too slow for real time", f"{r['physics_behind']} times"),
         ("share of a core", ", ".join(f"{k} {100 * v:.0f} %" for k, v in r["load"].items())),
     ]
-    print(f"\n{r['robot']}, MPC in a {r['mpc']}, {r['seconds']:.1f} s")
+    print(f"\n{r['robot']}, MPC in a {r['mpc']}, controller at {r['control_rate']:.0f} Hz, {r['seconds']:.1f} s")
     for label, value in rows:
         print(f"  {label:42s}{value}")
     print(f"  ({r['note']})", flush=True)
@@ -257,10 +256,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", nargs="*", default=["rezero", "swerve"], choices=["rezero", "swerve"])
     parser.add_argument("--rate", type=float, help="of the MPC [Hz]; left out: 1000 and 200")
+    parser.add_argument("--control", type=float, default=400.0, help="rate of the controller [Hz]")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--intervals", type=int, default=50, help="of the swerve robot's horizon")
     parser.add_argument("--process", action="store_true", help="the MPC in a process of its own")
-    parser.add_argument("--fifo", action="store_true", help="real-time priority for controller and MPC")
+    parser.add_argument("--fifo", action="store_true", help="real-time priority for controller, MPC and physics")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     given = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
@@ -271,7 +271,7 @@ def main() -> None:
     runs = []
     for name in given.robot:
         case = rezero_case() if name == "rezero" else swerve_case(given.intervals)
-        runs.append(run(name, case, given.rate or case.rate, given.seconds, given.process, given.fifo))
+        runs.append(run(name, case, given.rate or case.rate, given.seconds, given.control, given.process, given.fifo))
         show(runs[-1])
     if given.json is not None:
         given.json.write_text(json.dumps(runs, indent=2) + "\n")
