@@ -24,6 +24,8 @@ ONLY_IN = {
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "llvmlite": {"kernel"},
+    "threading": {"mpc", "kernel"},
+    "multiprocessing": {"mpc", "benchmark"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")

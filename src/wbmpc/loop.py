@@ -4,21 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from wbmpc.control import Plans
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc import MPC, Agent, Plans
 
 Progress = Callable[[float, str], None]
-
-
-class Agent(Protocol):
-    """What stands between measurements, MPC and commands of one robot."""
-
-    def measure(self, measurement: Any) -> None: ...
-    def predict(self, t: float, until: float, plans: Plans) -> Observation: ...
-    def command(self, t: float, plans: Plans) -> Any: ...
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ from collections import deque
 
 import numpy as np
 
-from wbmpc.control.plans import Plans
 from wbmpc.estimation import DisturbanceObserver
 from wbmpc.model import RobotModel
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
 
@@ -17,6 +16,7 @@ class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
     ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
+    ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
@@ -31,6 +31,7 @@ class RezeroAgent:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
         self.measured: RezeroMeasurement | None = None
+        self.clamped = False
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -70,6 +71,8 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
-        torque = np.clip(plans.current(t, self.state())[: self.limit.size], -self.limit, self.limit)
+        wanted = plans.current(t, self.state())[: self.limit.size]
+        torque = np.clip(wanted, -self.limit, self.limit)
+        self.clamped = bool(np.any(torque != wanted))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

@@ -11,10 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control.plans import Plans
 from wbmpc.estimation import WheelOdometry
 from wbmpc.model import RobotModel
-from wbmpc.mpc import Observation
+from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
 
@@ -24,6 +23,7 @@ class SwerveAgent:
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
+    ``clamped``: whether the wheels of the last command were slowed down to their limits.
     """
 
     def __init__(
@@ -49,6 +49,7 @@ class SwerveAgent:
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
+        self.clamped = False
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick."""
@@ -114,5 +115,6 @@ class SwerveAgent:
         steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
         wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
-        wheel = wheel / max(1.0, float(np.max(np.abs(wheel) / limit)))
+        excess = float(np.max(np.abs(wheel) / limit))
+        self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
         return SwerveCommand(wheel, steer, u[given["arm"]], self.brakes(t))

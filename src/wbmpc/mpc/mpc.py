@@ -11,7 +11,8 @@ import numpy as np
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
-from wbmpc.solver import SQP, Solution, Solver, Status
+from wbmpc.solver import SQP, Solution, Solver
+from wbmpc.solver.driver import DIVERGED, NOT_FINITE
 
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
 Guess = Callable[[Solver, float, np.ndarray], None]
@@ -75,6 +76,7 @@ class MPC:
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
+        self._outcome = (0, 0, 0.0)
 
     @property
     def period(self) -> float:
@@ -92,6 +94,26 @@ class MPC:
 
     def update(self, observation: Observation) -> Policy:
         """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one."""
+        started = self._t is not None
+        usable = self.advance(observation)
+        if started:
+            self.statistics.solve_times.append(self.solve_time)
+        solution: Solution = self.solver.solution(*self._outcome)
+        if not usable:
+            return self._fall_back(solution)
+        self._policy = Policy.of(solution, observation.t)
+        return self._policy
+
+    @property
+    def solve_time(self) -> float:
+        """Duration [s] of the last pass of the solver."""
+        return self._outcome[2]
+
+    def advance(self, observation: Observation) -> bool:
+        """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
+
+        If not: :meth:`resume` from the last good plan.
+        """
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
@@ -103,14 +125,14 @@ class MPC:
                 self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             elapsed = time.perf_counter() - start
-        if self._t is not None:
-            self.statistics.solve_times.append(elapsed)
-        self._t = observation.t
-        solution: Solution = self.solver.solution(status, count, elapsed)
-        if solution.status is Status.NOT_FINITE or not np.isfinite(solution.u).all():
-            return self._fall_back(solution)
-        self._policy = Policy.of(solution, observation.t)
-        return self._policy
+        self._t, self._outcome = observation.t, (status, count, elapsed)
+        ws = self.solver.ws
+        return status not in (NOT_FINITE, DIVERGED) and bool(np.isfinite(ws.u).all() and np.isfinite(ws.x).all())
+
+    def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
+        self.solver.guess(x, u)
+        self._t = t
 
     def _check(self, observation: Observation) -> None:
         names = self.ocp.dynamics.state.names
@@ -126,6 +148,5 @@ class MPC:
         self.statistics.failures += 1
         if self._policy is None:
             raise RunAborted(f"the first solve failed: {solution}")
-        self.solver.guess(self._policy.x, self._policy.u)
-        self._t = float(self._policy.times[0])  # the next update shifts that plan from where it starts
+        self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
         return self._policy
