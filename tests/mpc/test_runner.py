@@ -17,7 +17,7 @@ import pytest
 
 from realtime_toys import FaultyMPC, Force, Measured, ToyAgent, ToyRobot, make_mpc, make_nothing, problem, wait_for
 from wbmpc.errors import InputError
-from wbmpc.mpc import MPC, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
+from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
 from wbmpc.mpc.figures import Spread
 from wbmpc.mpc.safety import Latency, not_finite
 
@@ -194,6 +194,18 @@ def late_command(runner: Runner, action: Callable[..., Any]) -> None:
     )
 
 
+def foresee(robot: ToyRobot) -> None:
+    robot.frozen = Measured(robot.clock.now() + 3.0, robot.x)
+
+
+def predict_nothing(runner: Runner) -> None:
+    """From 0.5 s on."""
+    predict = runner.agent.predict
+    runner.agent.predict = (  # type: ignore[method-assign]
+        lambda t, until, plans: Observation(until, np.full(2, np.nan)) if t >= 0.5 else predict(t, until, plans)
+    )
+
+
 FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
     "read raises": (
         lambda r: setattr(r.robot, "fault", at(201, raises("no bus"))),
@@ -208,6 +220,21 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
     "not a number": (
         lambda r: setattr(r.robot, "fault", at(201, lose)),
         "0.500 s: measurement.x is not finite",
+        False,
+    ),
+    "from the future": (
+        lambda r: setattr(r.robot, "fault", at(201, foresee)),
+        "0.500 s: the measurement is from 3.000 s ahead: its time is not the runner's",
+        False,
+    ),
+    "prediction not finite": (
+        predict_nothing,
+        "0.500 s: the predicted state is not finite",
+        False,
+    ),
+    "parameters not finite": (
+        lambda r: setattr(r, "parameters", lambda: np.full(1, np.nan if r.clock.now() >= 0.5 else 0.0)),
+        "0.500 s: the vector of model parameters is not finite",
         False,
     ),
     "write raises": (
@@ -331,7 +358,7 @@ def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None
 
 
 def test_threads() -> None:
-    runner = real()
+    runner, others = real(), threading.active_count()
     with runner:
         assert wait_for(lambda: runner.own["policies"] > 20)
         assert runner.state == "running"
@@ -341,7 +368,7 @@ def test_threads() -> None:
     report = runner.report()
     assert report.ticks > 20 and report.updates > 20 and report.solve.count > 20
     assert 0.0 < report.ready.median <= report.latency.median
-    assert runner.robot.u == 0.0 and threading.active_count() == 1
+    assert runner.robot.u == 0.0 and threading.active_count() == others
 
 
 def test_an_exception_in_the_mpc_thread() -> None:
