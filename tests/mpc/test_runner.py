@@ -101,6 +101,28 @@ def test_a_fast_mpc_repeats_the_observation() -> None:
     report = virtual(mpc=make_mpc(1000.0)).run(1.0)
     assert report.updates == 1000 and report.repeated == 600  # 400 ticks before the last of them
     assert report.failures == 0
+    # the controller sees one policy per tick, but only its first answer tells how long an observation takes
+    assert report.ready.count == 400 and report.ready.max < 0.001 + 1e-9
+    assert report.latency.max == pytest.approx(PERIOD)
+
+
+def test_one_delay_for_each_observation() -> None:
+    """At a controller's tick without a new observation nothing is learnt about the latency."""
+    runner = virtual(mpc=make_mpc(1000.0))
+    observe = runner._observe
+    runner._observe = lambda due: observe(due) if round(due / PERIOD) % 4 == 0 else None  # type: ignore[method-assign]
+    report = runner.run(1.0)
+    assert report.ready.count == 100 and report.ready.max == pytest.approx(OFFSET)
+
+
+def test_a_policy_waits_for_its_time() -> None:
+    """Solves of different length: all policies come into force when they were planned to."""
+    durations = iter([0.0121, 0.001, 0.004] * 100)
+    runner = virtual(durations.__next__)
+    report = runner.run(2.0)
+    assert runner.latency.ticks == 6
+    np.testing.assert_allclose(runner.own.samples("latency")[6:], 6 * PERIOD)
+    assert report.ready.median == pytest.approx(0.004 + OFFSET)
 
 
 def test_parameters_travel_with_the_observation() -> None:
