@@ -17,7 +17,7 @@ import pytest
 
 from realtime_toys import FaultyMPC, Force, Measured, ToyAgent, ToyRobot, make_mpc, make_nothing, problem, wait_for
 from wbmpc.errors import InputError
-from wbmpc.mpc import MPC, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
+from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
 from wbmpc.mpc.figures import Spread
 from wbmpc.mpc.safety import Latency, not_finite
 
@@ -101,6 +101,28 @@ def test_a_fast_mpc_repeats_the_observation() -> None:
     report = virtual(mpc=make_mpc(1000.0)).run(1.0)
     assert report.updates == 1000 and report.repeated == 600  # 400 ticks before the last of them
     assert report.failures == 0
+    # the controller sees one policy per tick, but only its first answer tells how long an observation takes
+    assert report.ready.count == 400 and report.ready.max < 0.001 + 1e-9
+    assert report.latency.max == pytest.approx(PERIOD)
+
+
+def test_one_delay_for_each_observation() -> None:
+    """At a controller's tick without a new observation nothing is learnt about the latency."""
+    runner = virtual(mpc=make_mpc(1000.0))
+    observe = runner._observe
+    runner._observe = lambda due: observe(due) if round(due / PERIOD) % 4 == 0 else None  # type: ignore[method-assign]
+    report = runner.run(1.0)
+    assert report.ready.count == 100 and report.ready.max == pytest.approx(OFFSET)
+
+
+def test_a_policy_waits_for_its_time() -> None:
+    """Solves of different length: all policies come into force when they were planned to."""
+    durations = iter([0.0121, 0.001, 0.004] * 100)
+    runner = virtual(durations.__next__)
+    report = runner.run(2.0)
+    assert runner.latency.ticks == 6
+    np.testing.assert_allclose(runner.own.samples("latency")[6:], 6 * PERIOD)
+    assert report.ready.median == pytest.approx(0.004 + OFFSET)
 
 
 def test_parameters_travel_with_the_observation() -> None:
@@ -194,6 +216,18 @@ def late_command(runner: Runner, action: Callable[..., Any]) -> None:
     )
 
 
+def foresee(robot: ToyRobot) -> None:
+    robot.frozen = Measured(robot.clock.now() + 3.0, robot.x)
+
+
+def predict_nothing(runner: Runner) -> None:
+    """From 0.5 s on."""
+    predict = runner.agent.predict
+    runner.agent.predict = (  # type: ignore[method-assign]
+        lambda t, until, plans: Observation(until, np.full(2, np.nan)) if t >= 0.5 else predict(t, until, plans)
+    )
+
+
 FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
     "read raises": (
         lambda r: setattr(r.robot, "fault", at(201, raises("no bus"))),
@@ -208,6 +242,21 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
     "not a number": (
         lambda r: setattr(r.robot, "fault", at(201, lose)),
         "0.500 s: measurement.x is not finite",
+        False,
+    ),
+    "from the future": (
+        lambda r: setattr(r.robot, "fault", at(201, foresee)),
+        "0.500 s: the measurement is from 3.000 s ahead: its time is not the runner's",
+        False,
+    ),
+    "prediction not finite": (
+        predict_nothing,
+        "0.500 s: the predicted state is not finite",
+        False,
+    ),
+    "parameters not finite": (
+        lambda r: setattr(r, "parameters", lambda: np.full(1, np.nan if r.clock.now() >= 0.5 else 0.0)),
+        "0.500 s: the vector of model parameters is not finite",
         False,
     ),
     "write raises": (
@@ -331,7 +380,7 @@ def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None
 
 
 def test_threads() -> None:
-    runner = real()
+    runner, others = real(), threading.active_count()
     with runner:
         assert wait_for(lambda: runner.own["policies"] > 20)
         assert runner.state == "running"
@@ -341,7 +390,7 @@ def test_threads() -> None:
     report = runner.report()
     assert report.ticks > 20 and report.updates > 20 and report.solve.count > 20
     assert 0.0 < report.ready.median <= report.latency.median
-    assert runner.robot.u == 0.0 and threading.active_count() == 1
+    assert runner.robot.u == 0.0 and threading.active_count() == others
 
 
 def test_an_exception_in_the_mpc_thread() -> None:

@@ -217,6 +217,8 @@ class Runner:
         age, limit = self.clock.now() - float(measurement.time), self.settings.max_observation_age
         if age > limit + _ROUNDING:
             raise SafeStop(f"the measurement is {age:.3f} s old, the limit is {limit:g} s")
+        if age < -limit:
+            raise SafeStop(f"the measurement is from {-age:.3f} s ahead: its time is not the runner's")
 
     def _check_worker(self) -> None:
         if self.board["failed"]:
@@ -255,6 +257,9 @@ class Runner:
         self._until = max(self._until, due + self.latency.ticks * self.settings.period)
         seen = self.agent.predict(due, self._until, self.plans)
         parameters = self._no_parameters if self.parameters is None else self.parameters()
+        for name, value in (("predicted state", seen.x), ("vector of model parameters", parameters)):
+            if not_finite(name, value) is not None:
+                raise SafeStop(f"the {name} is not finite")
         self.observations.write(observed=due, valid_from=self._until, t=seen.t, x=seen.x, parameters=parameters)
 
     def _in_force(self, due: float) -> bool:
