@@ -88,6 +88,7 @@ class Solver:
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
+        self.problem.check_schedule(schedule)
         self.schedule = schedule
         self._tables = None
 
