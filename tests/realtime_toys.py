@@ -123,12 +123,12 @@ class FaultyMPC(MPC):
     def __init__(self, fault: Callable[[int], bool | None], rate: float = 50.0) -> None:
         super().__init__(problem(), rate=rate, first_iterations=3)
         self.reset(START)
-        self.number, self.fault = 0, fault
+        self.number, self.inject = 0, fault
 
     def advance(self, observation: Observation) -> bool:
         usable = super().advance(observation)
         self.number += 1
-        if self.fault(self.number) is False:
+        if self.inject(self.number) is False:
             self.solver.ws.x[:] = np.nan  # what a failed solve leaves behind
             return False
         return usable

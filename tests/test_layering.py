@@ -24,7 +24,7 @@ ONLY_IN = {
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "llvmlite": {"kernel"},
-    "threading": {"mpc", "kernel"},
+    "threading": {"mpc", "kernel", "loop"},
     "multiprocessing": {"mpc", "benchmark"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }

@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from wbmpc.errors import NotFinite
 from wbmpc.estimation import DisturbanceObserver
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans
@@ -42,6 +43,8 @@ class RezeroAgent:
         if self.observer is not None:
             past = self._torques[-1 - self._late()]
             self.disturbance = self.observer.update(measurement.time, measurement.state, past, self.period)
+            if not np.isfinite(self.disturbance).all():
+                raise NotFinite("the estimated disturbance is not finite")
             self.mpc.solver.set_parameters({"disturbance": self.disturbance})
 
     def _late(self) -> int:
@@ -67,6 +70,10 @@ class RezeroAgent:
             torque = torque + self._blend * (wanted - torque)
             x = self._step(x, torque, self.period)
         return Observation(until, x)
+
+    def stop(self) -> RezeroCommand:
+        """No torque."""
+        return RezeroCommand(np.zeros(self.limit.size))
 
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""

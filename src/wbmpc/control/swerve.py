@@ -100,13 +100,20 @@ class SwerveAgent:
             if group in state:
                 x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
 
+    def stop(self) -> SwerveCommand:
+        """Everything at rest, brakes closed."""
+        return SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
+
     def command(self, t: float, plans: Plans) -> SwerveCommand:
-        """Drive speeds for this tick; a stop once the plan has run out."""
+        """Drive speeds for this tick; a stop once the plan has run out.
+
+        The plan's inputs and a steering servo: the gains of the policy are not used, since drives that follow speeds hold
+        a kinematic plan without them, and feedback on wheels from an estimated pose would break the rolling rows.
+        """
         policy, m, given = plans.current, self.measured, self.robot.input
         assert policy is not None and m is not None
         if t > policy.end:
-            n = len(m.steer)
-            return SwerveCommand(np.zeros(n), np.zeros(n), np.zeros(len(m.arm)), np.zeros(len(self.brakes(t))))
+            return self.stop()
         u = policy.feedforward(t + self.lag)
         planned = policy.state(t + self.lag)[self.robot.state["steer"]]
         self._rates += self._blend * (u - self._rates)

@@ -147,6 +147,7 @@ class SwerveBase:
         self.state: dict[str, list[str]] = {"base": pose, **joints}
         self.input: dict[str, list[str]] = {"base": ["vx", "vy", "wz"], **joints}
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
+        self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
         self.parameters: dict[str, list[str]] = {"drift": ["vx", "vy", "wz"]}
         self.unit_quaternions = (3,) if self.quaternion else ()
         self._start = len(pose)

@@ -113,8 +113,9 @@ class OptimalControlProblem:
 def _grid(horizon: float, intervals: int, first: float | None, grid: Sequence[float] | None) -> np.ndarray:
     if grid is not None:
         times = np.asarray(grid, float)
-        if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or np.any(np.diff(times) <= 0):
-            raise InputError("grid: needs at least two increasing times that start at 0")
+        shaped = times.ndim == 1 and times.size >= 2 and times[0] == 0.0
+        if not (shaped and np.isfinite(times).all() and np.all(np.diff(times) > 0)):
+            raise InputError("grid: needs at least two finite, increasing times that start at 0")
         return times
     if first is not None:
         return trajectory.geometric_grid(horizon, intervals, first)

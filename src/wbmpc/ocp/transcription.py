@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
@@ -94,6 +95,20 @@ class Transcription:
             names = [self.ocp.terms[t].modes or () for t in self.switched]
             rows.append(np.concatenate([values, [float(mode.name in n) for n in names]]))
         return np.array(rows).reshape(len(schedule.modes), -1)
+
+    def check_schedule(self, schedule: ModeSchedule) -> None:
+        """Raise :class:`InputError` for mode values out of range, or a term of which no mode is in the schedule."""
+        names = list(dict.fromkeys(mode.name for mode in schedule.modes))
+        for term in (self.ocp.terms[t] for t in self.switched):
+            if term.modes and not set(term.modes) & set(names):
+                raise unknown_name("mode", term.modes[0], names, where=f"term '{term.name}', modes")
+        bounds = getattr(self.ocp.dynamics, "mode_bounds", {})
+        for mode, (group, (low, high)) in product(schedule.modes, bounds.items()):
+            values = np.atleast_1d(np.asarray(mode.values.get(group, low), float))
+            if np.any((values < low) | (values > high)):
+                raise InputError(
+                    f"mode '{mode.name}': values of '{group}' must be from {low:g} to {high:g}, got {values}"
+                )
 
     def symbols(self, name: str) -> Symbols:
         d = self.ocp.dynamics

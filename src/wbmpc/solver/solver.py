@@ -88,6 +88,7 @@ class Solver:
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
+        self.problem.check_schedule(schedule)
         self.schedule = schedule
         self._tables = None
 
@@ -217,11 +218,16 @@ class Solver:
     def _checks(self) -> Checks:
         return Checks(self.problem)
 
+    @staticmethod
+    def status(code: int) -> Status:
+        """What a status code of :meth:`run` means."""
+        return _STATUS[code]
+
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory."""
         row = self.log[count - 1]
         return Solution(
-            status=_STATUS[status],
+            status=self.status(status),
             times=self.ws.grid.copy(),
             x=self.ws.x.copy(),
             u=self.ws.u.copy(),
