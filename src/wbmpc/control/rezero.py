@@ -31,6 +31,7 @@ class RezeroAgent:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
         self.measured: RezeroMeasurement | None = None
+        self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -70,6 +71,7 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
-        torque = np.clip(plans.current(t, self.state())[: self.limit.size], -self.limit, self.limit)
+        self.wanted = plans.current(t, self.state())[: self.limit.size]
+        torque = np.clip(self.wanted, -self.limit, self.limit)
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

@@ -67,7 +67,7 @@ class MPC:
     ) -> None:
         if not rate > 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
-        settings = solver or SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
+        settings = solver or SQP.real_time()
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
@@ -88,6 +88,7 @@ class MPC:
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Forget the last plan; start from the state ``x`` (nx) and the input ``u`` (nu) held."""
         self.solver.guess(x, u)
+        self.solver.forget()
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
@@ -127,5 +128,6 @@ class MPC:
         if self._policy is None:
             raise RunAborted(f"the first solve failed: {solution}")
         self.solver.guess(self._policy.x, self._policy.u)
+        self.solver.forget()
         self._t = float(self._policy.times[0])  # the next update shifts that plan from where it starts
         return self._policy

@@ -66,10 +66,11 @@ SETTINGS = (
     "tau",
     "extra_when_cut",
     "largest_shift",
+    "keep_slacks",
 )
 (
     ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
 #: A plan that has grown beyond this [units of the states] has diverged.
@@ -235,7 +236,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
     if rows:
-        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0)
+        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     it = 0
     while it < limit:
         row = it * LOG_COLUMNS

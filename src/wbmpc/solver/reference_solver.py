@@ -74,6 +74,7 @@ class RowState:
         n = len(rows)
         self.h, self.t, self.l, self.s = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
         self.jacobian = np.zeros((n, 0))
+        self.started = False
 
     def values(self, z: np.ndarray, general: Any) -> np.ndarray:
         """h at z = [x; u]; ``general``: values of the rows that are not of one variable."""
@@ -89,8 +90,11 @@ class RowState:
         selection[np.arange(self.boxes), self.place[: self.boxes].astype(int)] = self.sign[: self.boxes]
         self.jacobian = np.vstack([selection, np.array(jacobian).reshape(-1, z.size)])
 
-    def start(self, mu: float, least: float, keep: bool) -> None:
+    def start(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         """As start_rows of the compiled solver."""
+        if keep_slacks and self.started:
+            return
+        self.started = True
         self.t = np.where(self.h > least, self.h, least)
         kept = self.l if keep else np.where(self.hard, mu / self.t, 0.0)
         kept = np.where(self.hard & ~(kept > 0.0), mu / self.t, kept)
@@ -346,8 +350,13 @@ class InterpretedSolver:
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, ws.x[k], ws.u[min(k, len(ws.u) - 1)])
-            rows.start(self.mu, c.least_slack, bool(c.keep_multipliers))
+            rows.start(self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         return self._iterate_to_the_end(x0, c, log)
+
+    def forget(self) -> None:
+        """Slacks and multipliers start anew."""
+        for rows in self.own:
+            rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
         from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu
