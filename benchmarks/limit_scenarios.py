@@ -56,8 +56,7 @@ VARIANTS = {
 
 @dataclass
 class Rig:
-    """One run before it starts. ``goal(t)``: where the hand is to be [m]; ``events``: (time [s], action), in
-    order; ``first_solves``: passes of the first solve, which do not count as solve times."""
+    """One run before it starts. ``goal(t)``: where the hand is to be [m]; ``events``: (time [s], action), in order."""
 
     robot: RobotModel
     mpc: MPC
@@ -66,7 +65,6 @@ class Rig:
     timing: Timing
     duration: float
     goal: Callable[[float], Array] = lambda t: np.zeros(3)
-    first_solves: int = 30
     events: list[Event] = field(default_factory=list)
 
 
