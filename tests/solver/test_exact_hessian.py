@@ -22,7 +22,7 @@ def hessians(solver: Solver) -> list[np.ndarray]:
     """[x; u] blocks of all nodes at the present iterate, from the solver's memory."""
     m, o, s = solver.ws.memory, solver.ws.table, solver.kernel.sizes
     m[o[STATE] + MU], m[o[STATE] + THETA] = 0.1, 1.0
-    start_rows(m, o, 0.01, False)
+    start_rows(m, o, 0.01, False, False)
     backward(m, o, True)
     keep = [i for i in range(s.nz) if i != s.nx]
     blocks = []

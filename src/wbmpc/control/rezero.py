@@ -33,6 +33,7 @@ class RezeroAgent:
         self.disturbance = np.zeros(robot.base.nq)
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
+        self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -78,8 +79,8 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
-        wanted = plans.current(t, self.state())[: self.limit.size]
-        torque = np.clip(wanted, -self.limit, self.limit)
-        self.clamped = bool(np.any(torque != wanted))
+        self.wanted = plans.current(t, self.state())[: self.limit.size]
+        torque = np.clip(self.wanted, -self.limit, self.limit)
+        self.clamped = bool(np.any(torque != self.wanted))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

@@ -50,6 +50,7 @@ class SwerveAgent:
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
         self.clamped = False
+        self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick."""
@@ -120,6 +121,8 @@ class SwerveAgent:
         if self.planned_steering:
             self._rates[given["steer"]] = 0.0
         steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
+        self.wanted = u
+        self.wanted[given["steer"]] = steer
         wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))

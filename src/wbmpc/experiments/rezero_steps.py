@@ -70,7 +70,7 @@ class RezeroStepsSettings(ExperimentSettings):
     ``drive_lag`` [s] that the controller assumes.
     """
 
-    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=1e-2)
+    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
     cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle: float = Field(5.0, ge=0.5, le=600.0)

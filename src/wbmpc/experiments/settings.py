@@ -35,7 +35,7 @@ class MpcSettings(Settings):
     delay: float = Field(0.010, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
-    barrier_mu: float = Field(1e-3, gt=0)
+    barrier_mu: float = Field(3e-3, gt=0)
 
     def solver(self) -> SQP:
         """The solver's real-time settings."""

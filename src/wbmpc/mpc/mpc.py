@@ -87,7 +87,7 @@ class MPC:
     ) -> None:
         if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
-        settings = solver or SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
+        settings = solver or SQP.real_time()
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
@@ -119,6 +119,7 @@ class MPC:
                 for row in np.atleast_2d(value):
                     _check_vector("reset", names, row)
         self.solver.guess(x, u)
+        self.solver.forget()
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
@@ -164,6 +165,7 @@ class MPC:
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
         self.solver.guess(x, u)
+        self.solver.forget()
         self._t = t
 
     def _find_fault(self) -> str:

@@ -70,10 +70,11 @@ SETTINGS = (
     "tau",
     "extra_when_cut",
     "largest_shift",
+    "keep_slacks",
 )
 (
     ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
 #: A plan that has grown beyond this [units of the states] has diverged.
@@ -242,11 +243,11 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
     if rows:
-        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0)
+        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
         if rows:
-            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0)
+            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     it = 0
     while it < limit:
         row = it * LOG_COLUMNS

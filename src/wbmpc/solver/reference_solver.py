@@ -81,6 +81,7 @@ class RowState:
         n = len(rows)
         self.h, self.t, self.l, self.s = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
         self.jacobian = np.zeros((n, 0))
+        self.started = False
 
     @property
     def penalty(self) -> np.ndarray:
@@ -101,8 +102,11 @@ class RowState:
         selection[np.arange(self.boxes), self.place[: self.boxes].astype(int)] = self.sign[: self.boxes]
         self.jacobian = np.vstack([selection, np.array(jacobian).reshape(-1, z.size)])
 
-    def start(self, mu: float, least: float, keep: bool) -> None:
+    def start(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         """As start_rows of the compiled solver."""
+        if keep_slacks and self.started:
+            return
+        self.started = True
         self.t = np.where(self.h > least, self.h, least)
         kept = self.l if keep else np.where(self.hard, mu / self.t, 0.0)
         kept = np.where(self.hard & ~(kept > 0.0), mu / self.t, kept)
@@ -353,7 +357,7 @@ class InterpretedSolver:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.mu_start, 0.0
-        start = (self.mu, c.least_slack, bool(c.keep_multipliers))
+        start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
             if not self.policy:
@@ -362,11 +366,16 @@ class InterpretedSolver:
             self._start_rows(*start)
         return self._iterate_to_the_end(x0, c, log)
 
-    def _start_rows(self, mu: float, least: float, keep: bool) -> None:
+    def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
             rows.rho = 1.0
-            rows.start(mu, least, keep)
+            rows.start(mu, least, keep, keep_slacks)
+
+    def forget(self) -> None:
+        """Slacks and multipliers start anew."""
+        for rows in self.own:
+            rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
         from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu

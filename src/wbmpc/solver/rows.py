@@ -374,9 +374,12 @@ def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
             m[o[ROW_S] + q] += primal * m[o[ROW_DS] + q]
 
 
-@compiled(NONE, NUMS, INTS, NUM, BOOL)
-def start_rows(m, o, least, keep):  # type: ignore[no-untyped-def]
-    """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept."""
+@compiled(NONE, NUMS, INTS, NUM, BOOL, BOOL)
+def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
+    """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
+
+    ``keep_slacks``: slacks that there are stay too.
+    """
     mu, kinds = m[o[STATE] + MU], row_index(o) + row_count(o)
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
@@ -391,6 +394,8 @@ def start_rows(m, o, least, keep):  # type: ignore[no-untyped-def]
             kept = keep and np.isfinite(l)
             if o[kinds + r] != HARD:
                 m[o[ROW_L] + q] = l if kept else 0.0
+                continue
+            if keep_slacks and kept and m[o[ROW_T] + q] > 0.0:
                 continue
             penalty = row_penalty(m, o, r)
             t = h if h > least else least  # also for a NaN

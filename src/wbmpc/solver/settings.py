@@ -16,7 +16,9 @@ class InteriorPoint:
 
     ``mode``: "converge" drives μ from ``mu_start`` to ``mu``; "real_time" keeps it at ``mu`` and starts every solve from
     slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration per solve is enough. Rows are in units
-    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: one more iteration when the step was cut below 0.9.
+    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so
+    many more iterations while the step is cut below 0.9.
+    ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
     """
 
     mode: Literal["converge", "real_time"] = "converge"
@@ -24,7 +26,8 @@ class InteriorPoint:
     mu_start: float = 0.1
     least_slack: float | None = None
     tau: float = 0.995
-    extra_when_cut: bool = True
+    extra_when_cut: int = 3
+    reset: bool = True
 
     def __post_init__(self) -> None:
         if self.mode not in ("converge", "real_time"):
@@ -47,7 +50,8 @@ class InteriorPoint:
             "keep_multipliers": float(real_time),
             "least_slack": least,
             "tau": 0.99 if real_time else self.tau,
-            "extra_when_cut": float(real_time and self.extra_when_cut),
+            "extra_when_cut": float(self.extra_when_cut if real_time else 0),
+            "keep_slacks": float(real_time and not self.reset),
         }
 
 
@@ -107,7 +111,7 @@ class SQP:
     @property
     def most_iterations(self) -> int:
         """Rows that the iteration log needs."""
-        return self.iterations + 1
+        return self.iterations + max(int(self.interior_point.extra_when_cut), 0)
 
     def numbers(self) -> np.ndarray:
         """The settings in the order of :data:`wbmpc.solver.driver.SETTINGS`."""

@@ -116,6 +116,13 @@ class Solver:
                 raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
             trajectory[:] = given[name]
 
+    def forget(self) -> None:
+        """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
+        if self.settings.backend == "interpreted":
+            self.twin.forget()
+        else:
+            self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+
     def tables(self):  # type: ignore[no-untyped-def]
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
