@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM3, NUMS, PointerCall
+from wbmpc.kernel.translate import BOOL, INT, INT2, INTS, LANES, MASK, NONE, NUM, NUM2, NUM3, NUMS, VEC, PointerCall
 from wbmpc.solver import compilation, receding  # noqa: F401  the library of the driver
 
 LIBRARY = Library("test")
@@ -101,6 +101,27 @@ def fill(m, n):  # type: ignore[no-untyped-def]
         m[i] = i
 
 
+@compiled((VEC, MASK), VEC, VEC)
+def both(a, b):  # type: ignore[no-untyped-def]
+    return a * b - 1.0, (a > b) & (b <= 0.5)
+
+
+@compiled(NUM3, NUMS, INT)
+def vectors(m, n):  # type: ignore[no-untyped-def]
+    biggest, total, agreed = 0.0, 0.0, 0
+    for i in range(0, n, LANES):
+        a, b = m[i : i + LANES], m[n + i : n + i + LANES]
+        c, which = both(a, b)
+        c = np.where(which, c, -a / (2.0 + abs(b)))
+        biggest = max(biggest, np.max(np.maximum(c, np.minimum(a, 0.1))))
+        total += np.sum(1.0 - c)
+        if np.all(a != b):
+            agreed += 1
+        m[i : i + LANES] = c
+        m[n + i : n + i + LANES] += 2.0 * b
+    return biggest, total, float(agreed)
+
+
 numbers = st.floats(-3.0, 3.0, allow_subnormal=False)
 
 
@@ -134,6 +155,35 @@ def test_arrays_and_loops(n: int, seed: int) -> None:
     np.testing.assert_allclose(loops(*a, n), loops.python(*b, n), rtol=1e-13)
     np.testing.assert_allclose(a[0], b[0])
     np.testing.assert_array_equal(a[1], b[1])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 3), st.integers(0, 99))
+def test_eight_numbers_at_a_time(blocks: int, seed: int) -> None:
+    n = blocks * LANES
+    m = np.random.default_rng(seed).normal(size=2 * n + 3)
+    m[n + 1 : n + 2] = m[1:2]
+    a, b = m.copy(), m.copy()
+    np.testing.assert_allclose(vectors(a, n), vectors.python(b, n), rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(a, b, rtol=1e-13)
+
+
+def _slice(m):  # type: ignore[no-untyped-def]
+    return m[0:3]
+
+
+def _vector_of_integers(o):  # type: ignore[no-untyped-def]
+    return o[0 : 0 + LANES]
+
+
+@pytest.mark.parametrize(
+    ("function", "kind", "message"), [(_slice, NUMS, "slice"), (_vector_of_integers, INTS, "only numbers")]
+)
+def test_other_slices_are_refused(function, kind: str, message: str) -> None:  # type: ignore[no-untyped-def]
+    library = Library("bad")
+    library.compiled(VEC, kind)(function)
+    with pytest.raises(KernelError, match=message):
+        library.source()
 
 
 def test_no_result_and_early_return() -> None:

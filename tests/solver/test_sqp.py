@@ -42,7 +42,7 @@ def test_robots_iterate_like_the_twin(make) -> None:  # type: ignore[no-untyped-
     za, zb = a.solve(x0), b.solve(x0)
     # the swerve's side-slip rows are dependent: the last digits go into which of them carries the load
     np.testing.assert_allclose(za.x, zb.x, rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(za.u, zb.u, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(za.u, zb.u, rtol=1e-4, atol=1e-3)
 
 
 def test_whole_solves_agree_and_the_certificate_holds() -> None:

@@ -13,7 +13,20 @@ import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache
-from wbmpc.kernel.translate import BOOL, DECLARATIONS, INTS, NONE, NUM, NUMS, Signature, Translator, Type, llvm_type
+from wbmpc.kernel.translate import (
+    BOOL,
+    DECLARATIONS,
+    INTS,
+    MASK,
+    NONE,
+    NUM,
+    NUMS,
+    VEC,
+    Signature,
+    Translator,
+    Type,
+    llvm_type,
+)
 
 _CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
 
@@ -41,7 +54,9 @@ class Function:
         return self._pointer
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the machine code. Arrays must be contiguous, of float64 or int64."""
+        """Run the machine code. Arrays must be contiguous, of float64 or int64. With vectors: runs as Python."""
+        if not _callable(self.signature):
+            return self.python(*arguments)
         given, result = [], self.signature.result
         for value, kind in zip(arguments, self.signature.arguments, strict=True):
             if kind in (NUMS, INTS):
@@ -54,6 +69,12 @@ class Function:
         self.pointer(*given, ctypes.addressof(out))
         found = tuple(bool(v) if k == BOOL else v for v, k in zip(out, kinds, strict=False))
         return found if isinstance(result, tuple) else found[0] if found else None
+
+
+def _callable(s: Signature) -> bool:
+    """Whether a function can be called from outside: vectors pass between translated functions only."""
+    kinds = [*s.arguments, s.result]
+    return not any(k in (VEC, MASK) for kind in kinds for k in (kind if isinstance(kind, tuple) else (kind,)))
 
 
 def _entry(s: Signature) -> str:
@@ -110,7 +131,7 @@ class Library:
         parts = [Translator(f.python, f.signature, find).translate() for f in self.functions]
         text = "\n".join(parts)
         text = text.replace("\ndefine ", "\ndefine internal ").replace("define ", "define internal ", 1)
-        return "\n".join([DECLARATIONS, text, *(_entry(f.signature) for f in self.functions)])
+        return "\n".join([DECLARATIONS, text, *(_entry(f.signature) for f in self.functions if _callable(f.signature))])
 
     def _key(self) -> str:
         from wbmpc.kernel.machine import target_text

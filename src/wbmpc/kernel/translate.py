@@ -2,8 +2,13 @@
 
 Numbers (float, int, bool), flat arrays of float64 and int64, tuples of numbers as results; assignments, ``for … in range``,
 ``while``, ``if``, arithmetic, comparisons, a few functions of NumPy, calls of other such functions, calls by address. No
-allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers. The same functions run as
-ordinary Python, which is how the interpreted twin and the tests use them.
+allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers.
+
+Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write; arithmetic and comparisons by element,
+``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all`` of a vector.
+
+The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
+read it before it is written to).
 """
 
 from __future__ import annotations
@@ -20,11 +25,14 @@ from wbmpc.kernel.scalar import literal
 
 #: Types: number, integer, truth value, array of numbers, array of integers, nothing; several numbers are a tuple of these.
 NUM, INT, BOOL, NUMS, INTS, NONE = "F", "I", "B", "M", "O", "V"
+#: Vectors of numbers and of truth values, and how many are in one.
+VEC, MASK, LANES = "X", "Y", 8
 NUM2, NUM3, NUM4, NUM6 = ((NUM,) * n for n in (2, 3, 4, 6))
 INT2, INT3 = (INT,) * 2, (INT,) * 3
 Type = str | tuple[str, ...]
 
 _LLVM = {NUM: "double", INT: "i64", BOOL: "i1", NUMS: "ptr", INTS: "ptr", NONE: "void"}
+_LLVM |= {VEC: f"<{LANES} x double>", MASK: f"<{LANES} x i1>"}
 #: No assumption that numbers are finite: the driver must see a NaN.
 _FAST = "reassoc nsz arcp contract"
 _ARITHMETIC: dict[type[ast.AST], str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul"}
@@ -39,11 +47,21 @@ DECLARATIONS = "\n".join(
     f"declare double @llvm.{n}.f64(double{', double' if n == 'pow' else ''}) nounwind memory(none)"
     for n in ("sqrt", "log", "exp", "floor", "fabs", "pow")
 )
+DECLARATIONS += f"""
+declare {_LLVM[VEC]} @llvm.fabs.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
+declare double @llvm.vector.reduce.fmax.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
+declare double @llvm.vector.reduce.fadd.v{LANES}f64(double, {_LLVM[VEC]}) nounwind memory(none)
+declare i1 @llvm.vector.reduce.and.v{LANES}i1({_LLVM[MASK]}) nounwind memory(none)"""
 
 
 def llvm_type(kind: Type) -> str:
     """The LLVM type of a type."""
     return _LLVM[kind] if isinstance(kind, str) else "{" + ", ".join(_LLVM[k] for k in kind) + "}"
+
+
+def _alignment(kind: Type) -> str:
+    """Slices start anywhere, so vectors are only as aligned as numbers."""
+    return ", align 8" if kind == VEC else ""
 
 
 class Signature(NamedTuple):
@@ -117,7 +135,7 @@ class Translator:
         return f"%s{self.count}"
 
     def store(self, value: Value, slot: str) -> None:
-        self.lines.append(f"store {llvm_type(value.kind)} {value.text}, ptr {slot}")
+        self.lines.append(f"store {llvm_type(value.kind)} {value.text}, ptr {slot}{_alignment(value.kind)}")
 
     def convert(self, value: Value, kind: Type, node: ast.AST) -> Value:
         if value.kind == kind:
@@ -132,9 +150,17 @@ class Translator:
         }
         if (value.kind, kind) in how:
             return Value(kind, self.new(how[value.kind, kind].format(value.text)))  # type: ignore[index]
+        if kind == VEC:
+            return self.spread(self.convert(value, NUM, node))
         if kind == BOOL and value.kind == INT:
             return Value(BOOL, self.new(f"icmp ne i64 {value.text}, 0"))
         raise self.fail(node, f"cannot make {value.kind} into {kind}")
+
+    def spread(self, value: Value) -> Value:
+        """A number in every lane."""
+        t = llvm_type(VEC)
+        one = self.new(f"insertelement {t} poison, double {value.text}, i32 0")
+        return Value(VEC, self.new(f"shufflevector {t} {one}, {t} poison, <{LANES} x i32> zeroinitializer"))
 
     # ------------------------------------------------------------------ statements
     def translate(self) -> str:
@@ -228,7 +254,7 @@ class Translator:
     def do_AugAssign(self, node: ast.AugAssign) -> None:
         if isinstance(node.target, ast.Subscript):
             pointer, kind = self.element(node.target)
-            old = Value(kind, self.new(f"load {llvm_type(kind)}, ptr {pointer}"))
+            old = Value(kind, self.new(f"load {llvm_type(kind)}, ptr {pointer}{_alignment(kind)}"))
             result = self.binary(node.op, old, self.value(node.value), node)
             self.store(self.convert(result, kind, node), pointer)
         else:
@@ -288,7 +314,8 @@ class Translator:
     def constant_step(self, call: ast.Call) -> int:
         if len(call.args) < 3:
             return 1
-        step = ast.literal_eval(call.args[2])
+        given = call.args[2]
+        step = self.names.get(given.id) if isinstance(given, ast.Name) else ast.literal_eval(given)
         if not isinstance(step, int) or step == 0:
             raise self.fail(call, "the step must be a constant")
         return step
@@ -332,7 +359,7 @@ class Translator:
         kind, slot = self.slots[node.id]
         if kind in (NUMS, INTS):
             return Value(kind, slot)
-        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {slot}"))
+        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {slot}{_alignment(kind)}"))
 
     def of_Attribute(self, node: ast.Attribute) -> Value:
         text = ast.unparse(node)
@@ -347,16 +374,30 @@ class Translator:
         return self.pack([self.value(e) for e in node.elts])
 
     def element(self, node: ast.Subscript) -> tuple[str, str]:
-        """(pointer, type) of an array's element."""
-        array, index = self.value(node.value), self.convert(self.value(node.slice), INT, node)
+        """(pointer, type) of an array's element, or of eight elements."""
+        array, index = self.value(node.value), self.convert(self.value(self.start_of(node)), INT, node)
         if array.kind not in (NUMS, INTS):
             raise self.fail(node, "only arrays have elements")
         kind = NUM if array.kind == NUMS else INT
-        return self.new(f"getelementptr {llvm_type(kind)}, ptr {array.text}, i64 {index.text}"), kind
+        pointer = self.new(f"getelementptr {llvm_type(kind)}, ptr {array.text}, i64 {index.text}")
+        if not isinstance(node.slice, ast.Slice):
+            return pointer, kind
+        if kind != NUM:
+            raise self.fail(node, "only numbers come as vectors")
+        return pointer, VEC
+
+    def start_of(self, node: ast.Subscript) -> ast.expr:
+        """The index of an element, or of the first element of a slice ``start : start + LANES``."""
+        part = node.slice
+        if not isinstance(part, ast.Slice):
+            return part
+        if part.lower is None or part.upper is None or ast.unparse(part.upper) != f"{ast.unparse(part.lower)} + LANES":
+            raise self.fail(node, "a slice must be 'start : start + LANES'")
+        return part.lower
 
     def of_Subscript(self, node: ast.Subscript) -> Value:
         pointer, kind = self.element(node)
-        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {pointer}"))
+        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {pointer}{_alignment(kind)}"))
 
     def of_UnaryOp(self, node: ast.UnaryOp) -> Value:
         if isinstance(node.op, ast.Not):
@@ -364,6 +405,8 @@ class Translator:
         value = self.value(node.operand)
         if not isinstance(node.op, ast.USub):
             raise self.fail(node, "this operator cannot be translated")
+        if value.kind == VEC:
+            return Value(VEC, self.new(f"fneg {llvm_type(VEC)} {value.text}"))
         if value.kind == INT:
             return Value(INT, self.new(f"sub nsw i64 0, {value.text}"))
         return Value(NUM, self.new(f"fneg double {self.convert(value, NUM, node).text}"))
@@ -382,6 +425,10 @@ class Translator:
 
     def binary(self, op: ast.operator, a: Value, b: Value, node: ast.AST) -> Value:
         both = a.kind in (INT, BOOL) and b.kind in (INT, BOOL)
+        if VEC in (a.kind, b.kind):
+            return self.by_element(op, a, b, node)
+        if isinstance(op, ast.BitAnd) and a.kind == b.kind == MASK:
+            return Value(MASK, self.new(f"and {llvm_type(MASK)} {a.text}, {b.text}"))
         if type(op) in _ARITHMETIC:
             word = _ARITHMETIC[type(op)]
             if both:
@@ -396,8 +443,24 @@ class Translator:
             return Value(NUM, self.new(f"fdiv {_FAST} double {a.text}, {b.text}"))
         raise self.fail(node, "this operator cannot be translated")
 
+    def by_element(self, op: ast.operator, a: Value, b: Value, node: ast.AST) -> Value:
+        """Arithmetic of vectors; a number meets every lane."""
+        word = "div" if isinstance(op, ast.Div) else _ARITHMETIC.get(type(op))
+        if word is None:
+            raise self.fail(node, "this operator cannot be translated")
+        a, b = self.convert(a, VEC, node), self.convert(b, VEC, node)
+        return Value(VEC, self.new(f"f{word} {_FAST} {llvm_type(VEC)} {a.text}, {b.text}"))
+
+    def compare_lanes(self, op: ast.cmpop, a: Value, b: Value, node: ast.AST) -> Value:
+        a, b = self.convert(a, VEC, node), self.convert(b, VEC, node)
+        return Value(MASK, self.new(f"fcmp {_COMPARE[type(op)][0]} {llvm_type(VEC)} {a.text}, {b.text}"))
+
     def of_Compare(self, node: ast.Compare) -> Value:
         values = [self.value(e) for e in (node.left, *node.comparators)]
+        if VEC in (v.kind for v in values):
+            if len(values) != 2 or type(node.ops[0]) not in _COMPARE:
+                raise self.fail(node, "vectors are compared by one operator, two at a time")
+            return self.compare_lanes(node.ops[0], values[0], values[1], node)
         result = ""
         for op, a, b in zip(node.ops, values[:-1], values[1:], strict=True):
             if type(op) not in _COMPARE:
@@ -439,7 +502,7 @@ class Translator:
         self.store(self.convert(self.value(node.orelse), kind, node), slot)
         self.jump(after)
         self.start(after)
-        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {slot}"))
+        return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {slot}{_alignment(kind)}"))
 
     def is_number(self, node: ast.expr) -> bool:
         """Whether an expression is a float, found by translating it to nowhere."""
@@ -484,10 +547,45 @@ class Translator:
         return result
 
     def absolute(self, value: Value, node: ast.AST) -> Value:
+        if value.kind == VEC:
+            t = llvm_type(VEC)
+            return Value(VEC, self.new(f"call {t} @llvm.fabs.v{LANES}f64({t} {value.text})"))
         number = self.convert(value, NUM, node)
         return Value(NUM, self.new(f"call double @llvm.fabs.f64(double {number.text})"))
 
+    def select(self, mask: Value, yes: Value, no: Value, node: ast.AST) -> Value:
+        if mask.kind != MASK:
+            raise self.fail(node, "np.where needs a comparison of vectors")
+        t, a, b = llvm_type(VEC), self.convert(yes, VEC, node), self.convert(no, VEC, node)
+        return Value(VEC, self.new(f"select {llvm_type(MASK)} {mask.text}, {t} {a.text}, {t} {b.text}"))
+
+    def of_vectors(self, name: str, node: ast.Call) -> Value | None:
+        """Functions of NumPy that take or give vectors; None for another name."""
+        t = llvm_type(VEC)
+        if name == "where":
+            mask, yes, no = (self.value(a) for a in node.args)
+            return self.select(mask, yes, no, node)
+        if name == "full":
+            return self.convert(self.value(node.args[1]), VEC, node)
+        if name in ("maximum", "minimum"):
+            a, b = (self.convert(self.value(e), VEC, node) for e in node.args)
+            return self.select(self.compare_lanes(ast.Gt() if name == "maximum" else ast.Lt(), b, a, node), b, a, node)
+        if name == "max":
+            whole = self.convert(self.value(node.args[0]), VEC, node)
+            return Value(NUM, self.new(f"call double @llvm.vector.reduce.fmax.v{LANES}f64({t} {whole.text})"))
+        if name == "sum":
+            whole = self.convert(self.value(node.args[0]), VEC, node)
+            start = f"double -0.0, {t} {whole.text}"
+            return Value(NUM, self.new(f"call reassoc double @llvm.vector.reduce.fadd.v{LANES}f64({start})"))
+        if name == "all":
+            mask = self.value(node.args[0])
+            return Value(BOOL, self.new(f"call i1 @llvm.vector.reduce.and.v{LANES}i1({llvm_type(MASK)} {mask.text})"))
+        return None
+
     def numpy(self, name: str, node: ast.Call) -> Value:
+        found = self.of_vectors(name, node)
+        if found is not None:
+            return found
         value = self.convert(self.value(node.args[0]), NUM, node)
         if name in _NUMPY:
             return Value(NUM, self.new(f"call double @{_NUMPY[name]}(double {value.text})"))

@@ -3,7 +3,24 @@
 from __future__ import annotations
 
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import BOOL, INT, INT2, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM6, NUMS, PointerCall
+from wbmpc.kernel.translate import (
+    BOOL,
+    INT,
+    INT2,
+    INT3,
+    INTS,
+    LANES,
+    MASK,
+    NONE,
+    NUM,
+    NUM2,
+    NUM3,
+    NUM4,
+    NUM6,
+    NUMS,
+    VEC,
+    PointerCall,
+)
 
 LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"))
 compiled = LIBRARY.compiled
@@ -15,7 +32,9 @@ __all__ = [
     "INT2",
     "INT3",
     "INTS",
+    "LANES",
     "LIBRARY",
+    "MASK",
     "NONE",
     "NUM",
     "NUM2",
@@ -23,6 +42,7 @@ __all__ = [
     "NUM4",
     "NUM6",
     "NUMS",
+    "VEC",
     "call2",
     "call3",
     "call5",

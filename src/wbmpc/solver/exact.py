@@ -36,9 +36,9 @@ from wbmpc.solver.places import (
     ROW_H,
     ROW_J,
     ROW_L,
-    ROW_TABLE,
     ROWS,
     SECOND,
+    SIGN,
     SIGNED,
     SLOPES,
     SMALL,
@@ -52,8 +52,8 @@ from wbmpc.solver.places import (
     W,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import counts, node_rows, row_penalty
-from wbmpc.solver.stages import row_count, row_index
+from wbmpc.solver.rows import counts, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.stages import row_index
 
 HARD, MULTIPLIER = int(Kind.HARD), int(Kind.MULTIPLIER)
 
@@ -73,9 +73,9 @@ def signed_multiplier(m, o, k, j):  # type: ignore[no-untyped-def]
     """Multiplier of row j of node k as it stands before the row's value in the Lagrangian."""
     first, _, _ = node_rows(o, k)
     r, q = first + j, k * o[ROWS] + j
-    if not counts(o, r, k):
+    if not counts(m, o, r, k):
         return 0.0
-    kind, l, h = o[row_index(o) + row_count(o) + r], m[o[ROW_L] + q], m[o[ROW_H] + q]  # noqa: E741
+    kind, l, h = kind_of(m, o, r), m[o[ROW_L] + q], m[o[ROW_H] + q]  # noqa: E741
     if kind == HARD:
         return -l
     if kind == MULTIPLIER:
@@ -90,7 +90,7 @@ def add_row_gradient(m, o, k, jacobian, gradient, w):  # type: ignore[no-untyped
     for j in range(boxes + general):
         value = m[w] * signed_multiplier(m, o, k, j)
         if j < boxes:
-            m[gradient + o[row_index(o) + first + j]] += value * m[o[ROW_TABLE] + 3 * (first + j)]
+            m[gradient + o[row_index(o) + first + j]] += value * m[entry(o, SIGN, first + j)]
             continue
         m[o[SIGNED] + j - boxes] = signed_multiplier(m, o, k, j)
         row = jacobian + (j - boxes) * o[LZ]

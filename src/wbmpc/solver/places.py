@@ -9,9 +9,8 @@ from __future__ import annotations
 from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
-(ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, JUMPS, ALIGN, EXACT, POLICY) = range(
-    13, len(_w.DIMENSIONS)
-)
+(ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
+(JUMPS, ALIGN, EXACT, POLICY) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial"))
@@ -23,9 +22,13 @@ ROW_C, ROW_E, ROW_D, ROW_N = (_place[n] for n in ("rows_c", "rows_e", "rows_d", 
 ROW_DT, ROW_DS, ROW_Y = (_place[n] for n in ("rows_dt", "rows_ds", "rows_y"))
 ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
 ADJOINT, NU_ROWS, SIGNED = (_place[n] for n in ("adjoint", "multiplier", "signed"))
+PULLED, ROW_TRIAL, LANES_OUT = (_place[n] for n in ("pulled", "row_trial", "lanes"))
 NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
 GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old", "state", "filter"))
 
+#: Columns of the row table: h = sign z + offset (rows of one variable); ν or ρ; kind; whether the row counts at the first
+#: node and at the others (1 or 0).
+SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: Places in the block ``state``: μ of the interior point, shift of the Hessian, entries in the filter; then what the rows'
 #: step found: largest primal and dual step length, slope of the rows' cost, largest complementarity product, largest primal
 #: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;

@@ -142,7 +142,7 @@ def sample_all(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
     for k in range(o[N] + 1):
         sample(numbers, integers, t0 + m[o[GRID] + k], m, o[P] + k * o[NP])
     if o[JUMPS] > 0:
-        flags = row_index(o) + 3 * row_count(o)
+        flags = row_index(o) + row_count(o)
         for k in range(o[N]):
             now = count_until(numbers, 0, integers[1], t0 + m[o[GRID] + k] + 1e-9)
             then = count_until(numbers, 0, integers[1], t0 + m[o[GRID] + k + 1] + 1e-9)

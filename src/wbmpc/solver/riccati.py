@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM2, NUM4, NUMS, call7, compiled
 from wbmpc.solver.exact import exact_end, exact_node
 from wbmpc.solver.places import (
     AB,
@@ -11,7 +11,6 @@ from wbmpc.solver.places import (
     DU,
     DX,
     END_BOXES,
-    END_J,
     END_Q,
     END_ROW_GENERAL,
     EPS,
@@ -25,14 +24,10 @@ from wbmpc.solver.places import (
     NU,
     NX,
     PATH_BOXES,
+    PULLED,
     RICCATI,
-    ROW_C,
     ROW_COST,
-    ROW_D,
     ROW_GENERAL,
-    ROW_J,
-    ROW_TABLE,
-    ROWS,
     SCRATCH,
     SHIFT,
     SMALL,
@@ -48,8 +43,8 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import add_barrier, barrier_value, counts, linearise_rows, node_rows
-from wbmpc.solver.stages import linearise_dynamics, row_index, stage, stage_end
+from wbmpc.solver.rows import add_barrier, add_rows_product, barrier_value, linearise_rows
+from wbmpc.solver.stages import linearise_dynamics, stage, stage_end
 
 
 @compiled(NUM4, NUMS, INTS, INT, INT)
@@ -181,35 +176,6 @@ def forward(m, o, x0):  # type: ignore[no-untyped-def]
     return largest, slope
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, INT)
-def rows_product(m, o, k, i, place):  # type: ignore[no-untyped-def]
-    """Component ``i`` (of [x, 1, u]) of w Jᵀ σ J δz of node k: what the rows have put into H δz."""
-    first, boxes, general = node_rows(o, k)
-    w, total = (m[o[GRID] + k + 1] - m[o[GRID] + k]), 0.0
-    for j in range(boxes):
-        r = first + j
-        if o[row_index(o) + r] == i and counts(o, r, k):
-            total += w * m[o[ROW_C] + place + j] * m[o[ROW_D] + place + j] * m[o[ROW_TABLE] + 3 * r]
-    for j in range(general):
-        q = place + boxes + j
-        total += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[o[ROW_J] + (k * general + j) * o[LZ] + i]
-    return total
-
-
-@compiled(NUM, NUMS, INTS, INT)
-def end_product(m, o, i):  # type: ignore[no-untyped-def]
-    """Component ``i`` of Jᵀ σ J δx of the end's rows."""
-    first, boxes, general = node_rows(o, o[N])
-    place, total = o[N] * o[ROWS], 0.0
-    for j in range(boxes):
-        if o[row_index(o) + first + j] == i:
-            total += m[o[ROW_C] + place + j] * m[o[ROW_D] + place + j] * m[o[ROW_TABLE] + 3 * (first + j)]
-    for j in range(general):
-        q = place + boxes + j
-        total += m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[o[END_J] + j * o[LZ] + i]
-    return total
-
-
 @compiled(NUM2, NUMS, INTS)
 def kkt_residual(m, o):  # type: ignore[no-untyped-def]
     """(max |H δz|, δzᵀ H δz), after :func:`wbmpc.solver.rows.rows_step`.
@@ -221,6 +187,7 @@ def kkt_residual(m, o):  # type: ignore[no-untyped-def]
     largest, curvature, nz, shift = 0.0, 0.0, nx + 1 + nu, m[o[STATE] + SHIFT]
     for k in range(n):
         h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
+        add_rows_product(m, o, k, m[o[GRID] + k + 1] - m[o[GRID] + k])
         for i in range(nz):
             if i == nx:
                 continue
@@ -231,11 +198,12 @@ def kkt_residual(m, o):  # type: ignore[no-untyped-def]
                     total += m[h + high * lz + low] * (m[dx + j] if j < nx else m[du + j])
             step = m[dx + i] if i < nx else m[du + i]
             curvature += total * step
-            largest = max(largest, abs(total - shift * step - rows_product(m, o, k, i, k * o[ROWS])))
+            largest = max(largest, abs(total - shift * step - m[o[PULLED] + i]))
+    add_rows_product(m, o, n, 1.0)
     for i in range(nx):
         total = 0.0
         for j in range(nx):
             total += m[o[TERMINAL] + i * lx + j] * m[o[DX] + n * lx + j]
         curvature += total * m[o[DX] + n * lx + i]
-        largest = max(largest, abs(total - shift * m[o[DX] + n * lx + i] - end_product(m, o, i)))
+        largest = max(largest, abs(total - shift * m[o[DX] + n * lx + i] - m[o[PULLED] + i]))
     return largest, curvature

@@ -7,6 +7,9 @@ multiplier −σ (J δz + e) after the step:
 - MULTIPLIER: σ = ρ where λ > ρ h, else 0; e = h − λ/ρ;
 - EQUAL: σ = ρ, e = h + λ/ρ, multiplier +σ (J δz + e).
 
+The rows of a node come in vectors of eight: first those of one variable, then general ones, then rows that do nothing, up
+to a multiple of eight. Without L1 slack ("open", infinite ν): s = 0, and y counts as 1 wherever it only scales.
+
 Sources: Nocedal and Wright 2006, sections 19.2 and 17.4; derivation in docs/derivations.md.
 """
 
@@ -15,11 +18,28 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.ocp.rows import Kind
-from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, NONE, NUM, NUM2, NUM3, NUM6, NUMS, call3, compiled
+from wbmpc.solver.compilation import (
+    BOOL,
+    INT,
+    INT3,
+    INTS,
+    LANES,
+    MASK,
+    NONE,
+    NUM,
+    NUM2,
+    NUM3,
+    NUMS,
+    VEC,
+    call3,
+    compiled,
+)
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
     BOXES,
+    COUNTS,
+    COUNTS_FIRST,
     DU,
     DUAL,
     DX,
@@ -30,6 +50,8 @@ from wbmpc.solver.places import (
     END_ROWS_J,
     GRID,
     INDEX,
+    KIND,
+    LANES_OUT,
     LEFT,
     LX,
     LZ,
@@ -37,8 +59,11 @@ from wbmpc.solver.places import (
     NP,
     NU,
     NX,
+    OFFSET,
+    PENALTY,
     PRIMAL,
     PRODUCT,
+    PULLED,
     RESIDUAL,
     RHO,
     ROW_BOXES,
@@ -47,6 +72,7 @@ from wbmpc.solver.places import (
     ROW_DS,
     ROW_DT,
     ROW_E,
+    ROW_END,
     ROW_GENERAL,
     ROW_H,
     ROW_J,
@@ -57,10 +83,13 @@ from wbmpc.solver.places import (
     ROW_SLOPE,
     ROW_T,
     ROW_TABLE,
+    ROW_TOTAL,
+    ROW_TRIAL,
     ROW_VALUES,
     ROW_Y,
     ROWS,
     ROWS_J,
+    SIGN,
     SMALL,
     STATE,
     N,
@@ -68,7 +97,7 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.stages import row_count, row_index, stage, stage_end
+from wbmpc.solver.stages import row_index, stage, stage_end
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
 
@@ -117,84 +146,137 @@ def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no
         add_square(m, o, matrix, ld, i, scale * curve * sign * sign, scale * slope * sign)
 
 
-# ---------------------------------------------------------------------- one row
-@compiled(NUM2, INT, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
-def weight(kind, h, t, l, s, y, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(σ, e) of a row."""
-    if kind == HARD:
-        if np.isinf(penalty):
-            inverse = 1.0 / l
-            return l / t, h - mu * inverse - t
-        inverse = 1.0 / (l * y)  # divisions are what a row costs
-        return l * y / (t * y + s * l), h - mu * inverse * (y - l) - t - s * l * l * inverse
-    if kind == MULTIPLIER:
-        return (penalty if l > penalty * h else 0.0), h - l / penalty
-    return penalty, h + l / penalty
-
-
-@compiled(NUM2, INT, NUM, NUM, NUM, NUM, NUM, NUM)
-def smooth_merit(kind, h, t, l, s, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(cost without logarithms, violation) of a row."""
-    if kind == HARD:
-        if np.isinf(penalty):
-            return 0.0, abs(h - t)
-        return penalty * s, abs(h + s - t)
-    if kind == MULTIPLIER:
-        pull = max(0.0, l - penalty * h)
-        return 0.5 * (pull * pull - l * l) / penalty, 0.0
-    return 0.0, abs(h)
-
-
-@compiled(NUM6, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
-def steps(t, l, s, y, penalty, mu, following, ahead):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(δt, δs, δl, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of logarithms and slack) of a hard row.
-
-    ``following``: next multiplier; ``ahead`` = h + J δz.
-    """
-    dl = following - l
-    if np.isinf(penalty):
-        by_l, by_t = 1.0 / l, 1.0 / t
-        dt = mu * by_l - t - t * dl * by_l
-        return dt, 0.0, dl, -dt * by_t, -dl * by_l, -mu * dt * by_t
-    inverse, other = 1.0 / (l * y), 1.0 / (t * s)
-    by_l, by_y, by_t, by_s = y * inverse, l * inverse, s * other, t * other
-    dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
-    if s * l > t * y:  # the slack carries the row: δl is the small difference of large numbers
-        ds = t + dt - ahead - s
-        dl = y - (mu - y * ds) * by_s
-    slope = ds * (penalty - mu * by_s) - mu * dt * by_t
-    return dt, ds, dl, max(-dt * by_t, -ds * by_s), max(-dl * by_l, dl * by_y), slope
-
-
+# ---------------------------------------------------------------------- tables
 @compiled(INT3, INTS, INT)
 def node_rows(o, k):  # type: ignore[no-untyped-def]
     """(first row in the row table, rows of one variable, general rows) of node k."""
     if k < o[N]:
         return 0, o[ROW_BOXES], o[ROW_GENERAL]
-    return o[ROW_BOXES] + o[ROW_GENERAL], o[END_ROW_BOXES], o[END_ROW_GENERAL]
+    return o[ROW_END], o[END_ROW_BOXES], o[END_ROW_GENERAL]
+
+
+@compiled(INT, INTS, INT, INT)
+def entry(o, column, r):  # type: ignore[no-untyped-def]
+    """Place of row r in a column of the row table."""
+    return o[ROW_TABLE] + column * o[ROW_TOTAL] + r
+
+
+@compiled(BOOL, NUMS, INTS, INT, INT)
+def counts(m, o, r, k):  # type: ignore[no-untyped-def]
+    """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
+    return m[entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)] > 0.0
+
+
+@compiled(INT, NUMS, INTS, INT)
+def kind_of(m, o, r):  # type: ignore[no-untyped-def]
+    """HARD, MULTIPLIER or EQUAL."""
+    return int(m[entry(o, KIND, r)])
 
 
 @compiled(NUM, NUMS, INTS, INT)
 def row_penalty(m, o, r):  # type: ignore[no-untyped-def]
     """Weight of a hard row's L1 slack, or ρ of a multiplier row (which grows while its residual does not shrink)."""
-    penalty = m[o[ROW_TABLE] + 3 * r + 2]
-    return penalty if o[row_index(o) + row_count(o) + r] == HARD else penalty * m[o[STATE] + RHO]
+    penalty = m[entry(o, PENALTY, r)]
+    return penalty if kind_of(m, o, r) == HARD else penalty * m[o[STATE] + RHO]
 
 
-@compiled(BOOL, INTS, INT, INT)
-def counts(o, r, k):  # type: ignore[no-untyped-def]
-    """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
-    return k > 0 or o[row_index(o) + 2 * row_count(o) + r] == 0
+@compiled((VEC, VEC, MASK), NUMS, INTS, INT, INT)
+def eight_rows(m, o, r, k):  # type: ignore[no-untyped-def]
+    """(kinds, penalties, whether they count at node k) of the rows from r on."""
+    kind, penalty = (
+        m[entry(o, KIND, r) : entry(o, KIND, r) + LANES],
+        m[entry(o, PENALTY, r) : entry(o, PENALTY, r) + LANES],
+    )
+    column = entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
+    penalty = np.where(kind == HARD, penalty, penalty * m[o[STATE] + RHO])
+    return kind, penalty, m[column : column + LANES] > 0.0
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, INT)
-def box_value(m, o, r, x, u):  # type: ignore[no-untyped-def]
-    """h of a row of one variable."""
-    i, b, first = o[row_index(o) + r], o[ROW_TABLE] + 3 * r, o[NX] + 1
-    return m[b] * (m[x + i] if i < first else m[u + i - first]) + m[b + 1]
+# ---------------------------------------------------------------------- eight rows
+@compiled((VEC, VEC), VEC, VEC, VEC, VEC, VEC, VEC, VEC, NUM)
+def weights(kind, h, t, l, s, y, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
+    """(σ, e)."""
+    closed = penalty < np.inf
+    scale, rest = np.where(closed, y, 1.0), np.where(closed, s * l, 0.0)
+    inverse = 1.0 / (l * scale)  # divisions are what a row costs
+    sigma = l * scale / (t * scale + rest)
+    e = h - mu * inverse * np.where(closed, y - l, 1.0) - t - rest * l * inverse
+    if np.all(kind == HARD):
+        return sigma, e
+    other = np.where(kind == EQUAL, penalty, np.where(l > penalty * h, penalty, 0.0))
+    signed = np.where(kind == EQUAL, l, -l) / penalty
+    return np.where(kind == HARD, sigma, other), np.where(kind == HARD, e, h + signed)
+
+
+@compiled((VEC, VEC, VEC), VEC, VEC, VEC, VEC, VEC, VEC)
+def merits(kind, h, t, l, s, penalty):  # type: ignore[no-untyped-def]  # noqa: E741
+    """(cost without logarithms, violation, what the logarithms are taken of)."""
+    hard, closed = kind == HARD, penalty < np.inf
+    cost, violation = np.where(closed, penalty * s, 0.0), abs(h + np.where(closed, s, 0.0) - t)
+    product = np.where(hard, t * np.where(closed, s, 1.0), 1.0)
+    if np.all(hard):
+        return cost, violation, product
+    pull = np.maximum(l - penalty * h, 0.0)
+    other = np.where(kind == MULTIPLIER, 0.5 * (pull * pull - l * l) / penalty, 0.0)
+    missing = np.where(kind == MULTIPLIER, 0.0, abs(h))
+    return np.where(hard, cost, other), np.where(hard, violation, missing), product
+
+
+@compiled((VEC,) * 6, VEC, VEC, VEC, VEC, VEC, VEC, VEC, NUM)
+def steps(t, l, s, y, penalty, following, ahead, mu):  # type: ignore[no-untyped-def]  # noqa: E741
+    """(δt, δs, δl, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of logarithms and slack) of hard rows.
+
+    ``following``: next multiplier; ``ahead`` = h + J δz.
+    """
+    closed = penalty < np.inf
+    y, s = np.where(closed, y, 1.0), np.where(closed, s, 1.0)
+    inverse, other = 1.0 / (l * y), 1.0 / (t * s)
+    by_l, by_y, by_t, by_s = y * inverse, l * inverse, s * other, t * other
+    dl = following - l
+    dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
+    carried = s * l > t * y  # by the slack: δl is the small difference of large numbers
+    ds = np.where(carried, t + dt - ahead - s, ds)
+    dl = np.where(closed & carried, y - (mu - y * ds) * by_s, dl)
+    slack_slope = np.where(closed, ds * (penalty - mu * by_s), 0.0)
+    shrink = np.maximum(-dt * by_t, np.where(closed, -ds * by_s, 0.0))
+    fall = np.maximum(-dl * by_l, np.where(closed, dl * by_y, 0.0))
+    return dt, np.where(closed, ds, 0.0), dl, shrink, fall, slack_slope - mu * dt * by_t
+
+
+@compiled(NUM, NUMS, INTS, VEC)
+def log_of_product(m, o, product):  # type: ignore[no-untyped-def]
+    """Σ log of eight numbers, with as few logarithms as their sizes allow."""
+    lanes, total, one = o[LANES_OUT], 0.0, 1.0
+    m[lanes : lanes + LANES] = product
+    for i in range(LANES):
+        if not 1e-200 < one < 1e200:
+            total += np.log(one)
+            one = 1.0
+        if 1e-100 < m[lanes + i] < 1e100:
+            one *= m[lanes + i]
+        else:
+            total += np.log(m[lanes + i])
+    return total + np.log(one)
 
 
 # ---------------------------------------------------------------------- all rows of a node
+@compiled(NUM, NUMS, INTS, INT, INT, INT)
+def box_value(m, o, r, x, u):  # type: ignore[no-untyped-def]
+    """h of a row of one variable."""
+    i, first = o[row_index(o) + r], o[NX] + 1
+    return m[entry(o, SIGN, r)] * (m[x + i] if i < first else m[u + i - first]) + m[entry(o, OFFSET, r)]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
+def collect_values(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
+    """h of node k's rows at ``out``: those of one variable from x and u, general ones from where their function left them."""
+    first, boxes, general = node_rows(o, k)
+    for j in range(boxes):
+        m[out + j] = box_value(m, o, first + j, x, u)
+    for j in range(general):
+        m[out + boxes + j] = m[o[SMALL] + 16 + j]
+
+
 @compiled(NONE, NUMS, INTS, INT, INT, INT)
 def general_values(m, o, k, x, u):  # type: ignore[no-untyped-def]
     """Values of the general rows of node k into ``small`` from entry 16 on."""
@@ -212,24 +294,24 @@ def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    place, mu, kinds = k * o[ROWS], m[o[STATE] + MU], row_index(o) + row_count(o)
+    place, mu, values = k * o[ROWS], m[o[STATE] + MU], o[ROW_TRIAL]
     general_values(m, o, k, x, u)
-    cost, violation, product = 0.0, 0.0, 1.0
-    for j in range(boxes + general):
-        r, q = first + j, place + j
-        if not counts(o, r, k):
-            continue
-        h = box_value(m, o, r, x, u) if j < boxes else m[o[SMALL] + 16 + j - boxes]
-        kind, penalty = o[kinds + r], row_penalty(m, o, r)
-        t, s = m[o[ROW_T] + q] + alpha * m[o[ROW_DT] + q], m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
-        if kind == HARD:
-            product *= t if np.isinf(penalty) else t * s
-            if not 1e-200 < product < 1e200:
-                cost -= mu * np.log(product)
-                product = 1.0
-        c, v = smooth_merit(kind, h, t, m[o[ROW_L] + q], s, penalty, mu)
-        cost, violation = cost + c, violation + v
-    return cost - mu * np.log(product), violation
+    collect_values(m, o, k, x, u, values)
+    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    for j in range(0, boxes + general, LANES):
+        q, at = place + j, values + j
+        kind, penalty, active = eight_rows(m, o, first + j, k)
+        h, l = m[at : at + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
+        t = m[o[ROW_T] + q : o[ROW_T] + q + LANES] + alpha * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
+        s = m[o[ROW_S] + q : o[ROW_S] + q + LANES] + alpha * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+        c, v, factor = merits(kind, h, t, l, s, penalty)
+        cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
+        product = product * np.where(active, factor, 1.0)
+        if not np.all((product > 1e-200) & (product < 1e200)):
+            logs += log_of_product(m, o, product)
+            product = np.full(LANES, 1.0)
+    logs += log_of_product(m, o, product)
+    return np.sum(cost) - mu * logs, np.sum(violation)
 
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, INT, INT)
@@ -239,8 +321,9 @@ def add_general(m, o, k, jacobian, place, general, w, matrix, ld):  # type: igno
     if k < o[N]:
         for j in range(general):
             scale = w * m[o[ROW_C] + place + j]
-            for c in range(lz):
-                m[o[ROW_SCALED] + j * lz + c] = scale * m[jacobian + j * lz + c]
+            for c in range(0, lz, LANES):
+                out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
+                m[out : out + LANES] = scale * m[row : row + LANES]
         call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
         return
     for j in range(general):
@@ -250,6 +333,15 @@ def add_general(m, o, k, jacobian, place, general, w, matrix, ld):  # type: igno
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
+@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, INT, INT)
+def add_boxes(m, o, first, place, boxes, w, matrix, ld):  # type: ignore[no-untyped-def]
+    """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
+    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    for j in range(boxes):
+        slope = w * m[o[ROW_C] + place + j] * m[signs + j]
+        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + place + j])
+
+
 @compiled(NUM2, NUMS, INTS, INT, INT, INT, INT, INT)
 def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
     """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation)."""
@@ -257,59 +349,74 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
     if boxes + general == 0:
         return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, place, index = m[o[STATE] + MU], k * o[ROWS], row_index(o)
-    kinds, lz = index + row_count(o), o[LZ]
+    mu, place, lz = m[o[STATE] + MU], k * o[ROWS], o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
-    cost, violation, product = 0.0, 0.0, 1.0
     if general > 0:
         out, p = o[SMALL] + 16, o[P] + k * o[NP]
         if k < o[N]:
             stage(o, ROWS_J, x, u, p, out, jacobian, jacobian)
         else:
             stage_end(o, END_ROWS_J, x, p, out, jacobian)
-    for j in range(boxes + general):
-        r, q = first + j, place + j
-        h = box_value(m, o, r, x, u) if j < boxes else m[o[SMALL] + 16 + j - boxes]
-        m[o[ROW_H] + q] = h
-        sigma, e = 0.0, 0.0
-        if counts(o, r, k):
-            kind, penalty = o[kinds + r], row_penalty(m, o, r)
-            t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
-            sigma, e = weight(kind, h, t, l, s, m[o[ROW_Y] + q], penalty, mu)
-            if kind == HARD:
-                product *= t if np.isinf(penalty) else t * s
-                if not 1e-200 < product < 1e200:
-                    cost -= mu * np.log(product)
-                    product = 1.0
-            c, v = smooth_merit(kind, h, t, l, s, penalty, mu)
-            cost, violation = cost + c, violation + v
-        m[o[ROW_C] + q], m[o[ROW_E] + q] = sigma, e
-        if j < boxes:
-            sign = m[o[ROW_TABLE] + 3 * r]
-            add_square(m, o, matrix, ld, o[index + r], w * sigma * sign * sign, w * sigma * sign * e)
-        else:
-            m[jacobian + (j - boxes) * lz + o[NX]] = e
+    collect_values(m, o, k, x, u, o[ROW_H] + place)
+    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    for j in range(0, boxes + general, LANES):
+        q = place + j
+        kind, penalty, active = eight_rows(m, o, first + j, k)
+        h, t = m[o[ROW_H] + q : o[ROW_H] + q + LANES], m[o[ROW_T] + q : o[ROW_T] + q + LANES]
+        l, s = m[o[ROW_L] + q : o[ROW_L] + q + LANES], m[o[ROW_S] + q : o[ROW_S] + q + LANES]  # noqa: E741
+        sigma, e = weights(kind, h, t, l, s, m[o[ROW_Y] + q : o[ROW_Y] + q + LANES], penalty, mu)
+        m[o[ROW_C] + q : o[ROW_C] + q + LANES] = np.where(active, sigma, 0.0)
+        m[o[ROW_E] + q : o[ROW_E] + q + LANES] = np.where(active, e, 0.0)
+        c, v, factor = merits(kind, h, t, l, s, penalty)
+        cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
+        product = product * np.where(active, factor, 1.0)
+        if not np.all((product > 1e-200) & (product < 1e200)):
+            logs += log_of_product(m, o, product)
+            product = np.full(LANES, 1.0)
+    logs += log_of_product(m, o, product)
+    add_boxes(m, o, first, place, boxes, w, matrix, ld)
+    for j in range(general):
+        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + place + boxes + j]
     if general > 0:
         add_general(m, o, k, jacobian, place + boxes, general, w, matrix, ld)
-    return w * (cost - mu * np.log(product)), w * violation
+    return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
 
 
-@compiled(NUM, NUMS, INTS, INT, INT)
-def row_change(m, o, k, j):  # type: ignore[no-untyped-def]
-    """J δz of row j of node k."""
-    first, boxes, _ = node_rows(o, k)
-    dx, du, nx = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX]
-    if j < boxes:
-        i = o[row_index(o) + first + j]
-        return m[o[ROW_TABLE] + 3 * (first + j)] * (m[dx + i] if i < nx else m[du + i - nx - 1])
-    lz, total = o[LZ], 0.0
-    row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + (j - boxes) * lz
-    for i in range(nx):
-        total += m[row + i] * m[dx + i]
-    if k < o[N]:
-        for i in range(o[NU]):
-            total += m[row + nx + 1 + i] * m[du + i]
-    return total
+@compiled(NONE, NUMS, INTS, INT)
+def row_changes(m, o, k):  # type: ignore[no-untyped-def]
+    """J δz of node k's rows into ``rows_d``."""
+    first, boxes, general = node_rows(o, k)
+    dx, du, nx, lz, out = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX], o[LZ], o[ROW_D] + k * o[ROWS]
+    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    for j in range(boxes):
+        i = o[index + j]
+        m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
+    for j in range(general):
+        row, total = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz, 0.0
+        for i in range(nx):
+            total += m[row + i] * m[dx + i]
+        if k < o[N]:
+            for i in range(o[NU]):
+                total += m[row + nx + 1 + i] * m[du + i]
+        m[out + boxes + j] = total
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def add_rows_product(m, o, k, w):  # type: ignore[no-untyped-def]
+    """w Jᵀ σ J δz of node k by [x, 1, u] into ``pulled``: what the rows have put into H δz."""
+    first, boxes, general = node_rows(o, k)
+    place, lz, out = k * o[ROWS], o[LZ], o[PULLED]
+    for i in range(lz):
+        m[out + i] = 0.0
+    for j in range(boxes):
+        q = place + j
+        m[out + o[row_index(o) + first + j]] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, SIGN, first + j)]
+    size = lz if k < o[N] else o[NX]
+    for j in range(general):
+        q = place + boxes + j
+        row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
+        for i in range(size):
+            m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
 
 
 # ---------------------------------------------------------------------- all nodes
@@ -319,59 +426,61 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
 
     ``tau``: fraction to the boundary.
     """
-    state, mu = o[STATE], m[o[STATE] + MU]
-    primal, dual, slope, product, residual, left = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    state, mu, zero = o[STATE], m[o[STATE] + MU], np.full(LANES, 0.0)
+    primal, dual, slope, product, residual, left = zero, zero, zero, zero, zero, zero
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-        kinds = row_index(o) + row_count(o)
-        for j in range(boxes + general):
-            r, q = first + j, k * o[ROWS] + j
-            if not counts(o, r, k):
-                continue
-            change = row_change(m, o, k, j)
-            m[o[ROW_D] + q] = change
-            t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
-            penalty, reach = row_penalty(m, o, r), change + m[o[ROW_E] + q]
-            if o[kinds + r] == EQUAL:
-                m[o[ROW_N] + q] = penalty * reach
-                residual = max(residual, abs(m[o[ROW_H] + q]))
-                left += w * abs(m[o[ROW_H] + q] + change)
-            elif o[kinds + r] == MULTIPLIER:
-                pull = max(0.0, l - penalty * m[o[ROW_H] + q])
-                m[o[ROW_N] + q] = max(0.0, l - penalty * (m[o[ROW_H] + q] + change))
-                slope -= w * pull * change
-                residual = max(residual, abs(min(m[o[ROW_H] + q], l / penalty)))
-            else:
-                following = -m[o[ROW_C] + q] * reach
-                y, ahead = m[o[ROW_Y] + q], m[o[ROW_H] + q] + change
-                dt, ds, dl, shrink, fall, rise = steps(t, l, s, y, penalty, mu, following, ahead)
-                m[o[ROW_N] + q], m[o[ROW_DT] + q], m[o[ROW_DS] + q] = l + dl, dt, ds
-                primal, dual, slope = max(primal, shrink), max(dual, fall), slope + w * rise
-                product, residual = max(product, l * t), max(residual, abs(m[o[ROW_H] + q] + s - t))
-                if not np.isinf(penalty):
-                    product = max(product, y * s)
-    m[state + PRIMAL], m[state + DUAL] = tau / max(primal, tau), tau / max(dual, tau)
-    m[state + ROW_SLOPE], m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = slope, product, residual, left
+        row_changes(m, o, k)
+        for j in range(0, boxes + general, LANES):
+            q = k * o[ROWS] + j
+            kind, penalty, active = eight_rows(m, o, first + j, k)
+            change, h = m[o[ROW_D] + q : o[ROW_D] + q + LANES], m[o[ROW_H] + q : o[ROW_H] + q + LANES]
+            t, l = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
+            s, y = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+            reach, hard = change + m[o[ROW_E] + q : o[ROW_E] + q + LANES], active & (kind == HARD)
+            following = -m[o[ROW_C] + q : o[ROW_C] + q + LANES] * reach
+            dt, ds, dl, shrink, fall, rise = steps(t, l, s, y, penalty, following, h + change, mu)
+            m[o[ROW_DT] + q : o[ROW_DT] + q + LANES] = np.where(hard, dt, 0.0)
+            m[o[ROW_DS] + q : o[ROW_DS] + q + LANES] = np.where(hard, ds, 0.0)
+            primal = np.maximum(primal, np.where(hard, shrink, 0.0))
+            dual = np.maximum(dual, np.where(hard, fall, 0.0))
+            slope = slope + w * np.where(hard, rise, 0.0)
+            closed = penalty < np.inf
+            product = np.maximum(product, np.where(hard, np.maximum(l * t, np.where(closed, y * s, 0.0)), 0.0))
+            slack = np.where(closed, s, 0.0)
+            residual = np.maximum(residual, np.where(hard, abs(h + slack - t), 0.0))
+            following = np.where(hard, l + dl, l)
+            if not np.all(kind == HARD):
+                equal, one_sided = active & (kind == EQUAL), active & (kind == MULTIPLIER)
+                pull = np.maximum(l - penalty * h, 0.0)
+                after = np.maximum(l - penalty * (h + change), 0.0)
+                slope = slope - w * np.where(one_sided, pull * change, 0.0)
+                residual = np.maximum(residual, np.where(one_sided, abs(np.minimum(h, l / penalty)), 0.0))
+                residual = np.maximum(residual, np.where(equal, abs(h), 0.0))
+                left = left + w * np.where(equal, abs(h + change), 0.0)
+                following = np.where(one_sided, after, np.where(equal, penalty * reach, following))
+            m[o[ROW_N] + q : o[ROW_N] + q + LANES] = following
+    m[state + PRIMAL], m[state + DUAL] = tau / max(np.max(primal), tau), tau / max(np.max(dual), tau)
+    m[state + ROW_SLOPE], m[state + PRODUCT] = np.sum(slope), np.max(product)
+    m[state + RESIDUAL], m[state + LEFT] = np.max(residual), np.sum(left)
 
 
 @compiled(NONE, NUMS, INTS, NUM, NUM, BOOL)
 def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
     """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``."""
-    kinds = row_index(o) + row_count(o)
+    moved = primal if solved else 0.0
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
-        for j in range(boxes + general):
-            r, q = first + j, k * o[ROWS] + j
-            if not counts(o, r, k):
-                continue
-            if o[kinds + r] == MULTIPLIER and not solved:
-                continue
-            change = (dual if o[kinds + r] == HARD else primal) * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
-            m[o[ROW_L] + q] += change
-            m[o[ROW_Y] + q] -= change
-            m[o[ROW_T] + q] += primal * m[o[ROW_DT] + q]
-            m[o[ROW_S] + q] += primal * m[o[ROW_DS] + q]
+        for j in range(0, boxes + general, LANES):
+            q = k * o[ROWS] + j
+            kind = m[entry(o, KIND, first + j) : entry(o, KIND, first + j) + LANES]
+            length = np.where(kind == HARD, dual, np.where(kind == MULTIPLIER, moved, primal))
+            change = length * (m[o[ROW_N] + q : o[ROW_N] + q + LANES] - m[o[ROW_L] + q : o[ROW_L] + q + LANES])
+            m[o[ROW_L] + q : o[ROW_L] + q + LANES] += change
+            m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] -= change
+            m[o[ROW_T] + q : o[ROW_T] + q + LANES] += primal * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
+            m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
 
 
 @compiled(NONE, NUMS, INTS, NUM, BOOL, BOOL)
@@ -380,42 +489,48 @@ def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
 
     ``keep_slacks``: slacks that there are stay too.
     """
-    mu, kinds = m[o[STATE] + MU], row_index(o) + row_count(o)
+    mu = m[o[STATE] + MU]
+    kept = np.inf if keep else -1.0  # multipliers below it are kept
+    slacks_kept = np.inf if keep and keep_slacks else -1.0
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         if boxes + general == 0:
             continue
-        x, u = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU]
+        x, u, values = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU], o[ROW_TRIAL]
         general_values(m, o, k, x, u)
-        for j in range(boxes + general):
-            r, q = first + j, k * o[ROWS] + j
-            h = box_value(m, o, r, x, u) if j < boxes else m[o[SMALL] + 16 + j - boxes]
-            l = m[o[ROW_L] + q]  # noqa: E741
-            kept = keep and np.isfinite(l)
-            if o[kinds + r] != HARD:
-                m[o[ROW_L] + q] = l if kept else 0.0
-                continue
-            if keep_slacks and kept and m[o[ROW_T] + q] > 0.0:
-                continue
-            penalty = row_penalty(m, o, r)
-            t = h if h > least else least  # also for a NaN
-            l = l if kept and l > 0.0 else mu / t  # noqa: E741
-            l = min(max(l, 1e-12), 0.99 * penalty)  # noqa: E741
-            m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_Y] + q] = t, l, penalty - l
-            m[o[ROW_S] + q] = 0.0 if np.isinf(penalty) else max(t - h, mu / (penalty - l))
+        collect_values(m, o, k, x, u, values)
+        for j in range(0, boxes + general, LANES):
+            q, at = k * o[ROWS] + j, values + j
+            kind, penalty, _ = eight_rows(m, o, first + j, k)
+            h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
+            t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
+            s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+            t = np.where(h > least, h, least)  # also for a NaN
+            l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
+            l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
+            y = penalty - l
+            s = np.where(closed, np.maximum(t - h, mu / y), 0.0)
+            stay = (t_old > 0.0) & (abs(l_old) < slacks_kept)
+            other = np.where(abs(l_old) < kept, l_old, 0.0)
+            l = np.where(hard, np.where(stay, l_old, l), other)  # noqa: E741
+            t, s = np.where(hard, np.where(stay, t_old, t), t_old), np.where(hard, np.where(stay, s_old, s), s_old)
+            y = np.where(hard, np.where(stay, y_old, y), y_old)
+            m[o[ROW_T] + q : o[ROW_T] + q + LANES] = t
+            m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
+            m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
+            m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y
 
 
 @compiled(NUM3, NUMS, INTS)
 def largest_violation(m, o):  # type: ignore[no-untyped-def]
     """(value, node, row of the node) of the row that is violated most at the last linearised point, by h."""
     worst, node, row = 0.0, -1.0, -1.0
-    kinds = row_index(o) + row_count(o)
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(boxes + general):
-            if counts(o, first + j, k):
+            if counts(m, o, first + j, k):
                 h = m[o[ROW_H] + k * o[ROWS] + j]
-                value = abs(h) if o[kinds + first + j] == EQUAL else -h
+                value = abs(h) if kind_of(m, o, first + j) == EQUAL else -h
                 if value > worst:
                     worst, node, row = value, float(k), float(j)
     return worst, node, row

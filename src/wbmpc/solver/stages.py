@@ -13,8 +13,6 @@ from wbmpc.solver.places import (
     DYNAMICS,
     DYNAMICS_J,
     END_BOXES,
-    END_ROW_BOXES,
-    END_ROW_GENERAL,
     GRID,
     INDEX,
     J1,
@@ -31,8 +29,7 @@ from wbmpc.solver.places import (
     QUATERNIONS,
     RES,
     RK4,
-    ROW_BOXES,
-    ROW_GENERAL,
+    ROW_TOTAL,
     S1,
     S2,
     SLOPES,
@@ -65,20 +62,20 @@ def stage_end(o, function, x, p, r0, r1):  # type: ignore[no-untyped-def]
 
 @compiled(INT, INTS)
 def row_index(o):  # type: ignore[no-untyped-def]
-    """First of the rows' entries in the table: their places, then kinds, then whether they depend on the state alone."""
+    """First of the rows' entries in the table: their places in [x, 1, u]; behind them, whether an event ends an interval."""
     return INDEX + o[PATH_BOXES] + o[END_BOXES] + o[QUATERNIONS]
 
 
 @compiled(INT, INTS)
 def row_count(o):  # type: ignore[no-untyped-def]
-    """Rows with a state of their own, path and end together."""
-    return o[ROW_BOXES] + o[ROW_GENERAL] + o[END_ROW_BOXES] + o[END_ROW_GENERAL]
+    """Length of the row table: 0 without rows that have a state of their own."""
+    return o[ROW_TOTAL]
 
 
 @compiled(BOOL, INTS, INT)
 def jumps_after(o, k):  # type: ignore[no-untyped-def]
     """Whether an event with a jump of the state ends interval k."""
-    return o[JUMPS] > 0 and o[row_index(o) + 3 * row_count(o) + k] > 0
+    return o[JUMPS] > 0 and o[row_index(o) + row_count(o) + k] > 0
 
 
 @compiled(NONE, NUMS, INTS, INT, INT)

@@ -14,7 +14,7 @@ from wbmpc.kernel import Kernel
 from wbmpc.kernel.compiled import ADDRESSES as FUNCTIONS
 from wbmpc.kernel.dense import pad
 from wbmpc.ocp import Transcription
-from wbmpc.ocp.rows import BoxRow, Row
+from wbmpc.ocp.rows import BoxRow, Kind, Row
 
 #: Columns of the iteration log.
 LOG = (
@@ -51,7 +51,9 @@ DIMENSIONS = (
     "row_general",
     "end_boxes",
     "end_general",
-    "rows",  # their places per node
+    "rows",  # their places per node, a multiple of eight
+    "row_end",  # first of the end's rows in the row table
+    "row_total",  # length of a column of the row table
     "jumps",
     "align",
     "exact",  # whether the Hessian is the exact one
@@ -94,7 +96,7 @@ BLOCKS = (
     "rows_dt",
     "rows_ds",
     "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
-    "row_table",  # (path rows, then end rows, 3): sign, offset, penalty
+    "row_table",  # (6, path rows, then end rows, each up to a multiple of eight): see places.py
     "row_jacobian",  # (N, nr, lz)
     "row_scaled",  # (nr, lz)
     "end_jacobian",  # (ne, lz)
@@ -103,6 +105,9 @@ BLOCKS = (
     "state",  # (16,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
     "adjoint",  # (4, lx): costate, its two multiples, spare
+    "pulled",  # (lz,): Jᵀ σ J δz of one node
+    "row_trial",  # (rows,): values at a trial point of one node
+    "lanes",  # (8,)
     "multiplier",  # (equalities,)
     "signed",  # (general rows,): their multipliers with the sign of the Lagrangian
     "normal",  # (equalities, equalities)
@@ -167,7 +172,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
     s, n = kernel.sizes, problem.ocp.intervals
     barriers = len(problem.path_boxes) + len(problem.terminal_boxes)
     jacobian = (s.nx, s.lz)
-    rows = max(len(problem.path.rows), len(problem.end.rows), 1)
+    path, end = pad(len(problem.path.rows)), pad(len(problem.end.rows))
+    rows = max(path, end, 1)
     shapes: dict[str, tuple[int, ...]] = {
         "grid": (n + 1,),
         "x": (n + 1, s.nx),
@@ -194,7 +200,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "f": (6, s.lx),
         "small": (16 + max(s.ng, s.nr, s.ne),),
         "boxes": (max(barriers, 1), 4),
-        "row_table": (max(len(problem.path.rows) + len(problem.end.rows), 1), 3),
+        "row_table": (6, max(path + end, 1)),
         "row_jacobian": (n, max(s.nr, 1), s.lz) if s.nr else (1,),
         "row_scaled": (max(s.nr, 1), s.lz),
         "end_jacobian": (max(s.ne, 1), s.lz),
@@ -203,6 +209,9 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "state": (16,),
         "filter": (64, 2),
         "adjoint": (4, s.lx),
+        "pulled": (s.lz,),
+        "row_trial": (rows,),
+        "lanes": (8,),
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
@@ -218,8 +227,21 @@ def _extended(places: list[int] | np.ndarray, nx: int) -> np.ndarray:
     return np.where(index >= nx, index + 1, index)
 
 
-def _row_numbers(rows: list[Row]) -> np.ndarray:
-    return np.array([(r.sign, r.offset, r.penalty) for r in rows], float).reshape(-1, 3)
+#: What fills a group of rows up to a multiple of eight: it never counts.
+_NO_ROW = Row("", Kind.HARD, 0, 0.0, 1.0, np.inf, 1.0, False)
+
+
+def _filled(rows: list[Row]) -> list[Row]:
+    return [*rows, *[_NO_ROW] * (pad(len(rows)) - len(rows))]
+
+
+def _row_table(rows: list[Row]) -> np.ndarray:
+    """The columns of the row table (see places.py)."""
+    used = [r is not _NO_ROW for r in rows]
+    columns = [
+        (r.sign, r.offset, r.penalty, r.kind, y and not r.state_only, y) for r, y in zip(rows, used, strict=True)
+    ]
+    return np.array(columns, float).reshape(-1, 6).T
 
 
 def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
@@ -241,18 +263,18 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
     if boxes.place.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
-    rows = [*problem.path.rows, *problem.end.rows]
-    view["row_table"][: len(rows)] = _row_numbers(rows)
+    rows = [*_filled(problem.path.rows), *_filled(problem.end.rows)]
+    view["row_table"][:, : len(rows)] = _row_table(rows)
     quaternions = list(problem.ocp.dynamics.unit_quaternions)
     dimensions = [
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
-        shapes["rows_h"][1], problem.jumps, problem.ocp.align_events, problem.exact, 0,
+        shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),
-        *(int(r.kind) for r in rows), *(int(r.state_only) for r in rows), *([0] * problem.ocp.intervals),
+        *([0] * problem.ocp.intervals),
     ]  # fmt: skip
     table = np.array(
         [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *indices], dtype=np.int64
