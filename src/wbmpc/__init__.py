@@ -12,6 +12,8 @@ _PLACES = {
     "RobotModel": "wbmpc.model",
     "Layout": "wbmpc.model",
     "DriveLag": "wbmpc.model",
+    "FrequencyShaping": "wbmpc.model",
+    "InputFilter": "wbmpc.model",
     "InputRate": "wbmpc.model",
     "Constraint": "wbmpc.ocp",
     "Cost": "wbmpc.ocp",

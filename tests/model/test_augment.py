@@ -5,9 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.linalg
 
+from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.model import DriveLag, InputRate, load_robot
+from wbmpc.model import DriveLag, FrequencyShaping, InputFilter, InputRate, load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.solver import SQP, Solver, Status
 
@@ -69,7 +71,12 @@ def test_drive_lag_follows_the_exponential() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrap", [lambda d: InputRate(d, ["wheel"]), lambda d: DriveLag(d, {"wheel": 0.02, "arm": 0.05})]
+    "wrap",
+    [
+        lambda d: InputRate(d, ["wheel"]),
+        lambda d: DriveLag(d, {"wheel": 0.02, "arm": 0.05}),
+        lambda d: FrequencyShaping(d, {"wheel": InputFilter(30.0, 200.0), "arm": InputFilter(5.0, 40.0, 2.0)}),
+    ],
 )
 def test_jacobian_against_finite_differences(wrap) -> None:
     dynamics = wrap(load_robot("rezero").dynamics())
@@ -87,6 +94,61 @@ def test_jacobian_against_finite_differences(wrap) -> None:
         np.array(plain(z + h * e, parameters) - plain(z - h * e, parameters)).ravel() / (2 * h) for e in np.eye(nx + nu)
     ]
     np.testing.assert_allclose(jacobian, np.array(difference).T, atol=1e-5)
+
+
+@pytest.mark.parametrize("frequency", [2.0, 20.0, 150.0])
+def test_filter_has_its_frequency_response(frequency: float) -> None:
+    """Truth: the transfer function; a long simulation with a sine as ν gives u with amplitude 1 / |weight|."""
+    toy = ToyDynamics(1, 1, lambda x, u, w, m: u[0])
+    f = InputFilter(10.0, 60.0)
+    dynamics = FrequencyShaping(toy, {"u": f})
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
+    empty = ca.SX(0, 1)
+    derivative = ca.Function("f", [x, u], [dynamics(x, u, empty, empty), dynamics.view(x, u)[1]])
+    h, state, seen = 1e-4, np.zeros(2), []
+    for k in range(int(3.0 / h) + int(2 * np.pi / frequency / h)):
+        half = state + 0.5 * h * np.array(derivative(state, np.sin(frequency * h * k))[0]).ravel()
+        slope, acting = derivative(half, np.sin(frequency * h * (k + 0.5)))
+        state = state + h * np.array(slope).ravel()
+        seen.append(float(acting))
+    last = np.array(seen[int(3.0 / h) :])
+    assert np.abs(last).max() == pytest.approx(1.0 / float(f.weight(frequency)), rel=2e-3)
+
+
+def test_filters_start_at_rest() -> None:
+    robot = load_robot("rezero")
+    dynamics = FrequencyShaping(
+        robot.dynamics(), {"wheel": InputFilter(30.0, 200.0), "arm": InputFilter(5.0, 40.0, 2.0)}
+    )
+    u = np.random.default_rng(0).normal(size=robot.input.size)
+    x, wrapped = dynamics.equilibrium(robot.home, u)
+    sx, su, w = ca.SX.sym("x", x.size), ca.SX.sym("u", wrapped.size), ca.SX.sym("w", dynamics.parameters.size)
+    both = ca.Function("f", [sx, su, w], [dynamics(sx, su, w, ca.SX(0, 1)), dynamics.view(sx, su)[1]])
+    derivative, acting = (np.array(v).ravel() for v in both(x, wrapped, np.zeros(w.shape[0])))
+    np.testing.assert_allclose(acting, u, atol=1e-12)
+    np.testing.assert_allclose(derivative[robot.state.size :], 0.0, atol=1e-12)
+
+
+def test_shaped_regulator_against_scipy() -> None:
+    """A double integrator over a long horizon: gain at the start against the algebraic Riccati equation of the wrapped system."""
+    toy = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0]))
+    f = InputFilter(3.0, 20.0)
+    dynamics = FrequencyShaping(toy, {"u": f})
+    ocp = OptimalControlProblem(dynamics, 8.0, 800, integrator="rk4")
+    ocp.add(Cost("state", Rows(2, lambda s: s.x[:2]), [10.0, 1.0]))
+    ocp.add(Cost("shaped", residuals.ProblemInput(dynamics, ["u_shaped"]), 0.5))
+    solution = Solver(ocp, SQP()).solve(np.array([1.0, 0.0, 0.0]))
+    a = np.array([[0, 1, 0], [0, 0, (f.pole - f.zero) / f.high], [0, 0, -f.zero]])
+    b = np.array([[0.0], [1.0 / f.high], [1.0]])
+    value = scipy.linalg.solve_continuous_are(a, b, np.diag([10.0, 1.0, 0.0]), np.array([[0.5]]))
+    np.testing.assert_allclose(solution.gain[0], -(b.T @ value) / 0.5, rtol=0.03)
+
+
+def test_bad_filters() -> None:
+    with pytest.raises(InputError, match="pole must be positive"):
+        InputFilter(1.0, 0.0)
+    with pytest.raises(InputError, match="did you mean 'wheel'"):
+        FrequencyShaping(load_robot("rezero").dynamics(), {"wheels": InputFilter(1.0, 2.0)})
 
 
 def test_bad_groups_and_time_constants() -> None:

@@ -1,6 +1,6 @@
 """Robot models: layouts, bases, kinematics, dynamics."""
 
-from wbmpc.model.augment import DriveLag, InputRate
+from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRate
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
 from wbmpc.model.swerve import SwerveGeometry, rolling_inverse_kinematics, wheel_velocities
@@ -10,6 +10,8 @@ __all__ = [
     "DriveLag",
     "Dynamics",
     "FramePose",
+    "FrequencyShaping",
+    "InputFilter",
     "InputRate",
     "Layout",
     "Limits",

@@ -1,15 +1,17 @@
-"""Wrappers that make inputs into states: rates of inputs (acceleration limits, input-rate costs) and lagging drives.
+"""Wrappers that add states for inputs: rates of inputs (acceleration limits, input-rate costs), lagging drives, filters.
 
-The wrapped state is [x, the groups' inputs]; residuals keep seeing the robot's own x and u (:meth:`view`). A group may be
+The wrapped state is [x, the groups' states]; residuals keep seeing the robot's own x and u (:meth:`view`). A group may be
 wrapped only if no equality is left without an input: with hard side-slip rows the base twist of a swerve robot may not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.layout import Layout
@@ -25,7 +27,7 @@ class _Augmented:
         self.dynamics, self.groups = dynamics, tuple(groups)
         names = dynamics.input.groups
         self.state = Layout({**dynamics.state.groups, **{f"{g}{suffix}": names[g] for g in groups}})
-        self.input = Layout({(f"{g}{renamed}" if g in groups else g): n for g, n in names.items()})
+        self.input = Layout({(f"{g}{renamed}" if g in self.groups else g): n for g, n in names.items()})
         self.parameters, self.mode = dynamics.parameters, dynamics.mode
         self.unit_quaternions = dynamics.unit_quaternions
         self.mode_bounds = getattr(dynamics, "mode_bounds", {})
@@ -33,7 +35,9 @@ class _Augmented:
 
     def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The robot's own state and input: the wrapped groups come from the state."""
-        return self.dynamics.view(x[: self._inner], self._inputs(x, u))  # type: ignore[no-any-return]
+        own = x[: self._inner], self._inputs(x, u)
+        view = getattr(self.dynamics, "view", None)
+        return own if view is None else view(*own)
 
     def _own(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """Derivative of the added states."""
@@ -94,3 +98,69 @@ class DriveLag(_Augmented):
         for group, constant in self.time_constants.items():
             rows.append((u[self.input[group]] - x[self.state[f"{group}_actual"]]) / constant)
         return ca.vertcat(*rows)
+
+
+@dataclass(frozen=True)
+class InputFilter:
+    """Weight of an input over frequency: ν = ``gain`` (s + ``zero``) / (s + ``pole``) u, both in rad/s.
+
+    A cost on ν² costs u² times the squared magnitude. With zero < pole and the default gain, pole / zero, slow inputs cost 1
+    and inputs faster than the pole (pole / zero)². For a drive of bandwidth ω₁: zero ω₁, pole 5 to 10 ω₁. Equal degrees of
+    both polynomials keep D ≠ 0 in u = C x + D ν, so that equalities of the input keep their rank.
+    """
+
+    zero: float
+    pole: float
+    gain: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("zero", "pole", "gain"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"input filter: {name} must be positive and finite, got {value}")
+
+    @property
+    def high(self) -> float:
+        """Magnitude at high frequencies."""
+        return self.pole / self.zero if self.gain is None else self.gain
+
+    def weight(self, frequency: np.ndarray | float) -> np.ndarray:
+        """|ν / u| at frequencies [rad/s]."""
+        s = 1j * np.asarray(frequency)
+        return np.abs(self.high * (s + self.zero) / (s + self.pole))
+
+
+class FrequencyShaping(_Augmented):
+    """Frequency-aware inputs (Grandia et al., arXiv 1809.04539): ν is decided, u = C x_s + D ν acts, costs may weigh both.
+
+    ``filters`` by group. State group ``GROUP_filter``, input group ``GROUP_shaped``; residuals keep seeing u. Drives that
+    cannot follow fast inputs are spared by a cost on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
+    """
+
+    def __init__(self, dynamics: Any, filters: Mapping[str, InputFilter]) -> None:
+        self.filters = dict(filters)
+        super().__init__(dynamics, tuple(filters), "_filter", "_shaped")
+
+    def _inputs(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        parts = []
+        for group in self.dynamics.input.groups:
+            if group not in self.filters:
+                parts.append(u[self.input[group]])
+                continue
+            f, state = self.filters[group], x[self.state[f"{group}_filter"]]
+            parts.append((u[self.input[f"{group}_shaped"]] + (f.pole - f.zero) * state) / f.high)
+        return ca.vertcat(*parts)
+
+    def _own(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        return ca.vertcat(
+            *[u[self.input[f"{g}_shaped"]] - f.zero * x[self.state[f"{g}_filter"]] for g, f in self.filters.items()]
+        )
+
+    def equilibrium(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(wrapped state, wrapped input) of the robot's own x (nx), u (nu) with the filters at rest: u goes on acting."""
+        states = {f"{g}_filter": f.high * u[self.dynamics.input[g]] / f.pole for g, f in self.filters.items()}
+        state = np.concatenate([x, *(states[f"{g}_filter"] for g in self.groups)])
+        wrapped = np.array(u, float)
+        for g, f in self.filters.items():
+            wrapped[self.input[f"{g}_shaped"]] = f.zero * states[f"{g}_filter"]
+        return state, wrapped
