@@ -85,7 +85,7 @@ def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
 def run_lockstep(
     plant: Any,
     agent: Agent,
-    mpc: MPC,
+    mpc: MPC | None,
     timing: Timing,
     duration: float,
     record: Callable[[float, Any, Plans], None],
@@ -94,7 +94,8 @@ def run_lockstep(
     """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
     robot and is returned, not raised.
 
-    ``record(t, command, plans)`` is called at every tick, with the plant as it is before the command acts.
+    ``mpc`` None: for agents that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
+    before the command acts.
     """
     plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
     # what is not finite is found by its value; NumPy's warnings would only repeat it
@@ -119,7 +120,7 @@ def run_lockstep(
 def _tick(
     plant: Any,
     agent: Agent,
-    mpc: MPC,
+    mpc: MPC | None,
     timing: Timing,
     i: int,
     plans: Plans,
@@ -130,7 +131,7 @@ def _tick(
     try:
         agent.measure(plant.measure())
         plans.activate(t)
-        if i % timing.mpc_every == 0:
+        if mpc is not None and i % timing.mpc_every == 0:
             until = t + timing.delay * timing.period
             plans.add(until, mpc.update(agent.predict(t, until, plans)))
             plans.activate(t)

@@ -1,0 +1,222 @@
+"""`swerve-fixed`: a swerve base with fixed legs follows base motions; the MPC against controllers without a plan.
+
+Pankert et al. 2022, section V: the authors' reason for an MPC on an ordinary four-wheel-steering base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.control import FourWheelSteeringAgent, InverseKinematicsAgent, SwerveAgent
+from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
+from wbmpc.experiments.settings import ExperimentSettings, finished
+from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress, Timing, run_lockstep
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.mpc import MPC, SteeringGuess
+from wbmpc.ocp import Reference
+from wbmpc.plant import SwervePlant
+from wbmpc.result import Metric, Plot, RunResult, Series
+
+NAME = "swerve-fixed"
+SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
+
+IDEALISATIONS = [
+    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers",
+    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+    "the computation of the MPC takes a constant 10 ms; the rivals' takes none",
+    "rivals know the reference ahead of time too: they turn their wheels before they start",
+]
+
+SEGMENTS = [
+    Segment("forward", (0.4, 0.0, 0.0), 6.0),
+    Segment("sideways", (0.0, 0.4, 0.0), 6.0),
+    Segment("diagonal", (0.3, -0.3, 0.0), 6.0),
+    Segment("turning", (0.0, 0.0, 0.5), 6.0),
+    Segment("combined", (0.3, 0.15, 0.3), 8.0),
+]
+#: Rest before the first segment and between segments, ramp of each [s].
+START, PAUSE, RAMP = 1.0, 2.0, 1.0
+#: A base that is asked to move faster than the first and moves slower than the second [m/s] stands still.
+ASKED, STANDING = 0.05, 0.01
+#: Lever [m] that turns a yaw rate into a speed.
+LEVER = 0.4
+
+
+class SwerveFixedSettings(ExperimentSettings):
+    """``random`` [s] of random twists after the five motions (600 is the ten minutes of the protocol), up to ``speed``
+    [m/s] and ``yaw_rate`` [rad/s]; ``drive_lag`` [s] that the MPC's controller assumes."""
+
+    cost: SwerveCost = SwerveCost(
+        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=100.0, yaw=100.0, arm=1.0)
+    )
+    robot: str = "swerve-fixed-ur10"
+    random: float = Field(60.0, ge=0, le=3600)
+    speed: float = Field(0.5, gt=0, le=1.0)
+    yaw_rate: float = Field(0.4, ge=0, le=1.0)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The five motions, then random ones from where they end."""
+
+    path: BasePath
+    spans: list[tuple[float, float]]
+
+    @classmethod
+    def of(cls, settings: SwerveFixedSettings, seed: int) -> Motion:
+        first, spans = in_turn(SEGMENTS, START, PAUSE, RAMP)
+        twists = first.twists
+        if settings.random > 0.0:
+            more = random_twists(settings.random, settings.speed, settings.yaw_rate, seed)
+            spans = [*spans, (float(first.times[-1]), float(first.times[-1] + settings.random))]
+            twists = np.vstack([twists[:-1], more.twists])
+        return cls(BasePath.of(np.vstack([twists, np.zeros((100, 3))])), spans)
+
+    def set(self, mpc: MPC, robot: RobotModel) -> None:
+        t = self.path.times[::2]
+        states = np.tile(robot.home, (t.size, 1))
+        states[:, robot.state["base"]] = self.path.poses[::2]
+        inputs = np.zeros((t.size, robot.input.size))
+        inputs[:, robot.input["base"]] = self.path.twists[::2]
+        mpc.reference["state"] = Reference(t, states)
+        mpc.reference["input"] = Reference(t, inputs)
+        position, orientation = robot.pose(robot.home)
+        mpc.reference["hand"] = Reference.poses(np.zeros(1), position[None], orientation[None])
+
+
+Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], SwerveAgent]
+
+
+def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveAgent:
+    return SwerveAgent(r, pose, period, lag=s.drive_lag)
+
+
+def _rival(kind: type[InverseKinematicsAgent]) -> Make:
+    def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveAgent:
+        return kind(r, pose, period, lambda t: (p.path.pose(t), p.path.twist(t)))
+
+    return make
+
+
+CONTROLLERS: dict[str, Make] = {
+    "mpc": _mpc_agent,
+    "ik": _rival(InverseKinematicsAgent),
+    "four_wheel": _rival(FourWheelSteeringAgent),
+}
+
+
+def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """All controllers on the same reference and the same plant."""
+    robot = load_robot(settings.robot)
+    reference = Motion.of(settings, seed)
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost, SteeringGuess(robot, lambda t, _: reference.path.twist(t)))
+    reference.set(mpc, robot)
+    mpc.reset(robot.home)
+    log, ending = Log(), Ending()
+    for k, name in enumerate(CONTROLLERS):
+        share = None if progress is None else _share(progress, k, name)
+        ended = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, share)
+        ending = ending if ending.reason else ended
+        if ended.interrupted:
+            break
+    return finished(
+        NAME, seed, settings, ending, mpc, log,
+        metrics=lambda: _metrics(log, reference), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
+    )  # fmt: skip
+
+
+def _share(progress: Progress, k: int, name: str) -> Progress:
+    return lambda done, text: progress((k + done) / len(CONTROLLERS), f"{name}: {text}")
+
+
+def drive(
+    name: str,
+    settings: SwerveFixedSettings,
+    seed: int,
+    robot: RobotModel,
+    reference: Motion,
+    mpc: MPC | None,
+    log: Log,
+    progress: Progress | None = None,
+) -> Ending:
+    """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
+    plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        if round(t / timing.period) % 4:
+            return
+        truth = plant.truth()
+        log.add(f"base_{name}", t, truth.pose)
+        log.add(f"odometry_{name}", t, agent.odometry.pose)
+        log.add(f"slip_{name}", t, truth.slip)
+        log.add(f"wheel_{name}", t, command.wheel)
+        log.add(f"steer_{name}", t, agent.measured.steer if agent.measured is not None else command.steer)
+
+    return run_lockstep(plant, agent, mpc, timing, float(reference.path.times[-1]), record, progress)
+
+
+def errors(log: Log, name: str, reference: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), position errors (n,) [m] and yaw errors (n,) [rad] in the estimated frame."""
+    t, pose = log.times(f"odometry_{name}"), log.array(f"odometry_{name}")
+    difference = pose - reference.path.pose(t)
+    return t, np.hypot(difference[:, 0], difference[:, 1]), difference[:, 2]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def standstill(log: Log, name: str, reference: Motion) -> float:
+    """Longest time [s] for which a base that was asked to move stood still (true motion, over 0.1 s)."""
+    t, pose = log.times(f"base_{name}"), log.array(f"base_{name}")
+    twist = reference.path.twist(t)
+    asked = np.hypot(twist[:, 0], twist[:, 1]) + LEVER * np.abs(twist[:, 2])
+    back = np.maximum(np.searchsorted(t, t - 0.1), 0)
+    way = pose - pose[back]
+    moved = (np.hypot(way[:, 0], way[:, 1]) + LEVER * np.abs(way[:, 2])) / np.maximum(t - t[back], 1e-3)
+    still, longest, since = (asked > ASKED) & (moved < STANDING), 0.0, None
+    for now, flag in zip(t, still, strict=True):
+        since = (now if since is None else since) if flag else None
+        longest = max(longest, now - since if since is not None else 0.0)
+    return longest
+
+
+def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
+    done = [n for n in CONTROLLERS if f"odometry_{n}" in log.channels]
+    rms = {n: _rms(errors(log, n, reference)[1]) for n in done}
+    half = 0.5 * rms["ik"] if "ik" in rms else None
+    out = {f"tracking_error_rms_{n}": Metric(v, "m", goal=half if n == "mpc" else None) for n, v in rms.items()}
+    for n in done:
+        t, position, yaw = errors(log, n, reference)
+        out[f"yaw_error_rms_{n}"] = Metric(_rms(yaw), "rad")
+        for segment, (a, b) in zip([*(s.name for s in SEGMENTS), "random"], reference.spans, strict=False):
+            use = (t >= a) & (t <= b + PAUSE)
+            if use.any():
+                out[f"tracking_error_rms_{n}_{segment}"] = Metric(_rms(position[use]), "m")
+        out[f"wheel_slip_max_{n}"] = Metric(float(log.array(f"slip_{n}").max()), "m/s")
+    out["longest_standstill"] = Metric(standstill(log, "mpc", reference), "s", goal=1.0)
+    return out
+
+
+def _plots(log: Log, reference: Motion) -> list[Plot]:
+    done = [n for n in CONTROLLERS if f"odometry_{n}" in log.channels]
+    errors = {n: errors(log, n, reference) for n in done}
+    path = reference.path.poses[::20]
+    return [
+        Plot("Base path", "x [m]", "y [m]", [
+            Series("reference", path[:, 0], path[:, 1], dashed=True),
+            *(Series(n, *log.array(f"odometry_{n}")[::4, :2].T) for n in done),
+        ], equal_axes=True),
+        Plot("Position error", "time [s]", "error [mm]", [Series(n, t, 1e3 * e) for n, (t, e, _) in errors.items()]),
+        Plot("Yaw error", "time [s]", "error [deg]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in errors.items()]),
+    ]  # fmt: skip
