@@ -15,9 +15,8 @@ STEP = 0.01
 
 @dataclass(frozen=True)
 class Segment:
-    """A named motion: body twist ``(vx, vy, wz)`` [m/s, rad/s] at full speed, for ``duration`` [s] with its ramps."""
+    """A motion: body twist ``(vx, vy, wz)`` [m/s, rad/s] at full speed, for ``duration`` [s] with its ramps."""
 
-    name: str
     twist: tuple[float, float, float]
     duration: float
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,13 +34,14 @@ IDEALISATIONS = [
     "rivals know the reference ahead of time too: they turn their wheels before they start",
 ]
 
-SEGMENTS = [
-    Segment("forward", (0.4, 0.0, 0.0), 6.0),
-    Segment("sideways", (0.0, 0.4, 0.0), 6.0),
-    Segment("diagonal", (0.3, -0.3, 0.0), 6.0),
-    Segment("turning", (0.0, 0.0, 0.5), 6.0),
-    Segment("combined", (0.3, 0.15, 0.3), 8.0),
-]
+Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
+SEGMENTS: dict[Name, Segment] = {
+    "forward": Segment((0.4, 0.0, 0.0), 6.0),
+    "sideways": Segment((0.0, 0.4, 0.0), 6.0),
+    "diagonal": Segment((0.3, -0.3, 0.0), 6.0),
+    "turning": Segment((0.0, 0.0, 0.5), 6.0),
+    "combined": Segment((0.3, 0.15, 0.3), 8.0),
+}
 #: Rest before the first segment and between segments, ramp of each [s].
 START, PAUSE, RAMP = 1.0, 2.0, 1.0
 #: A base that is asked to move faster than the first and moves slower than the second [m/s] stands still.
@@ -50,13 +51,14 @@ LEVER = 0.4
 
 
 class SwerveFixedSettings(ExperimentSettings):
-    """``random`` [s] of random twists after the five motions (600 is the ten minutes of the protocol), up to ``speed``
-    [m/s] and ``yaw_rate`` [rad/s]; ``drive_lag`` [s] that the MPC's controller assumes."""
+    """``motions``: which, in this order; ``random`` [s] of random twists after them (600 is the ten minutes of the protocol),
+    up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``drive_lag`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
         hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=100.0, yaw=100.0, arm=1.0)
     )
     robot: str = "swerve-fixed-ur10"
+    motions: tuple[Name, ...] = tuple(SEGMENTS)
     random: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
     yaw_rate: float = Field(0.4, ge=0, le=1.0)
@@ -65,18 +67,19 @@ class SwerveFixedSettings(ExperimentSettings):
 
 @dataclass(frozen=True)
 class Motion:
-    """The five motions, then random ones from where they end."""
+    """The motions one after another, then random ones from where they end; ``spans`` [s] by name."""
 
     path: BasePath
-    spans: list[tuple[float, float]]
+    spans: dict[str, tuple[float, float]]
 
     @classmethod
     def of(cls, settings: SwerveFixedSettings, seed: int) -> Motion:
-        first, spans = in_turn(SEGMENTS, START, PAUSE, RAMP)
+        first, times = in_turn([SEGMENTS[n] for n in settings.motions], START, PAUSE, RAMP)
+        spans: dict[str, tuple[float, float]] = dict(zip(settings.motions, times, strict=True))
         twists = first.twists
         if settings.random > 0.0:
             more = random_twists(settings.random, settings.speed, settings.yaw_rate, seed)
-            spans = [*spans, (float(first.times[-1]), float(first.times[-1] + settings.random))]
+            spans["random"] = (float(first.times[-1]), float(first.times[-1] + settings.random))
             twists = np.vstack([twists[:-1], more.twists])
         return cls(BasePath.of(np.vstack([twists, np.zeros((100, 3))])), spans)
 
@@ -199,7 +202,7 @@ def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
     for n in done:
         t, position, yaw = errors(log, n, reference)
         out[f"yaw_error_rms_{n}"] = Metric(_rms(yaw), "rad")
-        for segment, (a, b) in zip([*(s.name for s in SEGMENTS), "random"], reference.spans, strict=False):
+        for segment, (a, b) in reference.spans.items():
             use = (t >= a) & (t <= b + PAUSE)
             if use.any():
                 out[f"tracking_error_rms_{n}_{segment}"] = Metric(_rms(position[use]), "m")
@@ -210,13 +213,18 @@ def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
 
 def _plots(log: Log, reference: Motion) -> list[Plot]:
     done = [n for n in CONTROLLERS if f"odometry_{n}" in log.channels]
-    errors = {n: errors(log, n, reference) for n in done}
+    found = {n: errors(log, n, reference) for n in done}
     path = reference.path.poses[::20]
     return [
         Plot("Base path", "x [m]", "y [m]", [
             Series("reference", path[:, 0], path[:, 1], dashed=True),
             *(Series(n, *log.array(f"odometry_{n}")[::4, :2].T) for n in done),
         ], equal_axes=True),
-        Plot("Position error", "time [s]", "error [mm]", [Series(n, t, 1e3 * e) for n, (t, e, _) in errors.items()]),
-        Plot("Yaw error", "time [s]", "error [deg]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in errors.items()]),
+        Plot("Position error", "time [s]", "error [mm]", [
+            Series(n, t, 1e3 * e) for n, (t, e, _) in found.items() if n != "four_wheel"
+        ]),
+        Plot("Position error, all controllers", "time [s]", "error [m]", [
+            Series(n, t, e) for n, (t, e, _) in found.items()
+        ]),
+        Plot("Yaw error", "time [s]", "error [deg]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in found.items()]),
     ]  # fmt: skip

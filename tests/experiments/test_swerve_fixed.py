@@ -1,0 +1,45 @@
+"""`swerve-fixed`, shortened. Truth: MuJoCo's physics; made-up logs of bases that stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.experiments import swerve_fixed as fixed
+from wbmpc.log import Log
+
+
+@pytest.fixture(scope="module")
+def result():  # type: ignore[no-untyped-def]
+    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0), 3)
+
+
+def test_all_controllers_drive_and_the_mpc_is_best(result) -> None:  # type: ignore[no-untyped-def]
+    assert result.reason == ""
+    m = {name: metric.value for name, metric in result.metrics.items()}
+    assert 1e-5 < m["tracking_error_rms_mpc"] < 0.006
+    assert 2.0 * m["tracking_error_rms_mpc"] < m["tracking_error_rms_ik"] < 0.03
+    assert m["tracking_error_rms_four_wheel"] > 0.5  # it cannot move sideways
+    assert m["tracking_error_rms_mpc_sideways"] >= m["tracking_error_rms_mpc"]
+    assert m["longest_standstill"] < 0.5
+
+
+def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
+    """2 m sideways in the world, not only in the odometry."""
+    for name in ("mpc", "ik"):
+        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 2.0, 0.0], atol=0.05)
+        steer = result.log.array(f"steer_{name}")
+        assert np.abs(steer).max() < 3.15
+        assert np.abs(np.diff(steer, axis=0)).max() < 0.2  # turned, not jumped
+
+
+@pytest.mark.parametrize("stopped", [0.0, 1.5])
+def test_standstill_is_seen(stopped: float) -> None:
+    motion = fixed.Motion.of(fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    log, pose = Log(), np.zeros(3)
+    for t in np.arange(0.0, 8.0, 0.01):
+        moves = not 3.0 <= t < 3.0 + stopped
+        pose = pose + moves * 0.01 * motion.path.twist(t)
+        log.add("base_mpc", t, pose.copy())
+    # in the first ramp the base is asked to move before it has come 0.1 s far
+    assert fixed.standstill(log, "mpc", motion) == pytest.approx(max(stopped - 0.1, 0.0), abs=0.12)
