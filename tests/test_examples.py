@@ -41,6 +41,14 @@ def test_second_example_stands_and_arrives() -> None:
     assert figure(text, r"last second: ([\d.]+) mm") < 10.0
 
 
+def test_third_example_runs_in_real_time_and_arrives() -> None:
+    """Loosely: a busy machine misses ticks, and the load still arrives."""
+    text = run_python(["examples/03_your_own_in_real_time.py"])
+    assert "shut down after 4." in text
+    assert figure(text, r"load at ([\d.]+) m") == pytest.approx(2.0, abs=0.15)
+    assert figure(text, r"(\d+) failed") == 0
+
+
 def test_program_of_the_readme() -> None:
     program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert program is not None

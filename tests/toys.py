@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import casadi as ca
@@ -14,46 +14,27 @@ from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
 from wbmpc.kernel.machine import compile_module, load_object
-from wbmpc.model import Layout, load_robot
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, sets
+from wbmpc.model import Equations, load_robot
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.workspace import aligned
 
 
-class ToyDynamics:
+class ToyDynamics(Equations):
     """ẋ = f(x, u, w, m) with numbered names."""
-
-    unit_quaternions: tuple[int, ...] = ()
 
     def __init__(self, nx: int, nu: int, f: Callable[..., ca.SX], parameters: int = 0, mode: int = 0) -> None:
         names = lambda n: [str(i) for i in range(n)]
-        self.state, self.input = Layout({"x": names(nx)}), Layout({"u": names(nu)})
-        self.parameters = Layout({"w": names(parameters)} if parameters else {})
-        self.mode = Layout({"m": names(mode)} if mode else {})
-        self.f = f
-
-    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
-        return ca.SX(self.f(x, u, w, m))
-
-    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
-        f = self(x, u, w, m)
-        return f, ca.jacobian(f, ca.vertcat(x, u))
+        super().__init__(
+            {"x": names(nx)},
+            {"u": names(nu)},
+            lambda x, u, w=None, m=None: f(x, u, w, m),
+            parameters={"w": names(parameters)} if parameters else {},
+            mode={"m": names(mode)} if mode else {},
+        )
 
 
-@dataclass(frozen=True)
-class Rows:
-    """A residual from a function of the symbols."""
-
-    size: int
-    function: Callable[..., ca.SX] = field(compare=False)
-    reference: int = 0
-
-    @property
-    def groups(self) -> dict[str, slice]:
-        return {"all": slice(0, self.size)}
-
-    def __call__(self, s: object) -> ca.SX:
-        return self.function(s)
+Rows = residuals.Expression
 
 
 @dataclass

@@ -1,6 +1,7 @@
 """Robot models: layouts, bases, kinematics, dynamics."""
 
 from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRate
+from wbmpc.model.equations import Equations
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
 from wbmpc.model.swerve import SwerveGeometry, rolling_inverse_kinematics, wheel_velocities
@@ -9,6 +10,7 @@ from wbmpc.model.symbolic import FramePose
 __all__ = [
     "DriveLag",
     "Dynamics",
+    "Equations",
     "FramePose",
     "FrequencyShaping",
     "InputFilter",

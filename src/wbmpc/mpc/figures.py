@@ -57,6 +57,17 @@ class Report:
     solve: Spread
     update: Spread
 
+    def __str__(self) -> str:
+        ms = lambda s: f"{1e3 * s.median:.2f} ms (99 % {1e3 * s.p99:.2f}, longest {1e3 * s.max:.2f})"
+        return "\n".join(
+            [
+                f"{self.state}",
+                f"controller: {self.ticks} ticks, {self.misses} missed; begins late by {ms(self.jitter)}, takes {ms(self.tick)}",
+                f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}",
+                f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
+            ]
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)

@@ -6,7 +6,7 @@ The same residual serves as a cost, a soft or a hard constraint. To add one: a f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -45,6 +45,23 @@ class Residual(Protocol):
     @property
     def reference(self) -> int: ...
     def __call__(self, s: Symbols) -> ca.SX: ...
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A residual of your own: ``size`` rows from a function of the symbols; ``reference`` numbers are compared with."""
+
+    size: int
+    function: Callable[[Symbols], ca.SX] = field(compare=False, repr=False)
+    reference: int = 0
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """One group of all rows."""
+        return {"all": slice(0, self.size)}
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return self.function(s)
 
 
 def _select(layout: Layout, names: Sequence[str] | None) -> tuple[dict[str, slice], list[int]]:

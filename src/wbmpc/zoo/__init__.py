@@ -8,7 +8,7 @@ from functools import partial
 
 from wbmpc.zoo.ballbot import ballbot
 from wbmpc.zoo.differential import differential_manipulator
-from wbmpc.zoo.problem import Equations, Rows, ZooProblem
+from wbmpc.zoo.problem import ZooProblem
 from wbmpc.zoo.small import cartpole, double_integrator
 from wbmpc.zoo.swerve import swerve
 from wbmpc.zoo.torque_arm import torque_arm
@@ -26,8 +26,6 @@ MAKERS: dict[str, Callable[..., ZooProblem]] = {
 
 __all__ = [
     "MAKERS",
-    "Equations",
-    "Rows",
     "ZooProblem",
     "ballbot",
     "cartpole",

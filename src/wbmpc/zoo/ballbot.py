@@ -13,9 +13,9 @@ import numpy as np
 
 from wbmpc.model.symbolic import constant, rotation_about
 from wbmpc.model.tree import Link
-from wbmpc.ocp import Cost, OptimalControlProblem, Reference
+from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
 from wbmpc.zoo.multibody import Multibody
-from wbmpc.zoo.problem import Rows, ZooProblem
+from wbmpc.zoo.problem import ZooProblem
 
 _BALL_RADIUS, _WHEEL_RADIUS = 0.125, 0.064
 _AXES = {"yaw": (0.0, 0.0, 1.0), "pitch": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}
@@ -62,7 +62,7 @@ def ballbot_dynamics() -> Multibody:
 def ballbot(intervals: int = 101, goal: tuple[float, float, float] = (1.0, 0.5, 0.5)) -> ZooProblem:
     """From rest at the origin to rest at ``goal`` (x [m], y [m], yaw [rad]), 2 s."""
     ocp = OptimalControlProblem(ballbot_dynamics(), 2.0, intervals)
-    ocp.add(Cost("state", Rows(10, lambda s: s.x - s.reference, 10), _WEIGHTS))
-    ocp.add(Cost("input", Rows(3, lambda s: s.u), 2.0))
+    ocp.add(Cost("state", residuals.Expression(10, lambda s: s.x - s.reference, 10), _WEIGHTS))
+    ocp.add(Cost("input", residuals.Expression(3, lambda s: s.u), 2.0))
     references = {"state": Reference.constant([*goal, *np.zeros(7)])}
     return ZooProblem("OCS2's ballbot", ocp, np.zeros(10), np.zeros(10), np.zeros(3), references)

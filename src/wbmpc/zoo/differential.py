@@ -12,12 +12,12 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.model import FramePose, RobotModel, load_robot
+from wbmpc.model import Equations, FramePose, RobotModel, load_robot
 from wbmpc.model.symbolic import Chain, constant, rotation_about
 from wbmpc.model.tree import Link
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.zoo.problem import Equations, Rows, ZooProblem
+from wbmpc.zoo.problem import ZooProblem
 
 #: Where the arm's swerve robot stands in for the arm alone, and where its base link is on the base [m] (assumed).
 _MOUNT = np.array([0.2, 0.0, 0.4])
@@ -72,12 +72,12 @@ def differential_manipulator(intervals: int = 21, step: tuple[float, float, floa
     joints = list(_arm().description.arm.joints)
     dynamics = Equations({"base": ["x", "y", "yaw"], "arm": joints}, {"base": ["v", "w"], "arm": joints}, _unicycle)
     ocp = OptimalControlProblem(dynamics, 1.0, intervals)
-    ocp.add(Cost("hand", Rows(6, _error, 7), [10.0] * 3 + [5.0] * 3, at="all"))
-    ocp.add(Cost("input", Rows(8, lambda s: s.u), [0.05] * 2 + [0.01] * 6))
+    ocp.add(Cost("hand", residuals.Expression(6, _error, 7), [10.0] * 3 + [5.0] * 3, at="all"))
+    ocp.add(Cost("input", residuals.Expression(8, lambda s: s.u), [0.05] * 2 + [0.01] * 6))
     speed = np.array([0.1, 0.3] + [0.45] * 6)
     box = sets.Box(-speed, speed)
-    ocp.add(Constraint("speeds", Rows(8, lambda s: s.u), box, penalty=RelaxedBarrier(0.01, 1e-3)))
-    limit, arm = 2.0 * np.pi, Rows(6, lambda s: s.x[3:])
+    ocp.add(Constraint("speeds", residuals.Expression(8, lambda s: s.u), box, penalty=RelaxedBarrier(0.01, 1e-3)))
+    limit, arm = 2.0 * np.pi, residuals.Expression(6, lambda s: s.x[3:])
     ocp.add(Constraint("ranges", arm, sets.Box(-limit, limit), at="all", penalty=RelaxedBarrier(1e-3, 1e-3)))
     x0 = np.concatenate([np.zeros(3), _arm().home[_arm().state["arm"]]])
     x = ca.SX.sym("x", 9)

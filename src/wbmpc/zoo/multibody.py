@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
+from wbmpc.model.equations import Equations, Groups
 from wbmpc.model.symbolic import Chain, solve_spd
 from wbmpc.model.tree import Link
-from wbmpc.zoo.problem import Equations, Groups
 
 
 class Multibody(Equations):

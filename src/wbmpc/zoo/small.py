@@ -5,8 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, sets
-from wbmpc.zoo.problem import Equations, Rows, ZooProblem
+from wbmpc.model import Equations
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.zoo.problem import ZooProblem
 
 
 def double_integrator(
@@ -18,11 +19,13 @@ def double_integrator(
     """
     dynamics = Equations({"x": ["p", "v"]}, {"u": ["a"]}, lambda x, u: ca.vertcat(x[1], u[0]))
     ocp = OptimalControlProblem(dynamics, 3.0, intervals)
-    state = Rows(2, lambda s: s.x)
+    state = residuals.Expression(2, lambda s: s.x)
     ocp.add(Cost("state", state, [10.0, 1.0], at="all", terminal_weight=[20.0, 5.0]))
-    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
+    ocp.add(Cost("input", residuals.Expression(1, lambda s: s.u), 0.1))
     penalty = penalty or RelaxedBarrier(1e-3, 1e-3)
-    ocp.add(Constraint("limit", Rows(1, lambda s: s.u), sets.Box(-limit, limit), penalty=penalty, hard=hard))
+    ocp.add(
+        Constraint("limit", residuals.Expression(1, lambda s: s.u), sets.Box(-limit, limit), penalty=penalty, hard=hard)
+    )
     return ZooProblem("double integrator", ocp, np.array([2.0, 0.0]), np.array([2.0, 0.0]), np.zeros(1))
 
 
@@ -44,10 +47,12 @@ def cartpole(intervals: int = 60, force: float = 25.0, hard: bool = False) -> Zo
     dynamics = Equations({"x": ["cart", "angle", "cart_rate", "angle_rate"]}, {"u": ["force"]}, _cartpole)
     ocp = OptimalControlProblem(dynamics, 2.0, intervals, integrator="rk4")
     goal = np.array([0.0, np.pi, 0.0, 0.0])
-    error = Rows(4, lambda s: s.x - goal)
+    error = residuals.Expression(4, lambda s: s.x - goal)
     ocp.add(Cost("state", error, [1.0, 1.0, 0.1, 0.1], at="all", terminal_weight=[100.0, 200.0, 20.0, 20.0]))
-    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Cost("input", residuals.Expression(1, lambda s: s.u), 0.01))
     penalty = RelaxedBarrier(1e-2, 0.1)
-    ocp.add(Constraint("limit", Rows(1, lambda s: s.u), sets.Box(-force, force), penalty=penalty, hard=hard))
+    ocp.add(
+        Constraint("limit", residuals.Expression(1, lambda s: s.u), sets.Box(-force, force), penalty=penalty, hard=hard)
+    )
     guess = np.linspace(0.0, 1.0, intervals + 1)[:, None] * goal
     return ZooProblem("cart-pole swing-up", ocp, np.zeros(4), guess, np.zeros((intervals, 1)))

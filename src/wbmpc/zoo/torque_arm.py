@@ -7,9 +7,9 @@ import numpy as np
 
 from wbmpc.model.symbolic import constant
 from wbmpc.model.tree import Frame, Link
-from wbmpc.ocp import Cost, OptimalControlProblem, Reference
+from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
 from wbmpc.zoo.multibody import Multibody
-from wbmpc.zoo.problem import Rows, ZooProblem
+from wbmpc.zoo.problem import ZooProblem
 
 #: Length [m] and mass [kg] of the whole arm, however many links; radius [m] of the links.
 LENGTH, MASS, RADIUS = 1.2, 12.0, 0.05
@@ -37,11 +37,11 @@ def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> Zo
     dynamics = Multibody(torque_arm_links(joints), {"q": names, "v": names}, {"torque": names}, lambda q, u: u)
     tip = Frame(joints - 1, np.array([0.0, 0.0, LENGTH / joints]), np.eye(3))
     ocp = OptimalControlProblem(dynamics, horizon, intervals)
-    hand = Rows(3, lambda s: dynamics.chain(s.x).frame_pose(tip).position - s.reference, 3)
-    state = Rows(2 * joints, lambda s: s.x - s.reference, 2 * joints)
+    hand = residuals.Expression(3, lambda s: dynamics.chain(s.x).frame_pose(tip).position - s.reference, 3)
+    state = residuals.Expression(2 * joints, lambda s: s.x - s.reference, 2 * joints)
     ocp.add(Cost("hand", hand, HAND, at="all"))
     ocp.add(Cost("state", state, [ANGLE] * joints + [RATE] * joints, at="all"))
-    ocp.add(Cost("torque", Rows(joints, lambda s: s.u), TORQUE))
+    ocp.add(Cost("torque", residuals.Expression(joints, lambda s: s.u), TORQUE))
     q0 = np.array([(0.0, 0.6, 0.1)[k % 3] * 6.0 / joints for k in range(joints)])
     x, u, rest = ca.SX.sym("x", 2 * joints), ca.SX.sym("u", joints), np.concatenate([q0, np.zeros(joints)])
     at_rest = ca.Function("rest", [x, u], [dynamics.chain(x).frame_pose(tip).position, holding_torque(dynamics, x)])
