@@ -1,5 +1,4 @@
 """A system of your own in real time: a gantry crane carries its load 2 m within hard limits, without letting it swing.
-
 The MPC runs at 100 Hz in a thread beside a 400 Hz control loop, by the wall clock; the "robot" is a simulated crane.
 """
 
