@@ -1,0 +1,1 @@
+from wbmpc.benchmark.problems import *
