@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable
 from queue import Empty
 from time import monotonic
@@ -10,6 +11,9 @@ from typing import Any
 
 
 def _child(queue: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    silence = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):  # some peers print whatever they are told
+        os.dup2(silence, stream)
     try:
         queue.put(function(*arguments))
     except Exception as error:  # the parent reports it
