@@ -16,7 +16,7 @@ def placement(link):
     return pin.SE3(np.array(link["rotation"]), np.array(link["position"]))
 
 
-def multibody(links, tip):
+def multibody(links, tip, armature):
     """Pinocchio's model of a list of links with one joint each; the frame ``tip`` is fixed to its link."""
     model, ids = pin.Model(), []
     for link in links:
@@ -29,6 +29,7 @@ def multibody(links, tip):
         model.appendBodyToJoint(index, inertia, pin.SE3.Identity())
         ids.append(index)
     model.addFrame(pin.Frame("tip", ids[tip["link"]], 0, placement(tip), pin.FrameType.OP_FRAME))
+    model.armature = np.full(model.nv, armature)
     return model
 
 
@@ -67,7 +68,7 @@ def shooting(spec):
         node = crocoddyl.ActionModelLQR(spec["nx"], spec["nu"], False)
         end = crocoddyl.ActionModelLQR(spec["nx"], spec["nu"], False)
         return crocoddyl.ShootingProblem(np.ones(spec["nx"]), [node] * n, end), np.zeros(spec["nu"])
-    model = multibody(spec["links"], spec["tip"])
+    model = multibody(spec["links"], spec["tip"], spec["armature"])
     state = crocoddyl.StateMultibody(model)
     nodes = [action(spec, state, model, spec["horizon"] / n, False)] * n
     end = action(spec, state, model, 0.0, True)
@@ -100,7 +101,7 @@ def run(spec):
     figures = {f"{name}_ms": float(np.min(values)) for name, values in parts.items()}
     tip = None
     if spec["kind"] != "lqr":
-        model = multibody(spec["links"], spec["tip"])
+        model = multibody(spec["links"], spec["tip"], spec["armature"])
         data = model.createData()
         pin.framesForwardKinematics(model, data, np.array(solver.xs[-1][: model.nq]))
         tip = data.oMf[model.getFrameId("tip")].translation.tolist()

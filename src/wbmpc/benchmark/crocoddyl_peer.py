@@ -22,7 +22,7 @@ from wbmpc.kernel.cache import cache_directory
 from wbmpc.model import load_robot
 from wbmpc.model.tree import Link
 from wbmpc.zoo import torque_arm as arm
-from wbmpc.zoo.torque_arm import ANGLE, HAND, LENGTH, RATE, TORQUE, torque_arm_links
+from wbmpc.zoo.torque_arm import ANGLE, ARMATURE, HAND, LENGTH, RATE, TORQUE, torque_arm_links
 
 REQUIREMENTS = ("crocoddyl", "pin<4.1")
 
@@ -60,6 +60,7 @@ def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat
         "kind": "multibody",
         "integrator": integrator,
         "links": _links(torque_arm_links(joints)),
+        "armature": ARMATURE,
         "tip": {"link": joints - 1, "position": [0.0, 0.0, LENGTH / joints], "rotation": np.eye(3).tolist()},
         "hand": {"position": hand.tolist(), "weight": [HAND] * 3},
         "reference": state.tolist(),
@@ -86,6 +87,7 @@ def ball_robot_spec(intervals: int, integrator: str = "rk2", repeat: int = 30) -
         "kind": "multibody",
         "integrator": integrator,
         "links": _links(tree.links),
+        "armature": 0.0,
         "tip": {"link": tool.link, "position": tool.position.tolist(), "rotation": tool.rotation.tolist()},
         "hand": {
             "position": (position + np.array([0.1, 0.0, 0.0])).tolist(),
