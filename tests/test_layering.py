@@ -15,16 +15,17 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "mpc", "estimation", "plant",
-    "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
+    "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
+    "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
     "plotly": {"report"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
-    "numba": {"kernel", "solver"},
-    "llvmlite": {"kernel", "solver"},
+    "llvmlite": {"kernel"},
+    "threading": {"mpc", "kernel", "loop"},
+    "multiprocessing": {"mpc", "benchmark"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
@@ -99,7 +100,7 @@ CHECK = """
 import os, sys
 environment, directory = dict(os.environ), set(os.listdir())
 import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
-heavy = [m for m in ('casadi', 'mujoco', 'numba', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
+heavy = [m for m in ('casadi', 'mujoco', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
 assert not heavy, heavy
 import wbmpc.experiments, wbmpc.benchmark
 assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())

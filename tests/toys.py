@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import casadi as ca
-import llvmlite.binding as llvm
 import numpy as np
 
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
-from wbmpc.kernel.compiled import _machine, _target
+from wbmpc.kernel.machine import compile_module, load_object
 from wbmpc.model import Layout, load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, sets
 from wbmpc.solver import SQP, Solver
@@ -179,6 +178,17 @@ def pendulum(
     return solver
 
 
+def hardened_pendulum(settings: SQP | None = None, **kwargs: object) -> Solver:
+    """The cart with the pendulum, its inequalities hard: boxes, a scaled box, a general row; at the path and the end."""
+    base = pendulum(**kwargs)
+    for name, term in base.ocp.terms.items():
+        if isinstance(term, Constraint) and not term.equality:
+            base.ocp.terms[name] = replace(term, hard=True)
+    solver = Solver(base.ocp, settings or SQP(iterations=300))
+    solver.set_reference("state", base.references["state"])
+    return solver
+
+
 @cache
 def robot(name: str, **base: str):  # type: ignore[no-untyped-def]
     """A robot model, built once."""
@@ -187,10 +197,7 @@ def robot(name: str, **base: str):  # type: ignore[no-untyped-def]
 
 def compile_ir(ir: str) -> object:
     """Machine code of an LLVM module."""
-    cpu, flags = _target()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(ir), _machine(cpu, flags, opt=1))
-    engine.finalize_object()
-    return engine
+    return load_object(compile_module(ir))
 
 
 def call_scalar(address: int, arguments: list[np.ndarray], sizes: list[int]) -> list[np.ndarray]:

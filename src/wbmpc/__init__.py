@@ -23,6 +23,10 @@ _PLACES = {
     "SmoothL1": "wbmpc.ocp",
     "residuals": "wbmpc.ocp",
     "sets": "wbmpc.ocp",
+    "AugmentedLagrangian": "wbmpc.ocp",
+    "ILQR": "wbmpc.solver",
+    "InteriorPoint": "wbmpc.solver",
+    "SLQ": "wbmpc.solver",
     "SQP": "wbmpc.solver",
     "Solver": "wbmpc.solver",
     "Solution": "wbmpc.solver",
@@ -30,7 +34,11 @@ _PLACES = {
     "MPC": "wbmpc.mpc",
     "Observation": "wbmpc.mpc",
     "Policy": "wbmpc.mpc",
+    "RealTime": "wbmpc.mpc",
+    "RobotInterface": "wbmpc.mpc",
+    "Runner": "wbmpc.mpc",
     "InputError": "wbmpc.errors",
+    "SolveFailed": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
 __all__ = ["__version__", *_PLACES]

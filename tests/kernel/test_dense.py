@@ -101,7 +101,7 @@ def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.nda
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.integers(1, 9), st.integers(1, 9), st.data())
 def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObject) -> None:
-    s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))))
+    s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))), 0, 0)
     node = random_node(s, data.draw(st.integers(0, 99)))
     a, b, bu, h, g, c, d, e, p, slope = node
     gain, value = run_node(s, node)

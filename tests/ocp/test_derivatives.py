@@ -91,7 +91,7 @@ def test_hessian_is_gauss_newton(solver) -> None:  # type: ignore[no-untyped-def
         x, u, p, w = stage
         upper = np.array(solver.problem.derivatives["cost_quadratic"](x, u, p, w, h)[2])
         want = h * gauss_newton(solver, "path", stage)
-        for constraint, row in solver.problem._general:
+        for constraint, row in solver.problem.path.general_barriers:
             z = solver.problem.z
             j = np.array(ca.DM(ca.Function("j", [z], [ca.densify(ca.jacobian(row, z))])(np.concatenate([x, u]))))
             value = ca.Function("h", [z], [row])(np.concatenate([x, u]))
@@ -100,7 +100,7 @@ def test_hessian_is_gauss_newton(solver) -> None:  # type: ignore[no-untyped-def
         np.testing.assert_allclose(np.triu(want), upper, atol=1e-6 * (1.0 + np.abs(want).max()))
         upper = np.array(solver.problem.derivatives["terminal_quadratic"](x, p, w)[2])
         want = gauss_newton(solver, "terminal", stage)
-        if not solver.problem._general:
+        if not solver.problem.path.general_barriers:
             np.testing.assert_allclose(np.triu(want), upper, atol=1e-6 * (1.0 + np.abs(want).max()))
 
 

@@ -1,1 +1,5 @@
-from wbmpc.benchmark.problems import *
+"""The race: the solver against others on the same discretised problems, in one run on one core."""
+
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench, zoo_bench
+
+__all__ = ["Problem", "rezero_bench", "swerve_bench", "zoo_bench"]

@@ -6,21 +6,20 @@ from functools import cache
 from typing import Any
 
 import casadi as ca
-import llvmlite.binding as llvm
 import numpy as np
 
-from wbmpc.benchmark.lq import backward, forward, linearise, pack
+from wbmpc.benchmark import loops
+from wbmpc.benchmark.lq import eliminate, linearise, pack, substitute
 from wbmpc.benchmark.ours import milliseconds, single_iteration
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
 from wbmpc.kernel import dense
-from wbmpc.kernel.compiled import Sizes, _machine, _target
-from wbmpc.solver.compilation import call2, call5, compiled, pointer_call
+from wbmpc.kernel.compiled import Sizes
+from wbmpc.kernel.machine import compile_module, load_object, vector_budget
 from wbmpc.solver.workspace import aligned
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
 _CALLS = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ATAN2, ca.OP_ACOS, ca.OP_ASIN, ca.OP_ATAN, ca.OP_EXP, ca.OP_LOG}
-_call4 = pointer_call(4)
 
 
 def operations(function: ca.Function) -> tuple[int, int]:
@@ -62,23 +61,15 @@ def iteration_operations(program: Program, sizes: Sizes) -> dict[str, int]:
     }
 
 
-@compiled
-def _repeat4(address, a, b, c, count):  # type: ignore[no-untyped-def]
-    for _ in range(count):
-        _call4(address, a.ctypes.data, b.ctypes.data, c.ctypes.data, c.ctypes.data)
-
-
 @cache
 def peak_gflops(inner: int = 48) -> float:
     """GFLOP/s of one core on products (24 × ``inner``)(``inner`` × 48) in the first-level cache, by our own kernel."""
-    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False)
-    cpu, flags = _target()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(ir), _machine(cpu, flags, opt=1))
-    engine.finalize_object()
+    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
+    engine = load_object(compile_module(ir))
     a, b, c = aligned(24 * inner), aligned(48 * inner), aligned(24 * 48)
     a[:], b[:], count = 1.0, 1.0, 1000
     address = engine.get_function_address("peak")
-    times = milliseconds(lambda: _repeat4(address, a, b, c, count), 20)
+    times = milliseconds(lambda: loops.repeat_product(address, a, b, c, count), 20)
     return float(2 * 24 * 48 * inner * count / times.min() / 1e6)
 
 
@@ -88,29 +79,16 @@ def matrix_product_speed() -> float:
     return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
 
 
-@compiled
-def _sweep(address, arguments, results):  # type: ignore[no-untyped-def]
-    """A stage function at all nodes; rows of ``arguments`` hold the pointers."""
-    for k in range(arguments.shape[0]):
-        call2(address, arguments[k].ctypes.data, results.ctypes.data)
-
-
-@compiled
-def _chain(address, j, ab, weights, count):  # type: ignore[no-untyped-def]
-    for k in range(count):
-        c = j[3].ctypes.data
-        call5(address, j[0].ctypes.data, j[1].ctypes.data, c, ab[k].ctypes.data, weights.ctypes.data)
-
-
 def _chain_time(problem: Problem, ab: np.ndarray, repeat: int) -> float:
     """Milliseconds of the chain rule of one Runge-Kutta stage at all nodes."""
     kernel = problem.solver.kernel
     assert kernel is not None
-    room = aligned(4 * kernel.sizes.nx * kernel.sizes.lz).reshape(4, -1)
+    size = kernel.sizes.nx * kernel.sizes.lz
+    room = aligned(3 * size)
     weights, target = aligned(8), aligned(ab.size).reshape(ab.shape)
     weights[:2] = 0.01, 0.02
     address = kernel.address("chain")
-    return float(milliseconds(lambda: _chain(address, room, target, weights, len(ab)), repeat).min())
+    return float(milliseconds(lambda: loops.chain_all(address, room, size, target, ab[0].size, len(ab), weights), repeat).min())
 
 
 def _stage_times(problem: Problem, x: np.ndarray, u: np.ndarray, program: Program, repeat: int) -> dict[str, float]:
@@ -122,9 +100,9 @@ def _stage_times(problem: Problem, x: np.ndarray, u: np.ndarray, program: Progra
     nodes = range(program.n)
     pointers = np.array([[a[k].ctypes.data for a in (x, u, p)] + [w.ctypes.data, h[k:].ctypes.data] for k in nodes])
     room = aligned((kernel.sizes.nz + 8) * (kernel.sizes.lz + kernel.sizes.lg + 8))
-    results = np.full(3, room.ctypes.data)
+    results = np.full(3, room.ctypes.data, dtype=np.int64)
     names = ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "dynamics", "cost", "equality")
-    time = lambda name: milliseconds(lambda: _sweep(kernel.address(name), pointers, results), repeat).min()
+    time = lambda name: milliseconds(lambda: loops.sweep(kernel.address(name), pointers, 5, program.n, results), repeat).min()
     return {name: float(time(name)) for name in names}
 
 
@@ -146,8 +124,8 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
         "dynamics with Jacobian": slopes * stage["dynamics_jacobian"],
         "cost with Hessian": stage["cost_quadratic"],
         "equalities with Jacobian": stage["equality_jacobian"],
-        "Riccati": float(milliseconds(lambda: backward(address, packed), repeat).min()),
-        "step": float(milliseconds(lambda: forward(packed), repeat).min()),
+        "Riccati": float(milliseconds(lambda: eliminate(packed, address), repeat).min()),
+        "step": float(milliseconds(lambda: substitute(packed), repeat).min()),
         "trial: dynamics": slopes * stage["dynamics"],
         "trial: cost": stage["cost"],
         "trial: equalities": stage["equality"],

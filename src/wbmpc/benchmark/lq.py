@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark import loops
 from wbmpc.benchmark.program import Program
 from wbmpc.kernel import Kernel
-from wbmpc.solver.compilation import call7, compiled
 from wbmpc.solver.workspace import aligned
 
 Array = np.ndarray
@@ -94,45 +94,24 @@ def pack(kernel: Kernel, lq: LQProblem, compliance: Array) -> Packed:
     dx = new(n + 1, lx)
     dx[:, nx] = 1.0
     dx[0, :nx] = lq.dx0
-    sizes = np.array([n, nx, nu], dtype=np.int64)
+    node = [ab[0].size, h[0].size, e[0].size, nu * lx]
+    sizes = np.array([n, nx, nu, lx, lz, *node], dtype=np.int64)
     return Packed(ab, h, e, eps, end, new(nx + 1, lx), new(n, nu, lx), new(s.scratch()["total"]), dx, new(n, nu), sizes)
 
 
-@compiled
-def backward(address, m):  # type: ignore[no-untyped-def]
-    """All Riccati steps, from the last node to the first."""
-    n, nx = m.sizes[0], m.sizes[1]
-    m.value[:] = m.end
-    for k in range(n - 1, -1, -1):
-        call7(
-            address,
-            m.ab[k].ctypes.data,
-            m.h[k].ctypes.data,
-            m.e[k].ctypes.data,
-            m.eps.ctypes.data,
-            m.value.ctypes.data,
-            m.k[k].ctypes.data,
-            m.scratch.ctypes.data,
-        )
-        for i in range(nx):
-            for j in range(i):
-                m.value[j, i] = m.value[i, j]
+def our_step(m: Packed, address: int) -> Array:
+    """The step (x_0, u_0, …, x_N) of the Riccati kernel at ``address``."""
+    eliminate(m, address)
+    substitute(m)
+    nx = int(m.sizes[loops.NX])
+    return np.concatenate([np.hstack([m.dx[:-1, :nx], m.du]).ravel(), m.dx[-1, :nx]])
 
 
-@compiled
-def forward(m):  # type: ignore[no-untyped-def]
-    """The step from the gains."""
-    n, nx, nu = m.sizes[0], m.sizes[1], m.sizes[2]
-    for k in range(n):
-        for j in range(nu):
-            total = 0.0
-            for i in range(nx + 1):
-                total += m.k[k, j, i] * m.dx[k, i]
-            m.du[k, j] = total
-        for r in range(nx):
-            total = 0.0
-            for i in range(nx + 1):
-                total += m.ab[k, r, i] * m.dx[k, i]
-            for j in range(nu):
-                total += m.ab[k, r, nx + 1 + j] * m.du[k, j]
-            m.dx[k + 1, r] = total
+def eliminate(m: Packed, address: int) -> None:
+    """The backward pass."""
+    loops.backward(address, m.sizes, m.ab, m.h, m.e, m.eps, m.end, m.value, m.k, m.scratch)
+
+
+def substitute(m: Packed) -> None:
+    """The forward pass."""
+    loops.forward(m.sizes, m.ab, m.k, m.dx, m.du)

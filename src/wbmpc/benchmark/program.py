@@ -16,7 +16,7 @@ import numpy as np
 
 from wbmpc.kernel.cache import cache_directory
 from wbmpc.ocp import RelaxedBarrier, Transcription
-from wbmpc.ocp.transcription import BoxRow
+from wbmpc.ocp.rows import BoxRow
 from wbmpc.solver import Solver
 
 COMPILER_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
@@ -39,7 +39,7 @@ def sampled(solver: Solver) -> Samples:
     width = max(t.node.size, 1)
     flat = np.zeros(grid.size * width)
     for k, time in enumerate(grid):
-        sample(solver.tables(), float(time), flat, k * width)
+        sample(*solver.tables(), float(time), flat, k * width)
     return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.ws.w[: t.constant.size], np.diff(grid))
 
 

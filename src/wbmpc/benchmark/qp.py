@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from wbmpc.benchmark.child import within
-from wbmpc.benchmark.lq import LQProblem, Packed, backward, forward, linearise, pack
+from wbmpc.benchmark.lq import LQProblem, Packed, eliminate, linearise, our_step, pack, substitute
 from wbmpc.benchmark.ours import milliseconds
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
@@ -77,14 +77,6 @@ def _solve(name: str, lq: LQProblem, repeat: int) -> tuple[np.ndarray, dict[str,
     }
 
 
-def our_step(m: Packed, address: int) -> np.ndarray:
-    """The step (x_0, u_0, …, x_N) of the Riccati kernel."""
-    backward(address, m)
-    forward(m)
-    nx = int(m.sizes[1])
-    return np.concatenate([np.hstack([m.dx[:-1, :nx], m.du]).ravel(), m.dx[-1, :nx]])
-
-
 def step_problem(problem: Problem, noise: float = 1e-2) -> tuple[LQProblem, Packed, int]:
     """The quadratic problem at the solution plus ``noise``, packed, and the Riccati kernel's address."""
     solver, program = problem.solver, Program(problem.solver)
@@ -103,7 +95,7 @@ def quadratic_race(
     """Rows with milliseconds of one step, without linearisation, and the largest difference from our step."""
     lq, packed, address = step_problem(problem)
     z = our_step(packed, address)
-    times = milliseconds(lambda: (backward(address, packed), forward(packed)), 5 * repeat)
+    times = milliseconds(lambda: (eliminate(packed, address), substitute(packed)), 5 * repeat)
     common = {"problem": problem.name}
     rows = [{**common, "solver": "wbmpc Riccati", "success": True, "step_ms": float(times.min()), "difference": 0.0}]
     for name in names:

@@ -11,7 +11,6 @@ from wbmpc.experiments.settings import MpcSettings, Settings, Weight
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.solver import SQP
 
 
 class HandCost(Settings):
@@ -39,11 +38,13 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights of wheel and arm torques against those of the equilibrium, and of the hand's force where it is an input."""
+    """Weights of wheel and arm torques against those of the equilibrium, and of force and moment of contacts that are
+    inputs."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
     force: Weight = 1.0
+    moment: Weight = 1.0
 
 
 class RezeroCost(Settings):
@@ -56,7 +57,7 @@ class RezeroCost(Settings):
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); soft limits."""
+    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     h, b, t = cost.hand, cost.body, cost.torque
@@ -85,20 +86,23 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force}
-    ocp.add(Cost("torque", residuals.Input(robot), {g: v for g, v in inputs.items() if g in robot.input}))
+    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force, "moment": t.moment}
+    ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
     limits = robot.limits
     free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
-    barrier = RelaxedBarrier(settings.barrier_mu, 0.02)
+    barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     ocp.add(
-        Constraint("ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier)
+        Constraint(
+            "ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier, hard=hard
+        )
     )
     barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
-    ocp.add(Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier))
+    ocp.add(
+        Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)
+    )
     return ocp
 
 
 def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
     """The MPC of that problem with its real-time settings."""
-    solver = SQP(iterations=settings.iterations, certify=False, smallest_step=0.2, force_step=True)
-    return MPC(rezero_problem(robot, settings, cost), solver, settings.rate)
+    return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)

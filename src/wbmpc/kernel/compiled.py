@@ -4,43 +4,58 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import casadi as ca
-import llvmlite
-import llvmlite.binding as llvm
 import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache, dense
+from wbmpc.kernel.machine import compile_module, load_object, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_COMPLIANCE = 1e-9
+RELATIVE_COMPLIANCE = 1e-12
 
 _FUNCTIONS = (
     "dynamics",
     "cost",
     "equality",
+    "rows",
     "terminal",
+    "end_rows",
+    "jump",
     "dynamics_jacobian",
     "cost_quadratic",
     "equality_jacobian",
+    "rows_jacobian",
     "terminal_quadratic",
+    "end_rows_jacobian",
+    "jump_jacobian",
+    "lagrangian",
+    "dynamics_hessian",
+    "end_lagrangian",
 )
+_KERNELS = ("riccati_node", "chain", "add_rows")
 #: Order of the addresses in :attr:`Kernel.addresses`.
-ADDRESSES = (*_FUNCTIONS, "riccati_node", "chain")
+ADDRESSES = (*_FUNCTIONS, *_KERNELS)
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)]."""
+    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)].
+
+    ``ng``: rows of the Riccati recursion; ``nr``, ``ne``: general rows with a state of their own, at the path and at the end.
+    """
 
     nx: int
     nu: int
     ng: int
+    nr: int
+    ne: int
 
     @property
     def first(self) -> int:
@@ -72,6 +87,7 @@ class Sizes:
             "T": self.nu * self.lx,
             "R": self.nu * self.lg,
             "Z": self.ng * self.lx,
+            "Y": self.ng * self.lx,
             "S": self.ng * self.lg,
             "I": self.lg,
         }
@@ -136,6 +152,12 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
             for q, c in entries("equality_jacobian", 1)
         ],
     ]
+    for name in ("rows_jacobian", "end_rows_jacobian"):
+        maps[name] = [maps[name][0], [[q * lz + place(c)] for q, c in entries(name, 1)]]
+    both = lambda r, c, ld: sorted({place(c) * ld + place(r), place(r) * ld + place(c)})
+    for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
+        maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
+    maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
     return maps
 
 
@@ -143,7 +165,7 @@ def emit_riccati_node(s: Sizes) -> str:
     """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch)."""
     nx1, nu, ng, lx, lz, lg, first = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first
     xb, zb, gb = lx // 8, lz // 8, lg // 8
-    product = dense.matrix_product
+    product = partial(dense.matrix_product, budget=vector_budget())
     parts = [
         product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
         product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
@@ -161,6 +183,10 @@ def emit_riccati_node(s: Sizes) -> str:
             product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
             dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
+            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False),
+            dense.soften("k_soft", ng, lx),
+            dense.schur_forward("k_forth", ng, lg, lx),
+            product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
         ]
     o = s.scratch()
     body = dense.Body("riccati_node", "AB H E EPS P K X")
@@ -188,9 +214,26 @@ def emit_riccati_node(s: Sizes) -> str:
         call("k_back", sc, inverse, z)
         call("k_t", z, r, t, mu)
         call("k_gains", mu, d, t, "%K")
+        # once more for what the rows still lack: a saturated input makes the Schur complement ill-conditioned
+        left = at("X", o["Y"])
+        call("k_left", "%K", at("E", first), left, "%E")
+        call("k_soft", left, z, "%EPS")
+        call("k_forth", sc, inverse, left)
+        call("k_back", sc, inverse, left)
+        call("k_more", left, r, t, t)
+        call("k_gains", mu, d, t, "%K")
     else:
         call("k_gains", mu, d, mu, "%K")
     return "\n".join([*parts, body.text()])
+
+
+def emit_add_rows(s: Sizes) -> str:
+    """H += Aᵀ B for ``nr`` rows of the extended node vector; arguments A, B (rows times their weights), H."""
+    if s.nr == 0:
+        return "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\nret void\n}"
+    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False, vector_budget())
+    body = "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\n"
+    return f"{product}\n{body}call void @k_rows(ptr %A, ptr %B, ptr %H, ptr %H)\nret void\n}}"
 
 
 def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
@@ -204,31 +247,17 @@ def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
 def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     """The whole LLVM module of a problem."""
     functions = {**transcription.values, **transcription.derivatives}
-    sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0])
+    own = (len(transcription.path.general), len(transcription.end.general))
+    sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
     maps = output_maps(functions, sizes)
     parts = [DECLARATIONS, dense.FMA]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _FUNCTIONS]
     pattern = _pattern(functions["dynamics_jacobian"].sparsity_out(1), sizes.nx)
-    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz)]
+    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz), emit_add_rows(sizes)]
     return "\n".join(parts), sizes
 
 
-def _target() -> tuple[str, str]:
-    """CPU name and features; 512-bit vectors are asked for where the target has them."""
-    features = llvm.get_host_cpu_features()
-    flags = features.flatten()
-    if features.get("avx512f"):
-        flags += ",-prefer-256-bit"
-    return llvm.get_host_cpu_name(), flags
-
-
-def _machine(cpu: str, flags: str, opt: int) -> Any:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
-
-
-def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
+def problem_key(transcription: Transcription) -> str:
     """Hash of the problem before differentiation, of the generator and of the target."""
     digest = hashlib.sha256()
     for name, function in transcription.values.items():
@@ -237,12 +266,17 @@ def problem_key(transcription: Transcription, cpu: str, flags: str) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    digest.update(
-        json.dumps(
-            [cpu, flags, llvmlite.__version__, getattr(ca, "__version__", ""), cache.source_fingerprint()]
-        ).encode()
-    )
+    text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
+    digest.update(json.dumps(text).encode())
     return digest.hexdigest()
+
+
+def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
+    """The sizes that a cache entry states; None for an entry of another format or target, which is built anew."""
+    try:
+        return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
+    except (KeyError, TypeError):
+        return None
 
 
 def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
@@ -250,25 +284,18 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
 
     Raises :class:`KernelError` when an operation cannot be compiled.
     """
-    cpu, flags = _target()
-    machine = _machine(cpu, flags, opt=1)
-    key = problem_key(transcription, cpu, flags)
+    key = problem_key(transcription)
     found = cache.load(key) if use_cache else None
-    if found is None:
+    sizes = _cached_sizes(found)
+    if found is None or sizes is None:
         ir, sizes = emit_problem(transcription)
-        try:
-            code = machine.emit_object(llvm.parse_assembly(ir))
-        except RuntimeError as error:
-            raise KernelError(f"the generated code was refused: {str(error)[:400]}") from error
+        code, found = compile_module(ir), None
         if use_cache:
-            cache.save(key, code, {"nx": sizes.nx, "nu": sizes.nu, "ng": sizes.ng})
+            cache.save(key, code, {"target": target_text(), "sizes": asdict(sizes)})
     else:
-        code, description = found
-        sizes = Sizes(**description)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(cpu, flags, opt=1))
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    names = [f"w_{n}" for n in _FUNCTIONS] + ["riccati_node", "chain"]
+        code = found[0]
+    engine = load_object(code)
+    names = [*(f"w_{n}" for n in _FUNCTIONS), *_KERNELS]
     addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
     if np.any(addresses == 0):
         raise KernelError("the compiled code lacks a function")

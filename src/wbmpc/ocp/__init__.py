@@ -1,7 +1,7 @@
 """Optimal control problems: residuals, norms, sets, named terms, modes, references."""
 
 from wbmpc.ocp import residuals, sets
-from wbmpc.ocp.norms import Quadratic, RelaxedBarrier, SmoothL1
+from wbmpc.ocp.norms import AugmentedLagrangian, Quadratic, RelaxedBarrier, SmoothL1
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.reference import Reference
 from wbmpc.ocp.schedule import Mode, ModeSchedule
@@ -9,6 +9,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 from wbmpc.ocp.transcription import Transcription
 
 __all__ = [
+    "AugmentedLagrangian",
     "Constraint",
     "Cost",
     "Mode",

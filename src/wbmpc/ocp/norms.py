@@ -80,3 +80,18 @@ class RelaxedBarrier:
     def curvature(self, h: ca.SX) -> ca.SX:
         safe = ca.fmax(h, self.delta)
         return self.mu / (safe * safe)
+
+
+@dataclass(frozen=True)
+class AugmentedLagrangian:
+    """The method of multipliers for constraints: a multiplier per row and node, updated in every iteration.
+
+    ``rho``: penalty per squared unit of the residual. For h ≥ 0: (max(0, λ − ρ h)² − λ²) / 2ρ; for g = 0: λ g + ρ g² / 2.
+    Source: Nocedal and Wright 2006, sections 17.3 and 17.4.
+    """
+
+    rho: float = 1e3
+
+    def __post_init__(self) -> None:
+        if not self.rho > 0.0:
+            raise InputError(f"AugmentedLagrangian: rho must be positive, got {self.rho}")

@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
+import casadi as ca
 import numpy as np
 
 from wbmpc import trajectory
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import Dynamics
-from wbmpc.ocp.sets import Zero
+from wbmpc.model import Layout
 from wbmpc.ocp.terms import Constraint, Cost
 
 Term = Cost | Constraint
+
+
+class SystemDynamics(Protocol):
+    """What a problem needs of a system ẋ = f(x, u; w, m); ``model.Dynamics`` is one, a wrapper or your own another.
+
+    A system that also has ``jump(x, w, m)`` maps its state at every event of the mode schedule; m: the mode after it.
+    """
+
+    state: Layout
+    input: Layout
+    parameters: Layout
+    mode: Layout
+    unit_quaternions: tuple[int, ...]
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ (nx)."""
+        ...
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian (nx, nx + nu) by [x; u]."""
+        ...
 
 
 class OptimalControlProblem:
@@ -21,22 +42,25 @@ class OptimalControlProblem:
 
     ``intervals``: number of intervals N. ``first_interval`` [s]: geometric grid, fine near now; uniform when left out;
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
+    ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
     """
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: SystemDynamics,
         horizon: float,
         intervals: int,
         *,
         first_interval: float | None = None,
         grid: Sequence[float] | None = None,
         integrator: Literal["rk2", "rk4"] = "rk2",
+        align_events: bool = False,
     ) -> None:
         if integrator not in ("rk2", "rk4"):
             raise unknown_name("integrator", integrator, ("rk2", "rk4"))
         self.dynamics = dynamics
         self.integrator = integrator
+        self.align_events = align_events
         self.grid = _grid(horizon, intervals, first_interval, grid)
         self.terms: dict[str, Term] = {}
 
@@ -56,11 +80,22 @@ class OptimalControlProblem:
 
     @property
     def equalities(self) -> list[Constraint]:
-        return [t for t in self.terms.values() if isinstance(t, Constraint) and isinstance(t.set, Zero)]
+        return [t for t in self.terms.values() if isinstance(t, Constraint) and t.equality]
 
     @property
     def inequalities(self) -> list[Constraint]:
-        return [t for t in self.terms.values() if isinstance(t, Constraint) and not isinstance(t.set, Zero)]
+        return [t for t in self.terms.values() if isinstance(t, Constraint) and not t.equality]
+
+    def refined(self, step: float) -> OptimalControlProblem:
+        """The same problem on a grid whose intervals are cut so that none is longer than ``step`` [s]."""
+        cuts = np.maximum(np.ceil(np.diff(self.grid) / step - 1e-9), 1).astype(int)
+        grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]
+        other = OptimalControlProblem(
+            self.dynamics, self.horizon, len(grid), grid=[*grid, self.horizon], integrator=self.integrator,
+            align_events=self.align_events,
+        )  # fmt: skip
+        other.terms = self.terms
+        return other
 
     def add(self, term: Term) -> None:
         """Add a term; its name must be new."""
@@ -78,8 +113,9 @@ class OptimalControlProblem:
 def _grid(horizon: float, intervals: int, first: float | None, grid: Sequence[float] | None) -> np.ndarray:
     if grid is not None:
         times = np.asarray(grid, float)
-        if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or np.any(np.diff(times) <= 0):
-            raise InputError("grid: needs at least two increasing times that start at 0")
+        shaped = times.ndim == 1 and times.size >= 2 and times[0] == 0.0
+        if not (shaped and np.isfinite(times).all() and np.all(np.diff(times) > 0)):
+            raise InputError("grid: needs at least two finite, increasing times that start at 0")
         return times
     if first is not None:
         return trajectory.geometric_grid(horizon, intervals, first)

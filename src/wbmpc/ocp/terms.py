@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ocp.norms import Norm, Quadratic, RelaxedBarrier
+from wbmpc.ocp.norms import AugmentedLagrangian, Norm, Quadratic, RelaxedBarrier
 from wbmpc.ocp.residuals import Residual
 from wbmpc.ocp.sets import Set, Zero
 
@@ -18,9 +18,11 @@ At = Literal["path", "terminal", "all"]
 _PLACES = ("path", "terminal", "all")
 
 
-def _check_place(name: str, at: str) -> None:
+def _check_place(name: str, at: str, modes: tuple[str, ...] | None) -> None:
     if at not in _PLACES:
         raise unknown_name("place", at, _PLACES, where=f"term '{name}', at")
+    if modes is not None and (isinstance(modes, str) or not modes or not all(isinstance(m, str) for m in modes)):
+        raise InputError(f"term '{name}': modes must be a tuple of names, at least one, got {modes!r}")
 
 
 @dataclass(frozen=True)
@@ -41,23 +43,28 @@ class Cost:
     terminal_weight: Weight | None = None
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at)
+        _check_place(self.name, self.at, self.modes)
         self.expand(self.weight)
         if self.terminal_weight is not None:
-            self.expand(self.terminal_weight)
+            self.expand(self.terminal_weight, "terminal weight")
 
-    def expand(self, weight: Weight) -> np.ndarray:
+    def expand(self, weight: Weight, kind: str = "weight") -> np.ndarray:
         """A weight as one number per row of the residual."""
-        return expand_rows(weight, self.residual, f"cost '{self.name}', weight")
+        return expand_rows(weight, self.residual, f"cost '{self.name}', {kind}")
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """``residual ∈ set``.
+    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
 
-    ``Zero`` on the path is a state-input equality and enters the Riccati recursion exactly; ``compliance`` (one number
-    for all rows) softens it: the residual may be compliance times its multiplier. Inequalities are relaxed barriers
-    (``penalty``); ``hard`` inequalities are refused until the interior point solver is there.
+    Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``compliance`` (one number for all
+    rows) softens them: the residual may be compliance times its multiplier. Rows of the state alone, and rows at the end,
+    have proximal multipliers: exact at convergence. With ``penalty=AugmentedLagrangian(ρ)`` all rows have multipliers.
+
+    Inequalities: relaxed barriers (``penalty=RelaxedBarrier(μ, δ)``), multipliers (``AugmentedLagrangian``), or ``hard``:
+    a primal-dual interior point inside the Riccati recursion. A hard row that depends on the state holds wherever it can be
+    held and else has the exact L1 ``slack`` penalty (per unit of the row's range and second); rows of inputs alone have
+    no slack. State rows do not apply to the measured state itself.
     """
 
     name: str
@@ -65,35 +72,48 @@ class Constraint:
     set: Set = field(default_factory=Zero)
     at: At = "path"
     modes: tuple[str, ...] | None = None
-    penalty: RelaxedBarrier = field(default_factory=RelaxedBarrier)
+    penalty: RelaxedBarrier | AugmentedLagrangian = field(default_factory=RelaxedBarrier)
     hard: bool = False
+    slack: float = 1e3
     compliance: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at)
-        if isinstance(self.set, Zero) and self.at != "path":
-            raise InputError(f"constraint '{self.name}': an equality is possible at the path only, got at='{self.at}'")
-        if self.hard and not isinstance(self.set, Zero):
-            raise InputError(
-                f"constraint '{self.name}': hard inequalities are not supported yet; valid: hard=False (relaxed barrier)"
-            )
-        if self.compliance < 0.0:
+        _check_place(self.name, self.at, self.modes)
+        if not 0.0 <= self.compliance < np.inf:
             raise InputError(f"constraint '{self.name}': compliance must not be negative, got {self.compliance}")
+        if not self.slack > 0.0:
+            raise InputError(f"constraint '{self.name}': slack must be positive (math.inf: none), got {self.slack}")
+        if self.hard and isinstance(self.penalty, AugmentedLagrangian):
+            raise InputError(f"constraint '{self.name}': hard=True and an AugmentedLagrangian exclude each other")
+
+    @property
+    def equality(self) -> bool:
+        """Whether the residual has to vanish."""
+        return isinstance(self.set, Zero)
 
 
 def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:
     """One non-negative number per row from a number, a sequence or a mapping by the residual's groups."""
-    if isinstance(value, Mapping):
-        rows = np.zeros(residual.size)
-        for group, entry in value.items():
-            if group not in residual.groups:
-                raise unknown_name("group", group, residual.groups, where=where)
-            rows[residual.groups[group]] = entry
-    else:
-        given = np.asarray(value, float)
-        if given.ndim and given.shape != (residual.size,):
-            raise InputError(f"{where}: one number or {residual.size} are needed, got {given.shape[0]}")
-        rows = np.broadcast_to(given, residual.size).copy()
-    if not np.isfinite(rows).all() or np.any(rows < 0.0):
-        raise InputError(f"{where}: must be finite and not negative, got {value}")
+    if not isinstance(value, Mapping):
+        return _expand(value, residual.size, where)
+    rows = np.zeros(residual.size)
+    for group, entry in value.items():
+        if group not in residual.groups:
+            raise unknown_name("group", group, residual.groups, where=where)
+        part = residual.groups[group]
+        rows[part] = _expand(entry, part.stop - part.start, f"{where} of '{group}'")
     return rows
+
+
+def _expand(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
+    """``size`` finite numbers that are not negative from one or ``size``."""
+    try:
+        given = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: one number or {size} are needed, got {value!r}") from None
+    if given.ndim and given.shape != (size,):
+        raise InputError(f"{where}: one number or {size} are needed, got {given.size}")
+    if not np.isfinite(given).all() or np.any(given < 0.0):
+        bad = given[~(np.isfinite(given) & (given >= 0.0))].flat[0] if given.ndim else given
+        raise InputError(f"{where}: must be finite and not negative, got {float(bad):g}")
+    return np.broadcast_to(given, size).copy()

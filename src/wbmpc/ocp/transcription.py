@@ -10,21 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import product
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
+from wbmpc.ocp.rows import BoxRow, Place, depends, equality_rows, inequality_rows
 from wbmpc.ocp.schedule import ModeSchedule
-from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
-
-#: Node row of a box: (index into [x; u], sign s, offset c, μ, δ) for the relaxed barrier on h = s z + c.
-BoxRow = tuple[int, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,9 @@ class _Slots:
 class Transcription:
     """Stage functions of a problem and the meaning of their parameter vectors."""
 
-    def __init__(self, ocp: OptimalControlProblem) -> None:
-        self.ocp = ocp
+    def __init__(self, ocp: OptimalControlProblem, exact: bool = False) -> None:
+        """``exact``: second derivatives too, for an exact Hessian of the Lagrangian."""
+        self.ocp, self.exact = ocp, exact
         d = ocp.dynamics
         self.nx, self.nu = d.state.size, d.input.size
         self.references = _Slots.of({t.name: t.residual.reference for t in ocp.terms.values() if t.residual.reference})
@@ -70,7 +70,10 @@ class Transcription:
         self.p, self.w = ca.SX.sym("p", self.node.size), ca.SX.sym("w", self.constant.size)
         self.h = ca.SX.sym("h")
         self.z = ca.vertcat(self.x, self.u)
-        self.path_boxes, self.terminal_boxes, self._general = self._sort_inequalities()
+        self.path, self.end = Place(), Place()
+        sort = lambda terms: [(t, self._residual(t), self._switch(t.name)) for t in terms]
+        self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
+        inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
 
     # ------------------------------------------------------------------ parameters
     def default_weights(self) -> np.ndarray:
@@ -92,6 +95,20 @@ class Transcription:
             names = [self.ocp.terms[t].modes or () for t in self.switched]
             rows.append(np.concatenate([values, [float(mode.name in n) for n in names]]))
         return np.array(rows).reshape(len(schedule.modes), -1)
+
+    def check_schedule(self, schedule: ModeSchedule) -> None:
+        """Raise :class:`InputError` for mode values out of range, or a term of which no mode is in the schedule."""
+        names = list(dict.fromkeys(mode.name for mode in schedule.modes))
+        for term in (self.ocp.terms[t] for t in self.switched):
+            if term.modes and not set(term.modes) & set(names):
+                raise unknown_name("mode", term.modes[0], names, where=f"term '{term.name}', modes")
+        bounds = getattr(self.ocp.dynamics, "mode_bounds", {})
+        for mode, (group, (low, high)) in product(schedule.modes, bounds.items()):
+            values = np.atleast_1d(np.asarray(mode.values.get(group, low), float))
+            if np.any((values < low) | (values > high)):
+                raise InputError(
+                    f"mode '{mode.name}': values of '{group}' must be from {low:g} to {high:g}, got {values}"
+                )
 
     def symbols(self, name: str) -> Symbols:
         d = self.ocp.dynamics
@@ -118,41 +135,46 @@ class Transcription:
             )
         return r
 
-    def _rows(self, term: Constraint) -> tuple[ca.SX, np.ndarray, np.ndarray]:
-        """An inequality as h = s r + c ≥ 0: residual, and arrays of (row, sign) and offset."""
-        r = self._residual(term)
-        if isinstance(term.set, NonNegative):
-            return r, np.array([(i, 1.0) for i in range(r.shape[0])]), np.zeros(r.shape[0])
-        assert isinstance(term.set, Box)
-        lower, upper = term.set.bounds(r.shape[0])
-        if np.any(lower > upper):
-            raise InputError(f"constraint '{term.name}': a lower bound is above its upper bound")
-        rows = [(i, 1.0) for i in np.flatnonzero(np.isfinite(lower))]
-        rows += [(i, -1.0) for i in np.flatnonzero(np.isfinite(upper))]
-        offsets = [-lower[i] if s > 0 else upper[i] for i, s in rows]
-        return r, np.array(rows).reshape(-1, 2), np.array(offsets)
+    @property
+    def path_boxes(self) -> list[BoxRow]:
+        """Relaxed barriers on single variables along the path."""
+        return self.path.barriers
 
-    def _sort_inequalities(self) -> tuple[list[BoxRow], list[BoxRow], list[tuple[Constraint, ca.SX]]]:
-        """Bounds on single states and inputs become box rows of the kernel; the rest stays symbolic."""
-        path: list[BoxRow] = []
-        terminal: list[BoxRow] = []
-        general: list[tuple[Constraint, ca.SX]] = []
-        for term in self.ocp.inequalities:
-            r, rows, offsets = self._rows(term)
-            selection = None if term.modes is not None else _selection(r, self.z)
-            if selection is None:
-                h = ca.vertcat(*[s * r[int(i)] + c for (i, s), c in zip(rows, offsets, strict=True)])
-                general.append((term, h))
-                continue
-            for (i, s), c in zip(rows, offsets, strict=True):
-                index, scale, shift = selection[int(i)]
-                box = (index, s * scale, c + s * shift, term.penalty.mu, term.penalty.delta)
-                if term.at != "terminal":
-                    path.append(box)
-                if term.at != "path" and index < self.nx:
-                    terminal.append(box)
-        order = lambda b: (b[3], b[0])
-        return sorted(path, key=order), sorted(terminal, key=order), general
+    @property
+    def terminal_boxes(self) -> list[BoxRow]:
+        """Relaxed barriers on single states at the end."""
+        return self.end.barriers
+
+    def with_input(self, term: Constraint) -> np.ndarray:
+        """For every row of a term, whether it depends on the input."""
+        return depends(self._residual(term), self.u)
+
+    def broken(self, term: Constraint) -> ca.SX:
+        """How far every row of a constraint is from being met, in the residual's unit; 0 in modes where it does not count."""
+        r, switch = self._residual(term), self._switch(term.name)
+        if term.equality:
+            return switch * ca.fabs(r)
+        if isinstance(term.set, Box):
+            lower, upper = term.set.bounds(r.shape[0])
+            parts = [ca.fmax(0.0, lo - r[i]) if np.isfinite(lo) else ca.SX(0) for i, lo in enumerate(lower)]
+            over = [ca.fmax(0.0, r[i] - up) if np.isfinite(up) else ca.SX(0) for i, up in enumerate(upper)]
+            return switch * (ca.vertcat(*parts) + ca.vertcat(*over))
+        return switch * ca.fmax(0.0, -r)
+
+    @property
+    def rates(self) -> ca.SX:
+        """ẋ, (nx, 1)."""
+        return self._f[0]
+
+    def term_values(self, place: str) -> dict[str, ca.SX]:
+        """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
+        at = (place, "all")
+        out = {t.name: self._residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
+        for cost in self.ocp.costs:
+            if cost.at in at:
+                weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+                out[cost.name] = weight * cost.norm.value(self._residual(cost))
+        return out
 
     def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
         """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``place``."""
@@ -163,10 +185,9 @@ class Transcription:
             weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
             r, norm = self._residual(cost), cost.norm
             out.append((r, weight * norm.value(r), weight * norm.gradient(r), weight * norm.curvature(r)))
-        for term, h in self._general:
-            if term.at in (place, "all"):
-                switch, b = self._switch(term.name), term.penalty
-                out.append((h, switch * b.value(h), switch * b.gradient(h), switch * b.curvature(h)))
+        for term, h in (self.path if place == "path" else self.end).general_barriers:
+            switch, b = self._switch(term.name), cast(RelaxedBarrier, term.penalty)
+            out.append((h, switch * b.value(h), switch * b.gradient(h), switch * b.curvature(h)))
         return out
 
     def _value(self, place: str) -> ca.SX:
@@ -191,74 +212,91 @@ class Transcription:
         f, jacobian = self.ocp.dynamics.jacobian(self.x, self.u, parameters, self._mode())
         return ca.SX(f), ca.SX(jacobian)
 
-    @cached_property
+    @property
     def equality(self) -> ca.SX:
-        """All state-input equality rows, (ng, 1)."""
-        parts = [self._switch(t.name) * self._residual(t) for t in self.ocp.equalities]
-        return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+        """The rows of the Riccati recursion, (ng, 1)."""
+        return self.equalities.expression
 
     @property
     def compliance(self) -> np.ndarray:
-        """Compliance of every equality row."""
-        parts = [np.full(t.residual.size, t.compliance) for t in self.ocp.equalities]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        """Compliance of every row of the Riccati recursion."""
+        return self.equalities.compliance
 
     def equality_names(self) -> list[str]:
-        """A name for every equality row: term.group[i]."""
-        names = []
-        for term in self.ocp.equalities:
-            rows = [""] * term.residual.size
-            for group, part in term.residual.groups.items():
-                for i, row in enumerate(range(part.start, part.stop)):
-                    rows[row] = f"{term.name}.{group}[{i}]"
-            names += rows
-        return names
+        """A name for every row of the Riccati recursion: term.group[i]."""
+        return self.equalities.names
+
+    @cached_property
+    def _jump(self) -> ca.SX:
+        """The state after an event, in terms of the state before it and the new mode."""
+        jump = getattr(self.ocp.dynamics, "jump", None)
+        return self.x if jump is None else ca.SX(jump(self.x, self.symbols("").parameters, self._mode()))
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the state changes at events."""
+        return getattr(self.ocp.dynamics, "jump", None) is not None
 
     @cached_property
     def values(self) -> dict[str, ca.Function]:
         """Functions without derivatives: what identifies the problem, and what the line search evaluates."""
-        args = [self.x, self.u, self.p, self.w]
+        args, end = [self.x, self.u, self.p, self.w], [self.x, self.p, self.w]
         f = self.ocp.dynamics(self.x, self.u, self.symbols("").parameters, self._mode())
         make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(out))]))
         return {
             "dynamics": make("dynamics", args, f),
             "cost": make("cost", args, self._value("path")),
             "equality": make("equality", args, self.equality),
-            "terminal": make("terminal", [self.x, self.p, self.w], self._value("terminal")),
+            "rows": make("rows", args, self.path.expression()),
+            "terminal": make("terminal", end, self._value("terminal")),
+            "end_rows": make("end_rows", end, self.end.expression()),
+            "jump": make("jump", end, self._jump),
         }
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:
         """Functions with derivatives. Path costs come multiplied by the interval h [s]."""
-        args = [self.x, self.u, self.p, self.w]
+        args, at_end = [self.x, self.u, self.p, self.w], [self.x, self.p, self.w]
         f, jacobian = self._f
         value, gradient, hessian = self._quadratic("path", self.z)
         end = self._quadratic("terminal", self.x)
-        rows = self.equality
+        with_jacobian = lambda e, z: [ca.densify(e), ca.jacobian(e, z)]
         make: Any = lambda name, inputs, out: ca.Function(name, inputs, [ca.SX(e) for e in ca.cse(out)])
         h = self.h
         return {
             "dynamics_jacobian": make("dynamics_jacobian", args, [ca.densify(f), jacobian]),
             "cost_quadratic": make("cost_quadratic", [*args, h], [h * value, h * gradient, h * hessian]),
-            "equality_jacobian": make("equality_jacobian", args, [ca.densify(rows), ca.jacobian(rows, self.z)]),
-            "terminal_quadratic": make("terminal_quadratic", [self.x, self.p, self.w], list(end)),
+            "equality_jacobian": make("equality_jacobian", args, with_jacobian(self.equality, self.z)),
+            "rows_jacobian": make("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
+            "terminal_quadratic": make("terminal_quadratic", at_end, list(end)),
+            "end_rows_jacobian": make("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
+            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self._jump, self.x)),
+            **self._second_derivatives(make),
         }
 
+    def _second_derivatives(self, make: Any) -> dict[str, ca.Function]:
+        """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
-def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
-    """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
-    jacobian = ca.jacobian(r, z)
-    if ca.symvar(jacobian):
-        return None
-    dense = np.array(ca.DM(ca.densify(jacobian)))
-    if np.any((dense != 0.0).sum(axis=1) != 1):
-        return None
-    offset = ca.substitute(r, z, ca.DM.zeros(z.shape[0]))
-    if ca.symvar(offset):
-        return None
-    shift = np.array(ca.DM(ca.densify(offset))).ravel()
-    index = np.argmax(dense != 0.0, axis=1)
-    return [(int(i), float(dense[k, i]), float(shift[k])) for k, i in enumerate(index)]
-
-
-__all__ = ["BoxRow", "RelaxedBarrier", "Transcription"]
+        ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
+        """
+        args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
+        nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
+        last, adjoint = ca.SX.sym("kappa", self.end.expression().shape[0]), ca.SX.sym("a", self.nx)
+        if not self.exact:
+            nothing = [ca.SX(1, 1)]
+            return {
+                "lagrangian": make("lagrangian", [*args, nu, kappa], nothing),
+                "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], nothing),
+                "end_lagrangian": make("end_lagrangian", [*at_end, last], nothing),
+            }
+        path = self.h * (self._value("path") + ca.dot(kappa, self.path.expression())) + ca.dot(nu, self.equality)
+        end = self._value("terminal") + ca.dot(last, self.end.expression())
+        more = lambda f, z, gauss_newton: ca.triu(ca.hessian(f, z)[0]) - gauss_newton
+        path_more = more(path, self.z, self.h * self._quadratic("path", self.z)[2])
+        end_more = more(end, self.x, self._quadratic("terminal", self.x)[2])
+        curvature = ca.triu(ca.hessian(ca.dot(adjoint, self.rates), self.z)[0])
+        return {
+            "lagrangian": make("lagrangian", [*args, nu, kappa], [path_more]),
+            "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], [curvature]),
+            "end_lagrangian": make("end_lagrangian", [*at_end, last], [end_more]),
+        }

@@ -104,8 +104,8 @@ class RezeroPlant(InWorld):
         spread = [p.position_noise] * 2 + [p.angle_noise] * (3 + n) + [p.speed_noise] * 2 + [p.rate_noise] * (3 + n)
         self._spread = np.array(spread)
         # a constant error of the arm's encoders; they are not in the state's speeds
-        self._offset = np.zeros(10 + 2 * n)
-        self._offset[5 : 5 + n] = self.draw.arm_offset
+        self.offset = np.zeros(10 + 2 * n)
+        self.offset[5 : 5 + n] = self.draw.arm_offset
         self._history: deque[tuple[Array, Array]] = deque(maxlen=1 + round(p.state_age / timestep))
         self._last: RezeroMeasurement | None = None
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
@@ -163,7 +163,7 @@ class RezeroPlant(InWorld):
 
     def _place(self, state: Array, torque: ArrayLike | None) -> None:
         d, n, r = self.data, self._arm_q.size, self.base.ball_radius
-        state = state - self._offset
+        state = state - self.offset
         rotation = lie.euler_zyx_to_rotation(*state[2:5])
         omega = body_rates(state[2:5], state[7 + n : 10 + n])
         vx, vy = state[5 + n : 7 + n]
@@ -201,7 +201,7 @@ class RezeroPlant(InWorld):
             return self._last
         state = self._state_of(*self._history[0])
         state[2] = unwrap(state[2], self.world.yaw)
-        state = state + self._offset + self._spread * self._noise.normal(size=state.size)
+        state = state + self.offset + self._spread * self._noise.normal(size=state.size)
         self._last = RezeroMeasurement(self.time, state, (len(self._history) - 1) * self.timestep)
         return self._last
 
@@ -221,4 +221,5 @@ class RezeroPlant(InWorld):
             tilt=self.world.tilt,
             state=self.state(),
             joints=self.world.joints(),
+            joint_speeds=self.world.joint_speeds(),
         )

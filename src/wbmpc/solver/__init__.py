@@ -1,6 +1,7 @@
-"""Solvers: settings (:class:`SQP`), the solver bound to a problem, and solutions."""
+"""Solvers: settings (:class:`SQP`, :class:`ILQR`, :class:`SLQ`), the solver bound to a problem, and solutions."""
 
+from wbmpc.solver.settings import ILQR, SLQ, SQP, InteriorPoint
 from wbmpc.solver.solution import Solution, Status
-from wbmpc.solver.solver import SQP, Solver
+from wbmpc.solver.solver import Solver
 
-__all__ = ["SQP", "Solution", "Solver", "Status"]
+__all__ = ["ILQR", "SLQ", "SQP", "InteriorPoint", "Solution", "Solver", "Status"]

@@ -1,359 +1,182 @@
-"""One sequential quadratic programming solve as compiled code: linearise, Riccati, step, trial point.
-
-The letters are those of docs/derivations.md. Every function works on the memory ``m`` (doubles) and the table ``o``
-(integers) of :mod:`wbmpc.solver.workspace` and allocates nothing. ``at(o, B, i)`` style offsets are written out.
-"""
+"""Compiled code of a solve: directions, line search, interior point, statuses. SQP and single shooting share everything."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.kernel.compiled import ADDRESSES as _FUNCTIONS
-from wbmpc.solver import workspace as _w
-from wbmpc.solver.compilation import call2, call5, call7, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.places import (
+    COST,
+    DU,
+    DUAL,
+    DX,
+    END_BOXES,
+    END_COST,
+    EQUALITY,
+    EXACT,
+    FILTER,
+    FILTERED,
+    GRID,
+    LEFT,
+    LX,
+    MU,
+    NG,
+    NP,
+    NU,
+    NX,
+    PATH_BOXES,
+    POLICY,
+    PRIMAL,
+    PRODUCT,
+    QUATERNIONS,
+    RESIDUAL,
+    RHO,
+    ROW_COST,
+    ROW_SLOPE,
+    SHIFT,
+    SLOPES,
+    SMALL,
+    STATE,
+    THETA,
+    UT,
+    XT,
+    K,
+    N,
+    P,
+    U,
+    X,
+)  # fmt: skip
+from wbmpc.solver.riccati import backward, forward, kkt_residual
+from wbmpc.solver.rows import barrier_value, rows_merit, rows_step, start_rows, take_rows
+from wbmpc.solver.stages import interval, normalise, row_count, stage, stage_end
+from wbmpc.solver.workspace import LOG
 
-CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE = 0, 1, 2, 3
+CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED = range(5)
 
-N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE = range(len(_w.DIMENSIONS))
-_place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
-GRID, X, U, XT, UT = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial"))
-DX, DU, P, W, AB, H, E, EPS, K = (_place[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
-VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch", "gradient"))
-J1, J2, S1, S2, F, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
-_call = {name: _w.ADDRESSES + i for i, name in enumerate(_FUNCTIONS)}
-DYNAMICS, COST, EQUALITY, END_COST = (_call[n] for n in ("dynamics", "cost", "equality", "terminal"))
-DYNAMICS_J, COST_Q, EQUALITY_J = (_call[n] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian"))
-END_Q, RICCATI, CHAIN = (_call[n] for n in ("terminal_quadratic", "riccati_node", "chain"))
-ARG, RES, INDEX = _w.POINTERS, _w.POINTERS + 8, _w.INDICES
-
-
-@compiled
-def stage(o, function, x, u, p, r0, r1, r2):  # type: ignore[no-untyped-def]
-    """Call a stage function of (x, u, p, w, h); all arguments are offsets into the memory."""
-    base = o[BASE]
-    o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * u, base + 8 * p
-    o[ARG + 3], o[ARG + 4] = base + 8 * o[W], base + 8 * (o[SMALL] + 2)
-    o[RES], o[RES + 1], o[RES + 2] = base + 8 * r0, base + 8 * r1, base + 8 * r2
-    call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
-
-
-@compiled
-def stage_end(o, function, x, p, r0, r1):  # type: ignore[no-untyped-def]
-    """Call a terminal stage function of (x, p, w)."""
-    base = o[BASE]
-    o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * p, base + 8 * o[W]
-    o[RES], o[RES + 1], o[RES + 2] = base + 8 * r0, base + 8 * r1, base + 8 * r1
-    call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
-
-
-@compiled
-def barrier_value(m, o, start, count, x, u):  # type: ignore[no-untyped-def]
-    """Σ barrier(h) of boxes ``start`` … ; logarithms of products of h with the same μ."""
-    total, product, mu, first = 0.0, 1.0, 0.0, o[NX] + 1
-    for r in range(start, start + count):
-        i, b = o[INDEX + r], o[BOXES] + 4 * r
-        value = m[x + i] if i < first else m[u + i - first]
-        h, delta = m[b] * value + m[b + 1], m[b + 3]
-        if h > delta:
-            if m[b + 2] != mu or product > 1e100 or product < 1e-100:
-                total -= mu * np.log(product)
-                product, mu = 1.0, m[b + 2]
-            product *= h
-        else:
-            q = (h - 2.0 * delta) / delta
-            total += m[b + 2] * (0.5 * (q * q - 1.0) - np.log(delta))
-    return total - mu * np.log(product)
-
-
-@compiled
-def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no-untyped-def]
-    """Gradient and curvature of the boxes, times ``scale``, onto a matrix of the extended node vector."""
-    constant = o[NX]
-    for r in range(start, start + count):
-        i, b = o[INDEX + r], o[BOXES] + 4 * r
-        sign, mu, delta = m[b], m[b + 2], m[b + 3]
-        h = sign * (m[x + i] if i < constant else m[u + i - constant - 1]) + m[b + 1]
-        if h > delta:
-            slope, curve = -mu / h, mu / (h * h)
-        else:
-            slope, curve = mu * (h - 2.0 * delta) / (delta * delta), mu / (delta * delta)
-        m[matrix + i * ld + i] += scale * curve * sign * sign
-        m[matrix + i * ld + constant] += scale * slope * sign
-        if i < constant:
-            m[matrix + constant * ld + i] += scale * slope * sign
-
-
-@compiled
-def normalise(m, o, x, ab):  # type: ignore[no-untyped-def]
-    """Unit length of the quaternions of a state; with ``ab`` ≥ 0 the derivative of that onto its rows."""
-    lz, boxes = o[LZ], o[PATH_BOXES] + o[END_BOXES]
-    for s in range(o[QUATERNIONS]):
-        q = o[INDEX + boxes + s]
-        norm = np.sqrt(m[x + q] ** 2 + m[x + q + 1] ** 2 + m[x + q + 2] ** 2 + m[x + q + 3] ** 2)
-        for i in range(q, q + 4):
-            m[x + i] /= norm
-        if ab >= 0:
-            for c in range(lz):
-                along = 0.0
-                for i in range(q, q + 4):
-                    along += m[x + i] * m[ab + i * lz + c]
-                for i in range(q, q + 4):
-                    m[ab + i * lz + c] = (m[ab + i * lz + c] - m[x + i] * along) / norm
+#: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.
+SETTINGS = (
+    "iterations",
+    "tolerance",
+    "feasibility",
+    "smallest_step",
+    "certify",
+    "force_step",
+    "single_shooting",
+    "use_filter",
+    "mu_start",
+    "mu_end",
+    "keep_multipliers",
+    "least_slack",
+    "tau",
+    "extra_when_cut",
+    "largest_shift",
+    "keep_slacks",
+)
+(
+    ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
+) = range(len(SETTINGS))  # fmt: skip
+LOG_COLUMNS = len(LOG)
+#: A plan that has grown beyond this [units of the states] has diverged.
+HUGE = 1e10
 
 
-@compiled
-def offset_state(m, o, out, x, f, c):  # type: ignore[no-untyped-def]
-    """out = x + c f."""
-    for i in range(o[NX]):
-        m[out + i] = m[x + i] + c * m[f + i]
-
-
-@compiled
-def combine(m, o, out, x, k1, h):  # type: ignore[no-untyped-def]
-    """out = x + h (k1 + 2 k2 + 2 k3 + k4) / 6 with the slopes one after the other."""
-    lx = o[LX]
-    for i in range(o[NX]):
-        k = k1 + i
-        m[out + i] = m[x + i] + h / 6.0 * (m[k] + 2.0 * m[k + lx] + 2.0 * m[k + 2 * lx] + m[k + 3 * lx])
-
-
-@compiled
-def integrate(m, o, x, u, p, h, out):  # type: ignore[no-untyped-def]
-    """One Runge-Kutta step of the state at offset ``x`` to ``out``."""
-    lx = o[LX]
-    k1 = o[F]
-    middle = k1 + 4 * lx
-    stage(o, DYNAMICS, x, u, p, k1, k1, k1)
-    offset_state(m, o, middle, x, k1, 0.5 * h)
-    stage(o, DYNAMICS, middle, u, p, k1 + lx, k1, k1)
-    if o[RK4] == 0:
-        offset_state(m, o, out, x, k1 + lx, h)
-    else:
-        offset_state(m, o, middle, x, k1 + lx, 0.5 * h)
-        stage(o, DYNAMICS, middle, u, p, k1 + 2 * lx, k1, k1)
-        offset_state(m, o, middle, x, k1 + 2 * lx, h)
-        stage(o, DYNAMICS, middle, u, p, k1 + 3 * lx, k1, k1)
-        combine(m, o, out, x, k1, h)
-    normalise(m, o, out, -1)
-
-
-@compiled
-def chain(m, o, j, s, t, ab, c, weight):  # type: ignore[no-untyped-def]
-    """t = j + c j_x s; ab += weight t."""
-    base, small = o[BASE], o[SMALL]
-    m[small], m[small + 1] = c, weight
-    call5(o[CHAIN], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * ab, base + 8 * small)
-
-
-@compiled
-def linearise_dynamics(m, o, k):  # type: ignore[no-untyped-def]
-    """[A b B] of node k; returns the 1-norm of the gap b."""
-    nx, lx, lz = o[NX], o[LX], o[LZ]
-    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-    x, u, p = o[X] + k * nx, o[U] + k * o[NU], o[P] + k * o[NP]
-    ab, j1, j2, s1, s2 = o[AB] + k * (nx + 1) * lz, o[J1], o[J2], o[S1], o[S2]
-    k1 = o[F]
-    middle, end = k1 + 4 * lx, k1 + 5 * lx
-    for i in range(nx * lz):
-        m[ab + i] = 0.0
-    for i in range(nx):
-        m[ab + i * lz + i] = 1.0
-    stage(o, DYNAMICS_J, x, u, p, k1, j1, j1)
-    offset_state(m, o, middle, x, k1, 0.5 * h)
-    stage(o, DYNAMICS_J, middle, u, p, k1 + lx, j2, j2)
-    if o[RK4] == 0:
-        chain(m, o, j2, j1, s1, ab, 0.5 * h, h)
-        offset_state(m, o, end, x, k1 + lx, h)
-    else:
-        for i in range(nx * lz):
-            m[ab + i] += h / 6.0 * m[j1 + i]
-        chain(m, o, j2, j1, s1, ab, 0.5 * h, h / 3.0)
-        offset_state(m, o, middle, x, k1 + lx, 0.5 * h)
-        stage(o, DYNAMICS_J, middle, u, p, k1 + 2 * lx, j2, j2)
-        chain(m, o, j2, s1, s2, ab, 0.5 * h, h / 3.0)
-        offset_state(m, o, middle, x, k1 + 2 * lx, h)
-        stage(o, DYNAMICS_J, middle, u, p, k1 + 3 * lx, j2, j2)
-        chain(m, o, j2, s2, s1, ab, h, h / 6.0)
-        combine(m, o, end, x, k1, h)
-    normalise(m, o, end, ab)
-    gap = 0.0
-    for i in range(nx):
-        difference = m[end + i] - m[x + nx + i]
-        m[ab + i * lz + nx] = difference
-        gap += abs(difference)
-    return gap
-
-
-@compiled
-def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
-    """All of node k, its Hessian into buffer ``slot``: (cost, gap, equality violation)."""
-    nx, nu, ng, lz = o[NX], o[NU], o[NG], o[LZ]
-    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-    x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
-    matrix, small, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[SMALL], o[G] + k * lz
-    gap = linearise_dynamics(m, o, k)
-    m[small + 2] = h
-    stage(o, COST_Q, x, u, p, small + 3, matrix, matrix)
-    cost = m[small + 3] + h * barrier_value(m, o, 0, o[PATH_BOXES], x, u)
-    add_barrier(m, o, 0, o[PATH_BOXES], x, u, h, matrix, lz)
-    for i in range(nx):
-        m[gradient + i] = m[matrix + nx * lz + i]
-    for i in range(nx + 1, nx + 1 + nu):
-        m[gradient + i] = m[matrix + i * lz + nx]
-    violation = 0.0
-    if ng > 0:
-        stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
-        for q in range(ng):
-            violation += abs(m[o[E] + q * lz + nx])
-    return cost, gap, violation
-
-
-@compiled
-def linearise_end(m, o):  # type: ignore[no-untyped-def]
-    """Terminal cost's value; its Hessian and gradient into ``terminal`` and the value function."""
-    n, nx, lx = o[N], o[NX], o[LX]
-    x, end = o[X] + n * nx, o[TERMINAL]
-    stage_end(o, END_Q, x, o[P] + n * o[NP], o[SMALL], end)
-    add_barrier(m, o, o[PATH_BOXES], o[END_BOXES], x, x, 1.0, end, lx)
-    for i in range((nx + 1) * lx):
-        m[o[VALUE] + i] = m[end + i]
-    for i in range(nx):
-        m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
-    return m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
-
-
-@compiled
-def symmetrise(m, o):  # type: ignore[no-untyped-def]
-    """Mirror the value function: an antisymmetric rounding error would grow with the open loop's unstable modes."""
-    value, lx = o[VALUE], o[LX]
-    for i in range(o[NX]):
-        for j in range(i):
-            m[value + j * lx + i] = m[value + i * lx + j]
-
-
-@compiled
-def backward(m, o, keep):  # type: ignore[no-untyped-def]
-    """Linearise and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|).
-
-    ``keep``: every node keeps its Hessian (for the KKT residual); else all share one buffer.
-    """
-    cost, gaps, violations = linearise_end(m, o), 0.0, 0.0
-    base, nx, nu, lx, lz = o[BASE], o[NX], o[NU], o[LX], o[LZ]
-    for k in range(o[N] - 1, -1, -1):
-        slot = k if keep else 0
-        c, g, v = linearise_node(m, o, k, slot)
-        cost, gaps, violations = cost + c, gaps + g, violations + v
-        call7(
-            o[RICCATI],
-            base + 8 * (o[AB] + k * (nx + 1) * lz),
-            base + 8 * (o[H] + slot * (nx + 1 + nu) * lz),
-            base + 8 * o[E],
-            base + 8 * o[EPS],
-            base + 8 * o[VALUE],
-            base + 8 * (o[K] + k * nu * lx),
-            base + 8 * o[SCRATCH],
-        )
-        symmetrise(m, o)
-    return cost, gaps, violations
-
-
-@compiled
-def forward(m, o, x0):  # type: ignore[no-untyped-def]
-    """The step: (largest component, directional derivative of the cost)."""
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, slope = 0.0, 0.0
-    for i in range(nx):
-        m[o[DX] + i] = x0[i] - m[o[X] + i]
-    for k in range(n):
-        dx, du, g = o[DX] + k * lx, o[DU] + k * nu, o[G] + k * lz
-        for j in range(nu):
-            row, total = o[K] + (k * nu + j) * lx, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            m[du + j] = total
-            slope += total * m[g + nx + 1 + j]
-            largest = max(largest, abs(total))
-        for r in range(nx):
-            row, total = o[AB] + (k * (nx + 1) + r) * lz, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            for j in range(nu):
-                total += m[row + nx + 1 + j] * m[du + j]
-            m[dx + lx + r] = total
-            slope += m[dx + r] * m[g + r]
-            largest = max(largest, abs(m[dx + r]))
-    for r in range(nx):
-        slope += m[o[DX] + n * lx + r] * m[o[G] + n * lz + r]
-        largest = max(largest, abs(m[o[DX] + n * lx + r]))
-    return largest, slope
-
-
-@compiled
-def kkt_residual(m, o):  # type: ignore[no-untyped-def]
-    """(max |H δz|, δzᵀ H δz). With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate."""
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, curvature, nz = 0.0, 0.0, nx + 1 + nu
-    for k in range(n):
-        h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
-        for i in range(nz):
-            if i == nx:
-                continue
-            total = 0.0
-            for j in range(nz):
-                if j != nx:
-                    low, high = (j, i) if j < i else (i, j)
-                    total += m[h + high * lz + low] * (m[dx + j] if j < nx else m[du + j])
-            largest = max(largest, abs(total))
-            curvature += total * (m[dx + i] if i < nx else m[du + i])
-    for i in range(nx):
-        total = 0.0
-        for j in range(nx):
-            total += m[o[TERMINAL] + i * lx + j] * m[o[DX] + n * lx + j]
-        largest = max(largest, abs(total))
-        curvature += total * m[o[DX] + n * lx + i]
-    return largest, curvature
-
-
-@compiled
-def trial(m, o, x0, alpha):  # type: ignore[no-untyped-def]
-    """Cost and violation (1-norm of gaps, equalities and start) at step length ``alpha``; fills the trial trajectories."""
-    n, nx, nu, ng, lx = o[N], o[NX], o[NU], o[NG], o[LX]
-    small, end = o[SMALL], o[F] + 5 * lx
-    for k in range(n + 1):
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
+    """Trial input of node k at the trial state: ū + α k + K (x − x̄)."""
+    nx, nu, lx = o[NX], o[NU], o[LX]
+    x, before = o[XT] + k * nx, o[X] + k * nx
+    for j in range(nu):
+        row = o[K] + (k * nu + j) * lx
+        total = m[o[U] + k * nu + j] + alpha * m[row + nx]
         for i in range(nx):
-            m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * lx + i]
-    for i in range(n * nu):
-        m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
+            total += m[row + i] * (m[x + i] - m[before + i])
+        m[o[UT] + k * nu + j] = total
+
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
+def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
+    """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
+
+    ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
+    """
+    n, nx, nu, ng, lx = o[N], o[NX], o[NU], o[NG], o[LX]
+    small, end = o[SMALL], o[SLOPES] + 5 * lx
+    if single:
+        for i in range(nx):
+            m[o[XT] + i] = x0[i]
+    else:
+        for k in range(n + 1):
+            for i in range(nx):
+                m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * lx + i]
+        for i in range(n * nu):
+            m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
     cost, violation = 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
     for k in range(n):
         h = m[o[GRID] + k + 1] - m[o[GRID] + k]
         x, u, p = o[XT] + k * nx, o[UT] + k * nu, o[P] + k * o[NP]
-        integrate(m, o, x, u, p, h, end)
+        if single:
+            policy_input(m, o, k, alpha)
+        interval(m, o, k, x, u, end)
         for i in range(nx):
-            violation += abs(m[end + i] - m[x + nx + i])
+            if single:
+                m[x + nx + i] = m[end + i]
+            else:
+                violation += abs(m[end + i] - m[x + nx + i])
         stage(o, COST, x, u, p, small, small, small)
         cost += h * (m[small] + barrier_value(m, o, 0, o[PATH_BOXES], x, u))
         if ng > 0:
             stage(o, EQUALITY, x, u, p, small + 16, small, small)
             for q in range(ng):
                 violation += abs(m[small + 16 + q])
+        row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
+        cost, violation = cost + h * row_cost, violation + h * row_violation
     last = o[XT] + n * nx
     stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
     cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)
-    return cost, violation
+    row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
+    return cost + row_cost, violation + row_violation
 
 
-@compiled
-def accept(cost, violation, base_cost, base_violation, slope, penalty, alpha):  # type: ignore[no-untyped-def]
-    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36)."""
+@compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
+def accept(cost, violation, base_cost, base_violation, slope, drop, penalty, alpha):  # type: ignore[no-untyped-def]
+    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36).
+
+    ``slope``, ``drop``: how fast the cost rises and the violation falls along the step.
+    """
     merit, base = cost + penalty * violation, base_cost + penalty * base_violation
-    rounding = 1e-9 * (1.0 + abs(base_cost))  # of a sum of many terms
-    return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * base_violation) + rounding
+    rounding = 1e-9 * (1.0 + abs(base_cost) + penalty)  # of sums of many terms
+    return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * drop) + rounding
 
 
-@compiled
+@compiled(BOOL, NUMS, INTS, NUM4, NUM, NUM)
+def accept_by_filter(m, o, costs, slope, alpha):  # type: ignore[no-untyped-def]
+    """Filter: (cost, violation) of the trial point and of the iterate, in ``costs``; remembers the iterate when it helps.
+
+    Source: Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", section 2.3.
+    """
+    cost, violation, base_cost, base_violation = costs
+    rounding = 1e-9 * (1.0 + abs(base_cost))
+    count = int(m[o[STATE] + FILTERED])
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        return False
+    for i in range(min(count, 64)):
+        c, v = m[o[FILTER] + 2 * i], m[o[FILTER] + 2 * i + 1]
+        if cost >= c - 1e-5 * v + rounding and violation >= (1.0 - 1e-5) * v:
+            return False
+    if slope < 0.0 and alpha * (-slope) ** 2.3 > base_violation**1.1 and base_violation < 1e-4:
+        return cost <= base_cost + 1e-4 * alpha * slope + rounding
+    better = violation <= (1.0 - 1e-5) * base_violation or cost <= base_cost - 1e-5 * base_violation + rounding
+    if better and base_violation > 1e-10:
+        i = count % 64
+        m[o[FILTER] + 2 * i], m[o[FILTER] + 2 * i + 1] = base_cost, base_violation
+        m[o[STATE] + FILTERED] = count + 1.0
+    return better
+
+
+@compiled(NONE, NUMS, INTS)
 def take(m, o):  # type: ignore[no-untyped-def]
     """The trial point becomes the iterate."""
     n, nx = o[N], o[NX]
@@ -366,43 +189,145 @@ def take(m, o):  # type: ignore[no-untyped-def]
             normalise(m, o, o[X] + k * nx, -1)
 
 
-@compiled
-def solve(m, o, x0, iterations, tolerance, feasibility, smallest, certify, force, log):  # type: ignore[no-untyped-def]
-    """Up to ``iterations`` steps: (status, steps done). Rows of ``log``: see workspace.LOG.
+@compiled(NONE, NUMS, INTS, NUMS)
+def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
+    """A motion from ``x0``, what single shooting starts from: by the last policy, or by feedback around the guess (without it
+    an unstable model would leave the guess at once), or open loop where that is not finite."""
+    if o[POLICY] == 0:
+        backward(m, o, False)
+    cost, violation = trial(m, o, x0, 0.0, True)
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        for i in range(o[N] * o[NU] * o[LX]):
+            m[o[K] + i] = 0.0
+        trial(m, o, x0, 0.0, True)
+    take(m, o)
 
-    ``force``: when no step length is accepted, the full step is taken if it is finite (real-time iterations).
-    """
-    penalty, first_alpha, last_kkt = 0.0, 1.0, np.inf
-    for it in range(iterations):
-        cost, gaps, rows = backward(m, o, certify)
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUMS, NUM4, NUM, NUM)
+def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
+    """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
+    slope, drop. Returns (α, cost at the trial point)."""
+    cost, violation, slope, drop = base
+    reach, single, ratio = m[o[STATE] + PRIMAL], s[SINGLE] > 0.0, first
+    while ratio >= s[SMALLEST]:
+        alpha = ratio * reach
+        c, v = trial(m, o, x0, alpha, single)
+        if s[USE_FILTER] > 0.0:
+            if accept_by_filter(m, o, (c, v, cost, violation), slope, alpha):
+                return alpha, c
+        elif accept(c, v, cost, violation, slope, drop, penalty, alpha):
+            return alpha, c
+        ratio *= 0.5
+    if s[FORCE] > 0.0:
+        c, v = trial(m, o, x0, reach, single)
+        if np.isfinite(c) and np.isfinite(v):
+            return reach, c
+    return 0.0, np.inf
+
+
+@compiled(NUM, NUM, NUM, NUM, NUM)
+def next_mu(mu, last, error, complementarity):  # type: ignore[no-untyped-def]
+    """μ for the next iteration: smaller once the present barrier problem is solved well enough (monotone rule)."""
+    while mu > last and max(error, complementarity - mu) <= 10.0 * mu:
+        mu = max(last, min(0.2 * mu, mu**1.5))
+    return mu
+
+
+@compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
+def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
+    """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
+    penalty, first, last_kkt, shift, certify = 0.0, 1.0, np.inf, 0.0, s[CERTIFY] > 0.0
+    rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
+    m[state + MU], m[state + FILTERED], m[state + SHIFT] = s[MU_START], 0.0, 0.0
+    m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
+    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
+    m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
+    if rows:
+        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
+    if s[SINGLE] > 0.0:
+        roll_out(m, o, x0)
+        if rows:
+            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
+    it = 0
+    while it < limit:
+        row = it * LOG_COLUMNS
+        m[state + SHIFT] = shift
+        cost, gaps, equalities, violation = backward(m, o, certify)
         for i in range(o[NX]):
             gaps += abs(x0[i] - m[o[X] + i])
-        violation = gaps + rows
+        violation += gaps + equalities
         largest, slope = forward(m, o, x0)
+        if rows:
+            rows_step(m, o, s[TAU])
+        slope += m[state + ROW_SLOPE]
+        dual, product, residual = m[state + DUAL], m[state + PRODUCT], m[state + RESIDUAL]
         kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
-        log[it, 0], log[it, 1], log[it, 2], log[it, 3], log[it, 4] = cost, violation, kkt, largest, 0.0
-        log[it, 5], log[it, 6] = gaps, rows
-        if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(largest)):
-            return NOT_FINITE, it + 1
-        if certify and kkt <= tolerance and violation <= feasibility:
-            return CONVERGED, it + 1
-        if violation > 1e-12:
-            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / violation)
+        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = (
+            cost - m[state + ROW_COST],
+            violation,
+            kkt,
+            largest,
+            0.0,
+        )
+        log[row + 5], log[row + 6], log[row + 7], log[row + 8], log[row + 9] = (
+            gaps,
+            equalities,
+            residual,
+            product,
+            m[state + MU],
+        )
+        log[row + 10], log[row + 11] = shift, dual
+        it += 1
+        if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
+            if it < limit and np.isfinite(cost) and np.isfinite(violation) and s[LARGEST_SHIFT] > 0.0:
+                # the subproblem is not convex: fewer second derivatives, then a larger shift
+                if o[EXACT] > 0 and m[state + THETA] > 0.0:
+                    m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
+                    continue
+                shift = max(10.0 * shift, 1e-6)
+                if shift <= s[LARGEST_SHIFT]:
+                    continue
+            return NOT_FINITE, it
+        if abs(cost) > HUGE or largest > HUGE:
+            return DIVERGED, it
+        feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
+        mu = m[state + MU]
+        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu:
+            if mu <= s[MU_END] or not rows:
+                return CONVERGED, it
+            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf
+            continue
+        drop = violation - m[state + LEFT]
+        if drop > 1e-10:
+            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
-        first_alpha = max(0.5 * first_alpha, 0.1) if kkt > last_kkt else min(1.3 * first_alpha, 1.0)
+        invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+        first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
-        alpha = first_alpha
-        while True:
-            new_cost, new_violation = trial(m, o, x0, alpha)
-            if accept(new_cost, new_violation, cost, violation, slope, penalty, alpha):
-                break
-            alpha *= 0.5
-            if alpha < smallest:
-                alpha = 1.0
-                new_cost, new_violation = trial(m, o, x0, alpha)
-                if force and np.isfinite(new_cost) and np.isfinite(new_violation):
-                    break
-                return NO_STEP, it + 1
+        alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
+        if alpha == 0.0:
+            shift = max(10.0 * shift, 1e-4)
+            if shift > s[LARGEST_SHIFT]:
+                return NO_STEP, it
+            continue
+        shift, m[state + THETA] = 0.2 * shift if shift > 1e-6 else 0.0, min(1.0, 2.0 * m[state + THETA] + 0.01)
         take(m, o)
-        log[it, 4] = alpha
-    return ITERATION_LIMIT, iterations
+        if rows:
+            # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
+            solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
+            take_rows(m, o, alpha, dual, solved)
+            error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
+            after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
+            if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
+                after = min(s[MU_START], 10.0 * mu)
+            if certify and (solved or alpha > 0.9):
+                if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
+                    m[state + RHO], last_kkt = min(4.0 * m[state + RHO], 1e6), np.inf
+                last_residual = residual
+            if after != mu:
+                m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
+        log[row + 4] = alpha
+        o[POLICY] = 1
+        if it == limit and alpha < 0.9 and limit < int(s[ITERATIONS]) + int(s[EXTRA]):
+            limit += 1
+    return ITERATION_LIMIT, it

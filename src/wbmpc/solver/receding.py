@@ -1,4 +1,4 @@
-"""Compiled code of one step of receding-horizon control: shift the last solution, sample references, solve."""
+"""Compiled code of one step of receding-horizon control: move the grid, shift the last solution, sample, solve."""
 
 from __future__ import annotations
 
@@ -8,105 +8,167 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
-from wbmpc.solver import driver
-from wbmpc.solver.compilation import compiled
+from wbmpc.solver.compilation import INT, INT2, INTS, NONE, NUM, NUMS, compiled
+from wbmpc.solver.driver import solve, take
+from wbmpc.solver.places import (
+    ALIGN,
+    GRID,
+    GRID_BASE,
+    GRID_OLD,
+    JUMPS,
+    LX,
+    NP,
+    NU,
+    NX,
+    SLOPES,
+    UT,
+    XT,
+    K,
+    N,
+    P,
+    U,
+    X,
+)  # fmt: skip
+from wbmpc.solver.stages import integrate, row_count, row_index
 
-_LINEAR, _POSE, _HOLD, _POSE_HOLD = range(4)
+LINEAR, POSE, HOLD, POSE_HOLD = range(len(Reference.KINDS))
 
 
 class Tables(NamedTuple):
-    """References and modes over absolute time, flat. One row per reference slot."""
+    """References and modes over absolute time in two flat arrays.
 
-    times: np.ndarray
-    values: np.ndarray
-    first_time: np.ndarray
-    samples: np.ndarray
-    first_value: np.ndarray
-    width: np.ndarray
-    kind: np.ndarray
-    place: np.ndarray
-    events: np.ndarray
-    modes: np.ndarray  # (modes, mode values and switches)
-    mode_place: int
+    ``integers``: counts of slots, events and mode values, the place of the mode in a node's parameters; then per slot: first
+    time, samples, first value, width, kind, place. ``numbers``: events, modes (modes, values), times, values.
+    """
+
+    numbers: np.ndarray
+    integers: np.ndarray
 
 
 def make_tables(problem: Transcription, references: Mapping[str, Reference], schedule: ModeSchedule) -> Tables:
     """Flat tables of all references (by term name) and of the mode schedule."""
-    names = [n for n in problem.references.slices if n in references]
-    chosen = [references[n] for n in names]
-    counts = np.array([r.times.size for r in chosen], dtype=np.int64)
-    widths = np.array([r.values.shape[1] for r in chosen], dtype=np.int64)
-    ends = lambda sizes: np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes.size else sizes
-    flat = lambda parts: np.concatenate([p.ravel() for p in parts]) if parts else np.zeros(1)
+    modes = problem.mode_tables(schedule)
+    parts = [np.array(schedule.events, float), modes.ravel()]
+    start = sum(p.size for p in parts)
+    head = [0, len(schedule.events), modes.shape[1], problem.node.slices["mode"].start]
+    slots = []
+    for name in problem.references.slices:
+        if name in references:
+            r = references[name]
+            width = r.values.shape[1]
+            kind, place = Reference.KINDS.index(r.kind), problem.node.slices[f"reference.{name}"].start
+            slots += [start, r.times.size, start + r.times.size, width, kind, place]
+            parts += [r.times, r.values.ravel()]
+            start += r.times.size * (1 + width)
+            head[0] += 1
     return Tables(
-        times=flat([r.times for r in chosen]),
-        values=flat([r.values for r in chosen]),
-        first_time=ends(counts),
-        samples=counts,
-        first_value=ends(counts * widths),
-        width=widths,
-        kind=np.array([Reference.KINDS.index(r.kind) for r in chosen], dtype=np.int64),
-        place=np.array([problem.node.slices[f"reference.{n}"].start for n in names], dtype=np.int64),
-        events=np.array(schedule.events, float),
-        modes=problem.mode_tables(schedule),
-        mode_place=problem.node.slices["mode"].start,
+        np.ascontiguousarray(np.concatenate([*parts, np.zeros(1)])), np.array([*head, *slots], dtype=np.int64)
     )
 
 
-@compiled
-def sample(tables, t, m, out):  # type: ignore[no-untyped-def]
+@compiled(INT, NUMS, INT, INT, NUM)
+def count_until(numbers, first, count, t):  # type: ignore[no-untyped-def]
+    """How many of ``count`` sorted numbers from ``first`` on are at most ``t``."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if numbers[first + middle] <= t:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@compiled(NONE, NUMS, INTS, NUM, NUMS, INT)
+def sample(numbers, integers, t, m, out):  # type: ignore[no-untyped-def]
     """References and mode values at time t into the parameter vector at offset ``out`` of ``m``."""
-    for s in range(tables.samples.size):
-        n, width, place, kind = tables.samples[s], tables.width[s], tables.place[s], tables.kind[s]
-        times = tables.times[tables.first_time[s] : tables.first_time[s] + n]
-        hold = kind == 2 or kind == 3
-        i = np.searchsorted(times, t + (1e-9 if hold else 0.0), side="right") - 1
+    for slot in range(integers[0]):
+        s = 4 + 6 * slot
+        times, n, values, width = integers[s], integers[s + 1], integers[s + 2], integers[s + 3]
+        kind, place = integers[s + 4], out + integers[s + 5]
+        hold = kind >= HOLD
+        i = count_until(numbers, times, n, t + (1e-9 if hold else 0.0)) - 1
         fraction = 0.0
         if i < 0:
             i = 0
         elif i < n - 1 and not hold:
-            fraction = (t - times[i]) / (times[i + 1] - times[i])
-        base = tables.first_value[s] + i * width
+            fraction = (t - numbers[times + i]) / (numbers[times + i + 1] - numbers[times + i])
+        base = values + i * width
         for c in range(width):
-            value = tables.values[base + c]
+            value = numbers[base + c]
             if fraction > 0.0:
-                value += fraction * (tables.values[base + width + c] - value)
-            m[out + place + c] = value
-        if kind == 1 and fraction > 0.0:
+                value += fraction * (numbers[base + width + c] - value)
+            m[place + c] = value
+        if kind == POSE and fraction > 0.0:
             norm = 0.0
             for c in range(3, 7):
-                norm += m[out + place + c] ** 2
+                norm += m[place + c] ** 2
             for c in range(3, 7):
-                m[out + place + c] /= np.sqrt(norm)
-    mode = np.searchsorted(tables.events, t + 1e-9, side="right")
-    for c in range(tables.modes.shape[1]):
-        m[out + tables.mode_place + c] = tables.modes[mode, c]
+                m[place + c] /= np.sqrt(norm)
+    events, width = integers[1], integers[2]
+    mode = count_until(numbers, 0, events, t + 1e-9)
+    for c in range(width):
+        m[out + integers[3] + c] = numbers[events + mode * width + c]
 
 
-@compiled
-def sample_all(m, o, tables, t0):  # type: ignore[no-untyped-def]
-    """Parameters of all nodes for a horizon that starts at ``t0`` [s]."""
-    for k in range(o[driver.N] + 1):
-        sample(tables, t0 + m[o[driver.GRID] + k], m, o[driver.P] + k * o[driver.NP])
+@compiled(NONE, NUMS, INTS, NUMS, INTS, NUM)
+def align(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
+    """The grid for a horizon that starts at ``t0``: the inner node nearest to an event moves onto it."""
+    n, grid, events = o[N], o[GRID], integers[1]
+    for k in range(n + 1):
+        m[o[GRID_OLD] + k] = m[grid + k]
+        m[grid + k] = m[o[GRID_BASE] + k]
+    if o[ALIGN] == 0:
+        return
+    free = 1
+    for e in range(events):
+        t = numbers[e] - t0
+        if t <= 1e-6 or t >= m[grid + n] - 1e-6:
+            continue
+        k = free
+        while k < n - 1 and abs(m[grid + k + 1] - t) < abs(m[grid + k] - t):
+            k += 1
+        if k < n and m[grid + k - 1] < t - 1e-9:
+            m[grid + k] = t
+            for later in range(k + 1, n):  # a second event may have come close
+                if m[grid + later] <= m[grid + later - 1] + 1e-6:
+                    m[grid + later] = 0.5 * (m[grid + later - 1] + m[grid + n])
+            free = k + 1
 
 
-@compiled
+@compiled(NONE, NUMS, INTS, NUMS, INTS, NUM)
+def sample_all(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
+    """Parameters of all nodes for a horizon that starts at ``t0`` [s], and which intervals end with a jump."""
+    for k in range(o[N] + 1):
+        sample(numbers, integers, t0 + m[o[GRID] + k], m, o[P] + k * o[NP])
+    if o[JUMPS] > 0:
+        flags = row_index(o) + 3 * row_count(o)
+        for k in range(o[N]):
+            now = count_until(numbers, 0, integers[1], t0 + m[o[GRID] + k] + 1e-9)
+            then = count_until(numbers, 0, integers[1], t0 + m[o[GRID] + k + 1] + 1e-9)
+            o[flags + k] = 1 if now != then else 0
+
+
+@compiled(NONE, NUMS, INTS, NUM)
 def shift(m, o, delta):  # type: ignore[no-untyped-def]
-    """Move the trajectories ``delta`` [s] forward in time; the last values hold beyond the end."""
-    n, nx, nu, g = o[driver.N], o[driver.NX], o[driver.NU], o[driver.GRID]
+    """Move the trajectories ``delta`` [s] forward in time, from the old grid to the grid; the last values hold beyond it."""
+    n, nx, nu, lx, new, g = o[N], o[NX], o[NU], o[LX], o[GRID], o[GRID_OLD]
     i = 0
     for k in range(n + 1):
-        t = min(m[g + k] + delta, m[g + n])
+        t = min(m[new + k] + delta, m[g + n])
         while i < n - 1 and m[g + i + 1] <= t:
             i += 1
         a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
-        x = o[driver.X] + i * nx
+        x = o[X] + i * nx
         for c in range(nx):
-            m[o[driver.XT] + k * nx + c] = (1.0 - a) * m[x + c] + a * m[x + nx + c]
+            m[o[XT] + k * nx + c] = (1.0 - a) * m[x + c] + a * m[x + nx + c]
+        if k < n and i > k:  # the gains hold over intervals; backwards in time they stay
+            for c in range(nu * lx):
+                m[o[K] + k * nu * lx + c] = m[o[K] + i * nu * lx + c]
     i = 0
     for k in range(n):
         # inputs are constant over an interval: interpolate between the intervals' middles
-        t = 0.5 * (m[g + k] + m[g + k + 1]) + delta
+        t = 0.5 * (m[new + k] + m[new + k + 1]) + delta
         while i < n - 2 and 0.5 * (m[g + i + 1] + m[g + i + 2]) < t:
             i += 1
         a = 0.0
@@ -114,29 +176,30 @@ def shift(m, o, delta):  # type: ignore[no-untyped-def]
             low, high = 0.5 * (m[g + i] + m[g + i + 1]), 0.5 * (m[g + i + 1] + m[g + i + 2])
             a = min(max((t - low) / (high - low), 0.0), 1.0)
         after = nu if n > 1 else 0
-        u = o[driver.U] + i * nu
+        u = o[U] + i * nu
         for c in range(nu):
-            m[o[driver.UT] + k * nu + c] = (1.0 - a) * m[u + c] + a * m[u + after + c]
-    driver.take(m, o)
+            m[o[UT] + k * nu + c] = (1.0 - a) * m[u + c] + a * m[u + after + c]
+    take(m, o)
 
 
-@compiled
-def receding_solve(m, o, tables, t0, delta, x0, iterations, tolerance, feasibility, smallest, certify, force, log):  # type: ignore[no-untyped-def]
+@compiled(INT2, NUMS, INTS, NUMS, INTS, NUM, NUM, NUMS, NUMS, NUMS)
+def receding_solve(m, o, numbers, integers, t0, delta, x0, settings, log):  # type: ignore[no-untyped-def]
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
+    align(m, o, numbers, integers, t0)
     if delta > 0.0:
         shift(m, o, delta)
-    sample_all(m, o, tables, t0)
-    return driver.solve(m, o, x0, iterations, tolerance, feasibility, smallest, certify, force, log)
+    sample_all(m, o, numbers, integers, t0)
+    return solve(m, o, x0, settings, log)
 
 
-@compiled
+@compiled(NONE, NUMS, INTS, NUMS, NUMS, NUM, NUMS)
 def simulate(m, o, x, u, h, out):  # type: ignore[no-untyped-def]
     """One Runge-Kutta step of the model with the parameters of node 0."""
-    xt, ut, end = o[driver.XT], o[driver.UT], o[driver.F] + 5 * o[driver.LX]
-    for i in range(o[driver.NX]):
+    xt, ut, end = o[XT], o[UT], o[SLOPES] + 5 * o[LX]
+    for i in range(o[NX]):
         m[xt + i] = x[i]
-    for i in range(o[driver.NU]):
+    for i in range(o[NU]):
         m[ut + i] = u[i]
-    driver.integrate(m, o, xt, ut, o[driver.P], h, end)
-    for i in range(o[driver.NX]):
+    integrate(m, o, xt, ut, o[P], h, end)
+    for i in range(o[NX]):
         out[i] = m[end + i]

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.rows import Kind, Place
 from wbmpc.solver.workspace import BoxTable, box_table
 
-RELATIVE_COMPLIANCE = 1e-9
+RELATIVE_COMPLIANCE = 1e-12
 
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -38,22 +40,148 @@ def riccati_step(
     ab = np.hstack([a, b])
     m = h + ab.T @ value @ ab
     s = g + ab.T @ (slope + value @ gap)
-    inverse = np.linalg.inv(m[nx:, nx:])
-    gain, feed = -inverse @ m[nx:, :nx], -inverse @ s[nx:]
+    lower = np.linalg.cholesky(m[nx:, nx:])
+    apply = lambda right: np.linalg.solve(lower.T, np.linalg.solve(lower, right))
+    both = -apply(np.column_stack([m[nx:, :nx], s[nx:]]))
     if d.size:
-        dm = d @ inverse @ d.T
-        schur = np.linalg.inv(dm + np.diag(RELATIVE_COMPLIANCE * np.diag(dm) + eps))
-        correction = inverse @ d.T @ schur
-        gain, feed = gain - correction @ (c + d @ gain), feed - correction @ (e + d @ feed)
+        half = np.linalg.solve(lower, d.T)
+        schur = half.T @ half
+        root = np.linalg.cholesky(schur + np.diag(RELATIVE_COMPLIANCE * np.diag(schur) + eps))
+        multipliers = lambda left: np.linalg.solve(root.T, np.linalg.solve(root, left))
+        rows = np.column_stack([c, e])
+        nu = multipliers(rows + d @ both)
+        both = both - apply(d.T @ nu)
+        # once more for what an ill-conditioned Schur complement has left
+        both = both - apply(d.T @ multipliers(rows + d @ both - eps[:, None] * nu))
+    gain, feed = both[:, :-1], both[:, -1]
     # The value of the step is the quadratic along the constrained input, plus what the compliance pays.
     full = np.vstack([np.eye(nx), gain])
     p = full.T @ m @ full
     q = full.T @ (s + m @ np.concatenate([np.zeros(nx), feed]))
     if d.size:
-        rows, rest = c + d @ gain, e + d @ feed
-        weight = np.diag(1.0 / (RELATIVE_COMPLIANCE * np.diag(dm) + eps))
-        p, q = p + rows.T @ weight @ rows, q + rows.T @ weight @ rest
+        # eps ν² / 2 is what the compliance pays
+        p, q = p + nu[:, :-1].T @ (eps[:, None] * nu[:, :-1]), q + nu[:, :-1].T @ (eps * nu[:, -1])
     return gain, feed, 0.5 * (p + p.T), q
+
+
+class RowState:
+    """Slacks t, multipliers l and L1 slacks s of one node's rows; see :mod:`wbmpc.solver.rows` for the formulas."""
+
+    def __init__(self, place: Place, measured: bool) -> None:
+        rows = place.rows
+        table = np.array([(r.kind, r.place, r.sign, r.offset, r.penalty, r.state_only) for r in rows], float).reshape(
+            -1, 6
+        )
+        self.kind, self.place, self.sign, self.offset, self.given, state_only = table.T
+        self.rho = 1.0
+        self.counts = ~(state_only.astype(bool) & measured)
+        self.boxes = len(place.boxes)
+        self.hard, self.multiplier, self.equal = (self.kind == k for k in Kind)
+        self.soft = self.hard & np.isfinite(self.penalty)
+        n = len(rows)
+        self.h, self.t, self.l, self.s = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
+        self.jacobian = np.zeros((n, 0))
+        self.started = False
+
+    @property
+    def penalty(self) -> np.ndarray:
+        """Weight of a hard row's L1 slack, or ρ of a multiplier row."""
+        return np.where(self.hard, self.given, self.rho * self.given)
+
+    def values(self, z: np.ndarray, general: Any) -> np.ndarray:
+        """h at z = [x; u]; ``general``: values of the rows that are not of one variable."""
+        index = self.place[: self.boxes].astype(int)
+        return np.concatenate(
+            [self.sign[: self.boxes] * z[index] + self.offset[: self.boxes], np.array(general).ravel()]
+        )
+
+    def linearise(self, z: np.ndarray, general: Any, jacobian: Any) -> None:
+        """h and its Jacobian by z."""
+        self.h = self.values(z, general)
+        selection = np.zeros((self.boxes, z.size))
+        selection[np.arange(self.boxes), self.place[: self.boxes].astype(int)] = self.sign[: self.boxes]
+        self.jacobian = np.vstack([selection, np.array(jacobian).reshape(-1, z.size)])
+
+    def start(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+        """As start_rows of the compiled solver."""
+        if keep_slacks and self.started:
+            return
+        self.started = True
+        self.t = np.where(self.h > least, self.h, least)
+        kept = self.l if keep else np.where(self.hard, mu / self.t, 0.0)
+        kept = np.where(self.hard & ~(kept > 0.0), mu / self.t, kept)
+        self.l = np.where(self.hard, np.clip(kept, 1e-12, 0.99 * self.penalty), kept)
+        self.s = np.where(self.soft, np.maximum(self.t - self.h, mu / (self.penalty - self.l)), 0.0)
+
+    def weights(self, mu: float) -> tuple[np.ndarray, np.ndarray]:
+        """σ and e."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            y = self.penalty - self.l
+            softness = np.where(self.hard, self.t / self.l + self.s / y, 1.0)
+            sigma = np.where(self.hard, 1.0 / softness, self.penalty)
+            e = self.h - mu / self.l + mu / y - self.l * softness
+        e = np.where(
+            self.hard, e, self.h + np.where(self.equal, 1.0, -1.0) * self.l / np.where(self.hard, 1.0, self.penalty)
+        )
+        active = self.counts & (self.hard | self.equal | (self.l > self.penalty * self.h))
+        return np.where(active, sigma, 0.0), np.where(active, e, 0.0)
+
+    def step(self, mu: float, dz: np.ndarray) -> None:
+        """Changes of t, l and s."""
+        sigma, e = self.weights(mu)
+        change = self.jacobian @ dz
+        following = -sigma * (change + e)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.dl = np.where(self.hard, following, np.where(self.equal, -following, 0.0)) - self.l
+            pull = np.maximum(0.0, self.l - self.penalty * (self.h + change))
+            self.dl = np.where(self.multiplier, pull - self.l, self.dl)
+            self.dt = np.where(self.hard, (mu - self.l * self.t - self.t * self.dl) / self.l, 0.0)
+            self.ds = np.where(self.soft, (mu + self.s * self.dl) / (self.penalty - self.l) - self.s, 0.0)
+        self.dl, self.dt, self.ds = (np.where(self.counts, d, 0.0) for d in (self.dl, self.dt, self.ds))
+        self.change = change
+
+    def slope(self, mu: float) -> float:
+        """Directional derivative of the rows' cost."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hard = np.where(self.hard, -mu * self.dt / self.t, 0.0)
+            soft = np.where(self.soft, self.ds * (self.penalty - mu / self.s), 0.0)
+            pull = np.where(self.multiplier, -np.maximum(0.0, self.l - self.penalty * self.h) * self.change, 0.0)
+        return float(np.where(self.counts, hard + soft + pull, 0.0).sum())
+
+    def reach(self, tau: float) -> tuple[float, float]:
+        """Largest primal and dual step."""
+
+        def longest(value: np.ndarray, step: np.ndarray, mask: np.ndarray) -> float:
+            mask = mask & self.counts & (step < -tau * value)
+            return float(np.min(-tau * value[mask] / step[mask], initial=1.0))
+
+        primal = min(longest(self.t, self.dt, self.hard), longest(self.s, self.ds, self.soft))
+        return primal, min(longest(self.l, self.dl, self.hard), longest(self.penalty - self.l, -self.dl, self.soft))
+
+    def take(self, primal: float, dual: float, solved: bool) -> None:
+        """Move; multipliers of MULTIPLIER rows only when their subproblem is ``solved``."""
+        self.t, self.s = self.t + primal * self.dt, self.s + primal * self.ds
+        self.l = self.l + np.where(self.hard, dual, np.where(self.multiplier & (not solved), 0.0, primal)) * self.dl
+
+    def merit(self, h: np.ndarray, alpha: float, mu: float) -> tuple[float, float]:
+        """Cost and violation at values h with slacks ``alpha`` of the step further."""
+        t, s = (self.t + alpha * self.dt, self.s + alpha * self.ds) if alpha > 0.0 else (self.t, self.s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cost = np.where(self.hard, -mu * np.log(t), 0.0)
+            cost += np.where(self.soft, self.penalty * s - mu * np.log(np.where(self.soft, s, 1.0)), 0.0)
+            pull = np.maximum(0.0, self.l - self.penalty * h)
+            cost += np.where(self.multiplier, 0.5 * (pull**2 - self.l**2) / self.penalty, 0.0)
+        violation = np.where(self.hard, np.abs(h + s - t), np.where(self.equal, np.abs(h), 0.0))
+        return float(cost[self.counts].sum()), float(violation[self.counts].sum())
+
+    def residuals(self) -> tuple[float, float]:
+        """Largest complementarity product and primal residual."""
+        with np.errstate(invalid="ignore"):
+            product = np.where(self.hard, self.l * self.t, 0.0)
+            product = np.maximum(product, np.where(self.soft, (self.penalty - self.l) * self.s, 0.0))
+        other = np.where(self.equal, np.abs(self.h), np.abs(np.minimum(self.h, self.l / self.penalty)))
+        primal = np.where(self.hard, np.abs(self.h + self.s - self.t), other)
+        return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))
 
 
 class InterpretedSolver:
@@ -68,6 +196,9 @@ class InterpretedSolver:
         )  # fmt: skip
         self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)
         self.values, self.derivatives = problem.values, problem.derivatives
+        self.own = [RowState(problem.path if k < n else problem.end, k == 0) for k in range(n + 1)]
+        self.mu, self.shift, self.policy = 0.0, 0.0, False
+        self.feed = np.zeros((n, nu))
 
     def _p(self, k: int) -> np.ndarray:
         return self.ws.p[k, : self.problem.node.size]  # type: ignore[no-any-return]
@@ -112,7 +243,13 @@ class InterpretedSolver:
         finally:
             self.ws.grid = saved
 
-    def _merit(self, x: np.ndarray, u: np.ndarray, x0: np.ndarray) -> tuple[float, float]:
+    def _rows(self, k: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Values of node k's rows."""
+        general = self.values["rows"](x, u, self._p(k), self.ws.w) if k < len(self.ws.u) else None
+        general = self.values["end_rows"](x, self._p(k), self.ws.w) if general is None else general
+        return self.own[k].values(np.concatenate([x, u]), general)
+
+    def _merit(self, x: np.ndarray, u: np.ndarray, x0: np.ndarray, alpha: float = 0.0) -> tuple[float, float]:
         ws, n = self.ws, len(u)
         violation = np.abs(x0 - x[0]).sum()
         cost = float(self.values["terminal"](x[n], self._p(n), ws.w)) + barrier(self.end, x[n])[0]
@@ -122,103 +259,230 @@ class InterpretedSolver:
             arguments = (x[k], u[k], self._p(k), ws.w)
             cost += h * (float(self.values["cost"](*arguments)) + barrier(self.path, np.concatenate([x[k], u[k]]))[0])
             violation += np.abs(np.array(self.values["equality"](*arguments))).sum()
-        return cost, float(violation)
+            more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
+            cost, violation = cost + h * more, violation + h * broken
+        more, broken = self.own[n].merit(self._rows(n, x[n], u[-1]), alpha, self.mu)
+        return cost + more, float(violation + broken)
 
     def _node(self, k: int) -> tuple[np.ndarray, ...]:
-        """a, b, gap, h, g, c, d, e of one node."""
+        """a, b, gap, h, g, c, d, e of one node; then h without the rows and the gradient without them."""
         ws, nx = self.ws, self.problem.nx
         h = ws.grid[k + 1] - ws.grid[k]
         arguments = (ws.x[k], ws.u[k], self._p(k), ws.w)
         _, g, hessian = self.derivatives["cost_quadratic"](*arguments, h)
         upper = np.array(hessian)
-        full = upper + np.triu(upper, 1).T
-        _, slope, curve = barrier(self.path, np.concatenate([ws.x[k], ws.u[k]]))
+        z = np.concatenate([ws.x[k], ws.u[k]])
+        _, slope, curve = barrier(self.path, z)
+        full = upper + np.triu(upper, 1).T + h * np.diag(curve)
         end, ab = self.step(ws.x[k], ws.u[k], k)
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](*arguments))
         gradient = np.array(g).ravel() + h * slope
-        return (
-            ab[:, :nx],
-            ab[:, nx:],
-            end - ws.x[k + 1],
-            full + h * np.diag(curve),
-            gradient,
-            cd[:, :nx],
-            cd[:, nx:],
-            e.ravel(),
-        )
+        rows = self.own[k]
+        rows.linearise(z, *self.derivatives["rows_jacobian"](*arguments))
+        sigma, offset = rows.weights(self.mu)
+        j = rows.jacobian
+        whole = full + h * j.T @ (sigma[:, None] * j) + self.shift * np.eye(z.size)
+        pulled = gradient + h * j.T @ (sigma * offset)
+        parts = (ab[:, :nx], ab[:, nx:], end - ws.x[k + 1], whole, pulled, cd[:, :nx], cd[:, nx:], e.ravel())
+        return (*parts, full, gradient)
 
-    def _terminal(self) -> tuple[np.ndarray, np.ndarray]:
-        ws, n = self.ws, len(self.ws.u)
+    def _terminal(self) -> tuple[np.ndarray, ...]:
+        """h, g with rows, h, g without."""
+        ws, n, nx = self.ws, len(self.ws.u), self.problem.nx
         _, g, hessian = self.derivatives["terminal_quadratic"](ws.x[n], self._p(n), ws.w)
         upper = np.array(hessian)
         _, slope, curve = barrier(self.end, ws.x[n])
-        return upper + np.triu(upper, 1).T + np.diag(curve), np.array(g).ravel() + slope
+        full, gradient = upper + np.triu(upper, 1).T + np.diag(curve), np.array(g).ravel() + slope
+        rows = self.own[n]
+        values, jacobian = self.derivatives["end_rows_jacobian"](ws.x[n], self._p(n), ws.w)
+        rows.linearise(ws.x[n], values, jacobian)
+        sigma, offset = rows.weights(self.mu)
+        j = rows.jacobian
+        whole = full + j.T @ (sigma[:, None] * j) + self.shift * np.eye(nx)
+        return whole, gradient + j.T @ (sigma * offset), full, gradient
 
     def iterate(self, x0: np.ndarray) -> dict[str, Any]:
         """Linearise and find the step; returns dx, du, the nodes' data and the cost's slope."""
         ws, n = self.ws, len(self.ws.u)
         nodes = [self._node(k) for k in range(n)]
-        end, end_slope = value, slope = self._terminal()
+        end = self._terminal()
+        value, slope = end[:2]
         eps = self.problem.compliance + 1e-14
-        feeds = [np.zeros(0)] * n
         for k in reversed(range(n)):
-            ws.k[k], feeds[k], value, slope = riccati_step(*nodes[k], eps, value, slope)  # type: ignore[call-arg]
+            ws.k[k], self.feed[k], value, slope = riccati_step(*nodes[k][:8], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
         kkt, along, curvature = 0.0, 0.0, 0.0
-        for k, (a, b, gap, h, g, *_) in enumerate(nodes):
-            du.append(ws.k[k] @ dx[k] + feeds[k])
+        for k, (a, b, gap, h, _, _, _, _, own, g) in enumerate(nodes):
+            du.append(ws.k[k] @ dx[k] + self.feed[k])
             dz = np.concatenate([dx[k], du[k]])
-            kkt, along, curvature = max(kkt, np.abs(h @ dz).max()), along + g @ dz, curvature + dz @ h @ dz
+            kkt, along, curvature = max(kkt, np.abs(own @ dz).max()), along + g @ dz, curvature + dz @ h @ dz
             dx.append(a @ dx[k] + b @ du[k] + gap)
-        kkt, along = max(kkt, np.abs(end @ dx[n]).max()), along + end_slope @ dx[n]
-        curvature += dx[n] @ end @ dx[n]
+            self.own[k].step(self.mu, dz)
+        kkt, along = max(kkt, np.abs(end[2] @ dx[n]).max()), along + end[3] @ dx[n]
+        self.own[n].step(self.mu, dx[n])
+        curvature += dx[n] @ end[0] @ dx[n]
+        h = np.append(np.diff(ws.grid), 1.0)
+        along += sum(w * rows.slope(self.mu) for w, rows in zip(h, self.own, strict=True))
         return {
             "dx": np.array(dx), "du": np.array(du), "kkt": kkt, "slope": along, "curvature": curvature, "value": value,
         }  # fmt: skip
 
+    def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
+        """States and inputs a step further; with ``single`` the policy is rolled out."""
+        ws = self.ws
+        if not single:
+            return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
+        x, u = np.zeros_like(ws.x), np.zeros_like(ws.u)
+        x[0] = x0
+        for k in range(len(u)):
+            u[k] = ws.u[k] + alpha * self.feed[k] + ws.k[k] @ (x[k] - ws.x[k])
+            x[k + 1] = self.step(x[k], u[k], k)[0]
+        return x, u
+
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
     ) -> tuple[int, int]:
-        """The same as :func:`wbmpc.solver.receding.receding_solve`."""
-        from wbmpc.solver.driver import accept
+        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps."""
+        from wbmpc.solver.driver import SETTINGS
         from wbmpc.solver.receding import sample
 
+        if settings.line_search != "merit" or self.problem.ocp.align_events or self.problem.jumps:
+            raise InputError(
+                "the interpreted backend has neither filter nor aligned events nor jumps; valid: 'compiled'"
+            )
         ws = self.ws
         for k in range(len(ws.grid)):
-            sample(tables, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
+            sample.python(*tables, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
         if delta > 0.0:
             self._shift(delta)
-        penalty, first_alpha, last_kkt = 0.0, 1.0, np.inf
-        for it in range(settings.iterations):
-            cost, violation = self._merit(ws.x, ws.u, x0)
+        c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
+        self.mu, self.shift = c.mu_start, 0.0
+        start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
+        self._start_rows(*start)
+        if c.single_shooting:
+            if not self.policy:
+                self.iterate(x0)
+            ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
+            self._start_rows(*start)
+        return self._iterate_to_the_end(x0, c, log)
+
+    def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+        for k, rows in enumerate(self.own):
+            rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
+            rows.rho = 1.0
+            rows.start(mu, least, keep, keep_slacks)
+
+    def forget(self) -> None:
+        """Slacks and multipliers start anew."""
+        for rows in self.own:
+            rows.l, rows.started = np.zeros_like(rows.l), False
+
+    def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
+        from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu
+
+        penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
+        last_residual = np.inf
+        self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
+        while it < limit:
+            self.shift = shift
+            cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             s = self.iterate(x0)
             size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
-            log[it] = (cost, violation, s["kkt"], size, 0.0, violation, 0.0)
-            if not np.isfinite([cost, violation, size]).all():
-                return 3, it + 1
-            if settings.certify and s["kkt"] <= settings.tolerance and violation <= settings.feasibility:
-                return 0, it + 1
-            if violation > 1e-12:
-                curvature = s["curvature"] if settings.certify else 0.0  # the compiled solver has it only then
-                penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / violation)
-            first_alpha = max(0.5 * first_alpha, 0.1) if s["kkt"] > last_kkt else min(1.3 * first_alpha, 1.0)
-            last_kkt = s["kkt"]
-            alpha = first_alpha
-            while True:
-                x, u = ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
-                if accept(*self._merit(x, u, x0), cost, violation, s["slope"], penalty, alpha):
-                    break
-                alpha *= 0.5
-                if alpha < settings.smallest_step:
-                    alpha, x, u = 1.0, ws.x + s["dx"], ws.u + s["du"]
-                    if settings.force_step and np.isfinite(self._merit(x, u, x0)).all():
-                        break
-                    return 2, it + 1
-            ws.x[:], ws.u[:] = x, u
-            for row in ws.x:
-                self._normalise(row)
-            log[it, 4] = alpha
-        return 1, settings.iterations
+            product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
+            kkt = s["kkt"] if c.certify else np.nan
+            log[it] = (
+                cost - self._row_cost(),
+                violation,
+                kkt,
+                size,
+                0.0,
+                violation,
+                0.0,
+                residual,
+                product,
+                self.mu,
+                shift,
+                1.0,
+            )
+            it += 1
+            if not np.isfinite([cost, violation, s["slope"]]).all():
+                return NOT_FINITE, it
+            if abs(cost) > HUGE or size > HUGE:
+                return DIVERGED, it
+            feasible = max(violation, residual) <= c.feasibility
+            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu:
+                if self.mu <= c.mu_end or not has_rows:
+                    return 0, it
+                self.mu, first, last_kkt = next_mu.python(self.mu, c.mu_end, 0.0, self.mu), 1.0, np.inf
+                continue
+            h = np.append(np.diff(self.ws.grid), 1.0)
+            drop = violation - sum(
+                w * np.abs((r.h + r.change)[r.equal & r.counts]).sum() for w, r in zip(h, self.own, strict=True)
+            )
+            if drop > 1e-10:
+                curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
+                penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
+            invisible = abs(s["slope"]) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+            first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
+            last_kkt = kkt
+            reaches = [r.reach(c.tau) for r in self.own]
+            primal, dual = (min(v) for v in zip(*reaches, strict=True))
+            alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
+            if alpha == 0.0:
+                shift = max(10.0 * shift, 1e-4)
+                if shift > c.largest_shift:
+                    return NO_STEP, it
+                continue
+            shift = 0.2 * shift if shift > 1e-6 else 0.0
+            solved = not c.certify or kkt <= max(c.tolerance, 0.1 * residual)
+            for rows in self.own:
+                rows.take(alpha, dual, solved)
+            if has_rows:
+                error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
+                after = next_mu.python(self.mu, c.mu_end, error, product)
+                after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
+                if c.certify and (solved or alpha > 0.9):
+                    if residual > c.feasibility and residual > 0.25 * last_residual:
+                        last_kkt = np.inf
+                        for r in self.own:
+                            r.rho = min(4.0 * r.rho, 1e6)
+                    last_residual = residual
+                if after != self.mu:
+                    self.mu, last_kkt = after, np.inf
+            self.policy = True
+            log[it - 1, 4] = alpha
+            if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
+                limit += 1
+        return 1, it
+
+    def _row_cost(self) -> float:
+        """What the rows add to the cost at the iterate."""
+        h = np.append(np.diff(self.ws.grid), 1.0)
+        return float(sum(w * r.merit(r.h, 0.0, self.mu)[0] for w, r in zip(h, self.own, strict=True)))
+
+    def _search(
+        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,
+        reach: float,
+    ) -> float:  # fmt: skip
+        """The accepted step length, 0 for none; the iterate has moved."""
+        from wbmpc.solver.driver import accept
+
+        single, ratio = bool(c.single_shooting), first
+        while ratio >= c.smallest_step or c.force_step:
+            alpha = ratio * reach if ratio >= c.smallest_step else reach
+            x, u = self._trial(s, alpha, x0, single)
+            merit = self._merit(x, u, x0, alpha)
+            forced = ratio < c.smallest_step
+            good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
+            if good:
+                self.ws.x[:], self.ws.u[:] = x, u
+                for row in self.ws.x:
+                    self._normalise(row)
+                return float(alpha)
+            if forced:
+                break
+            ratio *= 0.5
+        return 0.0
 
     def _shift(self, delta: float) -> None:
         ws = self.ws

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
+from wbmpc.solver.certificate import Violation
 from wbmpc.solver.workspace import LOG
 
 
@@ -14,9 +16,12 @@ class Status(Enum):
     """How a solve ended; the value is a sentence."""
 
     CONVERGED = "converged: the optimality conditions hold to the tolerance"
+    RELAXED = "converged, but a hard limit cannot be held: it was relaxed as little as possible"
     ITERATION_LIMIT = "stopped at the iteration limit"
     NO_STEP = "stopped: no step length improves cost or constraints"
+    INFEASIBLE = "failed: the constraints cannot all be met, or not from this guess"
     NOT_FINITE = "failed: the cost, a constraint or the step is not finite"
+    DIVERGED = "failed: the cost or the step grows without bound"
 
 
 @dataclass(frozen=True)
@@ -40,16 +45,25 @@ class Solution:
     kkt: float
     solve_time: float
     log: np.ndarray
+    violations: Mapping[str, Violation] = field(default_factory=dict)
+    detail: str = ""
+
+    @property
+    def worst(self) -> Violation | None:
+        """The constraint that is violated most, in its own unit; None without constraints."""
+        return max(self.violations.values(), key=lambda v: v.value, default=None)
 
     @property
     def usable(self) -> bool:
         """Whether the trajectory is finite and was not refused."""
-        return self.status is not Status.NOT_FINITE and bool(np.isfinite(self.u[0]).all())
+        bad = (Status.NOT_FINITE, Status.DIVERGED)
+        return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
 
     def __str__(self) -> str:
+        why = f" ({self.detail})" if self.detail else ""
         return (
-            f"{self.status.value}; {self.iterations} iterations, cost {self.cost:.6g}, violation {self.violation:.2e}, "
-            f"KKT residual {self.kkt:.2e}, {1e3 * self.solve_time:.3f} ms"
+            f"{self.status.value}{why}; {self.iterations} iterations, cost {self.cost:.6g}, "
+            f"violation {self.violation:.2e}, KKT residual {self.kkt:.2e}, {1e3 * self.solve_time:.3f} ms"
         )
 
 

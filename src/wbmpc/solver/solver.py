@@ -1,46 +1,26 @@
-"""SQP by multiple shooting with a Riccati recursion: the solver that users hold."""
+"""The solver that users hold: one problem, one algorithm, its memory and its warm start."""
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError, SolveFailed, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
+from wbmpc.solver.certificate import Checks, not_finite
+from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
-_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE)
-
-
-@dataclass(frozen=True)
-class SQP:
-    """Settings.
-
-    ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
-    ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
-    ``force_step``; ``backend``: machine code, or the interpreted twin.
-    """
-
-    iterations: int = 100
-    tolerance: float = 1e-8
-    feasibility: float = 1e-6
-    smallest_step: float = 1e-3
-    certify: bool = True
-    force_step: bool = False
-    backend: Literal["compiled", "interpreted"] = "compiled"
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise InputError(f"SQP: iterations must be at least 1, got {self.iterations}")
-        if self.backend not in ("compiled", "interpreted"):
-            raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
+_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
 
 
 @dataclass
@@ -52,10 +32,12 @@ class Solver:
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        if isinstance(self.settings, SLQ):
+            self.ocp = self.ocp.refined(self.settings.step)
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem = Transcription(self.ocp)
+        self.problem = Transcription(self.ocp, self._exact())
         self.kernel = None
         if self.settings.backend == "compiled":
             from wbmpc.kernel import build_kernel
@@ -69,7 +51,25 @@ class Solver:
         self.references: dict[str, Reference] = {}
         self.schedule = ModeSchedule((nothing,))
         self._tables = None
-        self.log = np.zeros((self.settings.iterations, len(LOG)))
+        self.log = np.zeros((self.settings.most_iterations, len(LOG)))
+        self.numbers = self.settings.numbers()
+        if self.kernel is not None:
+            self._bind()
+
+    def _exact(self) -> bool:
+        if self.settings.hessian != "exact":
+            return False
+        jumps = getattr(self.ocp.dynamics, "jump", None) is not None
+        bad = {
+            f"integrator='{self.ocp.integrator}'": self.ocp.integrator != "rk2",
+            "a state that jumps at events": jumps,
+            "quaternions": bool(self.ocp.dynamics.unit_quaternions),
+            "backend='interpreted'": self.settings.backend != "compiled",
+        }
+        for name, given in bad.items():
+            if given:
+                raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
+        return True
 
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
@@ -88,6 +88,7 @@ class Solver:
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
+        self.problem.check_schedule(schedule)
         self.schedule = schedule
         self._tables = None
 
@@ -115,6 +116,13 @@ class Solver:
                 raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
             trajectory[:] = given[name]
 
+    def forget(self) -> None:
+        """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
+        if self.settings.backend == "interpreted":
+            self.twin.forget()
+        else:
+            self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+
     def tables(self):  # type: ignore[no-untyped-def]
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
@@ -129,24 +137,24 @@ class Solver:
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        if self.settings.backend == "interpreted":
+            return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
+        self.x0[:] = x0
+        tables, out = self.tables(), self._out
+        self._entry(
+            self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
+            self._numbers, self._log, ctypes.addressof(out),
+        )  # fmt: skip
+        return out[0], out[1]
+
+    def _bind(self) -> None:
+        """Addresses of what every solve passes on: a call then costs microseconds."""
         from wbmpc.solver.receding import receding_solve
 
-        s = self.settings
-        if s.backend == "interpreted":
-            return self.twin.run(self.tables(), t0, delta, x0, s, self.log)
-        args = (
-            t0,
-            delta,
-            x0,
-            s.iterations,
-            s.tolerance,
-            s.feasibility,
-            s.smallest_step,
-            s.certify,
-            s.force_step,
-            self.log,
-        )
-        return receding_solve(self.ws.memory, self.ws.table, self.tables(), *args)  # type: ignore[no-any-return]
+        self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
+        self.x0 = np.zeros(self.problem.nx)
+        arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
+        self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
@@ -155,11 +163,14 @@ class Solver:
         from wbmpc.solver.receding import simulate
 
         out = np.empty(self.problem.nx)
-        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x), np.ascontiguousarray(u), h, out)
+        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), h, out)
         return out
 
-    def solve(self, x0: np.ndarray, t0: float = 0.0) -> Solution:
-        """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s]."""
+    def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
+        """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
+
+        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
+        """
         x0 = np.ascontiguousarray(x0, float)
         nx = self.problem.nx
         if x0.shape != (nx,):
@@ -169,13 +180,61 @@ class Solver:
             raise InputError(f"initial state: '{bad}' is not finite")
         start = time.perf_counter()
         status, count = self.run(x0, t0)
-        return self.solution(status, count, time.perf_counter() - start)
+        elapsed = time.perf_counter() - start
+        solution = self.solution(status, count, elapsed)
+        if self.settings.certify or not solution.usable:
+            solution = self._certified(solution)
+        if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
+            raise SolveFailed(str(solution))
+        return solution
+
+    def _certified(self, solution: Solution) -> Solution:
+        """The solution with its violations by name, and the status that these show."""
+        ws, status, detail = self.ws, solution.status, ""
+        if status is Status.NOT_FINITE:
+            detail = not_finite(self.problem, ws)
+            if detail or solution.violation < self.settings.feasibility:
+                return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
+            status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
+        violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
+        worst = max(violations.values(), key=lambda v: v.value, default=None)
+        if status is Status.DIVERGED:
+            k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
+            name = self.ocp.dynamics.state.names[i]
+            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}, cost {solution.cost:.3g}"
+        elif status is not Status.CONVERGED and solution.log[-1, COLUMNS["violation"]] > self.settings.feasibility:
+            detail = (
+                f"largest violation: {worst}" if worst is not None and worst.value > 0.0 else "gaps of the dynamics"
+            )
+            if self._stuck(solution):
+                status = Status.INFEASIBLE
+        elif status is Status.CONVERGED:
+            hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
+            most = max(hard, key=lambda v: v.value, default=None)
+            if most is not None and most.value > 1e-5:
+                status, detail = Status.RELAXED, str(most)
+        return replace(solution, status=status, violations=violations, detail=detail)
+
+    def _stuck(self, solution: Solution) -> bool:
+        """Whether the violation has not halved over the second half of the iterations."""
+        violation = solution.log[:, COLUMNS["violation"]]
+        slow = len(violation) >= 10 and violation[-1] > 0.5 * violation[len(violation) // 2]
+        return solution.status is Status.NO_STEP or bool(slow)
+
+    @cached_property
+    def _checks(self) -> Checks:
+        return Checks(self.problem)
+
+    @staticmethod
+    def status(code: int) -> Status:
+        """What a status code of :meth:`run` means."""
+        return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory."""
         row = self.log[count - 1]
         return Solution(
-            status=_STATUS[status],
+            status=self.status(status),
             times=self.ws.grid.copy(),
             x=self.ws.x.copy(),
             u=self.ws.u.copy(),

@@ -11,12 +11,26 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.kernel import Kernel
+from wbmpc.kernel.compiled import ADDRESSES as FUNCTIONS
 from wbmpc.kernel.dense import pad
 from wbmpc.ocp import Transcription
-from wbmpc.ocp.transcription import BoxRow
+from wbmpc.ocp.rows import BoxRow, Row
 
 #: Columns of the iteration log.
-LOG = ("cost", "violation", "kkt", "step", "alpha", "defect", "equality")
+LOG = (
+    "cost",
+    "violation",
+    "kkt",
+    "step",
+    "alpha",
+    "defect",
+    "equality",
+    "inequality",
+    "complementarity",
+    "mu",
+    "shift",
+    "dual_alpha",
+)
 
 #: Entries of the integer table before the function addresses: dimensions, then offsets [doubles] into the memory.
 DIMENSIONS = (
@@ -33,6 +47,15 @@ DIMENSIONS = (
     "terminal_boxes",
     "quaternions",
     "base",
+    "row_boxes",  # rows with a state of their own: of single variables, general; along the path, at the end
+    "row_general",
+    "end_boxes",
+    "end_general",
+    "rows",  # their places per node
+    "jumps",
+    "align",
+    "exact",  # whether the Hessian is the exact one
+    "policy",  # whether the gains belong to the present trajectory
 )
 BLOCKS = (
     "grid",  # (N + 1,) s
@@ -52,20 +75,48 @@ BLOCKS = (
     "value",  # (nx + 1, lx): value function
     "terminal",  # (nx + 1, lx)
     "scratch",
-    "gradient",  # (N + 1, lz)
+    "gradient",  # (N + 1, lz), of the cost without the rows
     "j1",  # (nx, lz)
     "j2",
     "s1",
     "s2",
     "f",  # (6, lx)
-    "small",  # (16 + ng,)
-    "boxes",  # (rows, 4): sign, offset, μ, δ; path rows first
+    "small",  # (16 + largest number of equalities or general rows,)
+    "boxes",  # (relaxed barriers, 4): sign, offset, μ, δ; path first
+    "rows_h",  # (N + 1, rows): value, slack, multiplier, L1 slack, σ, e, J δz, next multiplier, steps of the slacks
+    "rows_t",
+    "rows_l",
+    "rows_s",
+    "rows_c",
+    "rows_e",
+    "rows_d",
+    "rows_n",
+    "rows_dt",
+    "rows_ds",
+    "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
+    "row_table",  # (path rows, then end rows, 3): sign, offset, penalty
+    "row_jacobian",  # (N, nr, lz)
+    "row_scaled",  # (nr, lz)
+    "end_jacobian",  # (ne, lz)
+    "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
+    "grid_old",
+    "state",  # (16,): μ, shift of the Hessian, … (see places.py)
+    "filter",  # (64, 2): cost, violation
+    "adjoint",  # (4, lx): costate, its two multiples, spare
+    "multiplier",  # (equalities,)
+    "signed",  # (general rows,): their multipliers with the sign of the Lagrangian
+    "normal",  # (equalities, equalities)
+    "second",  # (nz, lz): second derivatives
+    "chained",  # (nz, lz)
 )
-#: First index of the function addresses, of the pointer tables and of the boxes' indices in the integer table.
+#: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
 OFFSETS = len(DIMENSIONS)
 ADDRESSES = OFFSETS + len(BLOCKS)
-POINTERS = ADDRESSES + 10
+POINTERS = ADDRESSES + len(FUNCTIONS)
 INDICES = POINTERS + 16
+
+_ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n", "rows_dt", "rows_ds", "rows_y")
+_VIEWS = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du", "rows_h", "rows_t", "rows_l", "rows_s")
 
 
 def aligned(count: int) -> np.ndarray:
@@ -106,13 +157,18 @@ class Workspace:
     value: np.ndarray
     dx: np.ndarray
     du: np.ndarray
+    rows_h: np.ndarray
+    rows_t: np.ndarray
+    rows_l: np.ndarray
+    rows_s: np.ndarray
 
 
 def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]]:
     s, n = kernel.sizes, problem.ocp.intervals
-    rows = len(problem.path_boxes) + len(problem.terminal_boxes)
+    barriers = len(problem.path_boxes) + len(problem.terminal_boxes)
     jacobian = (s.nx, s.lz)
-    return {
+    rows = max(len(problem.path.rows), len(problem.end.rows), 1)
+    shapes: dict[str, tuple[int, ...]] = {
         "grid": (n + 1,),
         "x": (n + 1, s.nx),
         "u": (n, s.nu),
@@ -136,9 +192,34 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "s1": jacobian,
         "s2": jacobian,
         "f": (6, s.lx),
-        "small": (16 + s.ng,),
-        "boxes": (max(rows, 1), 4),
+        "small": (16 + max(s.ng, s.nr, s.ne),),
+        "boxes": (max(barriers, 1), 4),
+        "row_table": (max(len(problem.path.rows) + len(problem.end.rows), 1), 3),
+        "row_jacobian": (n, max(s.nr, 1), s.lz) if s.nr else (1,),
+        "row_scaled": (max(s.nr, 1), s.lz),
+        "end_jacobian": (max(s.ne, 1), s.lz),
+        "grid_base": (n + 1,),
+        "grid_old": (n + 1,),
+        "state": (16,),
+        "filter": (64, 2),
+        "adjoint": (4, s.lx),
+        "multiplier": (max(s.ng, 1),),
+        "signed": (max(s.nr, s.ne, 1),),
+        "normal": (max(s.ng, 1), max(s.ng, 1)),
+        "second": (s.nz, s.lz) if problem.exact else (1,),
+        "chained": (s.nz, s.lz) if problem.exact else (1,),
     }
+    return shapes | {name: (n + 1, rows) for name in _ROWS}
+
+
+def _extended(places: list[int] | np.ndarray, nx: int) -> np.ndarray:
+    """Places in [x; u] as places in [x, 1, u]."""
+    index = np.asarray(places, dtype=np.int64)
+    return np.where(index >= nx, index + 1, index)
+
+
+def _row_numbers(rows: list[Row]) -> np.ndarray:
+    return np.array([(r.sign, r.offset, r.penalty) for r in rows], float).reshape(-1, 3)
 
 
 def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
@@ -150,7 +231,8 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         total += pad(int(np.prod(shapes[name])))
     memory = aligned(total)
     view = {n: memory[offsets[n] : offsets[n] + int(np.prod(shapes[n]))].reshape(shapes[n]) for n in BLOCKS}
-    view["grid"][:] = problem.ocp.grid
+    for grid in ("grid", "grid_base", "grid_old"):
+        view[grid][:] = problem.ocp.grid
     view["ab"][:, s.nx, s.nx] = 1.0
     view["dx"][:, s.nx] = 1.0
     view["eps"][: s.ng] = problem.compliance + 1e-14
@@ -159,15 +241,20 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
     if boxes.place.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
-    index = np.where(boxes.place >= s.nx, boxes.place + 1, boxes.place)  # the constant 1 sits between x and u
+    rows = [*problem.path.rows, *problem.end.rows]
+    view["row_table"][: len(rows)] = _row_numbers(rows)
     quaternions = list(problem.ocp.dynamics.unit_quaternions)
     dimensions = [
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
+        len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
+        shapes["rows_h"][1], problem.jumps, problem.ocp.align_events, problem.exact, 0,
+    ]  # fmt: skip
+    indices = [
+        *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),
+        *(int(r.kind) for r in rows), *(int(r.state_only) for r in rows), *([0] * problem.ocp.intervals),
     ]  # fmt: skip
     table = np.array(
-        [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *index, *quaternions],
-        dtype=np.int64,
+        [*dimensions, *(offsets[n] for n in BLOCKS), *kernel.addresses, *([0] * 16), *indices], dtype=np.int64
     )
-    public = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du")
-    return Workspace(memory, table, **{n: view[n] for n in public})
+    return Workspace(memory, table, **{n: view[n] for n in _VIEWS})

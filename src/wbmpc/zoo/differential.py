@@ -14,6 +14,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.model import FramePose, RobotModel, load_robot
 from wbmpc.model.symbolic import Chain, constant, rotation_about
+from wbmpc.model.tree import Link
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, sets
 from wbmpc.ocp.residuals import Symbols
 from wbmpc.zoo.problem import Equations, Rows, ZooProblem
@@ -36,7 +37,8 @@ def hand_pose(x: ca.SX) -> FramePose:
     position = ca.vertcat(x[0], x[1], ca.SX(1, 1)) + rotation_about(_UP, yaw) @ constant(_MOUNT)
     root = FramePose(position, ca.sparsify(lie.quaternion_about(_UP, yaw)), rotation_about(_UP, yaw))
     # the links from the arm's own base on, with that as the root
-    links, place = [], {}
+    links: list[Link] = []
+    place: dict[int, int] = {}
     for i in [i for i in range(len(tree.links)) if _descends(tree.links, i, first)]:
         link = tree.links[i]
         place[i] = len(links)

@@ -1,0 +1,239 @@
+"""Hard limits in closed loop: both robots in scenarios that press against them, by variants of the solver.
+
+Usage: python benchmarks/hard_limits.py [--seeds 200-219] [--scenarios NAME …] [--variants NAME …] [--json FILE] [--out DIR]
+Seeds 0 to 9 were used for tuning; 200 to 219 are for reporting. docs/hard-limits.md explains the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from limit_figure import write_figure
+from limit_scenarios import SCENARIOS, VARIANTS, Rig, Variant
+from limit_timing import iteration_times
+from rich.console import Console
+from rich.table import Table
+
+from wbmpc.loop import run_lockstep
+from wbmpc.plant.swerve import STEER_SPEED
+from wbmpc.report import versions
+
+#: What counts as outside a limit [share of the range].
+OUTSIDE = 1e-3
+#: Figure: (heading, unit, factor, goal for the worst run or None); less is better.
+FIGURES: dict[str, tuple[str, str, float, float | None]] = {
+    "command_excess": ("commands over", "%", 100.0, 1e-3),
+    "plan_input_excess": ("planned inputs over", "%", 100.0, None),
+    "plan_state_excess": ("planned states over", "%", 100.0, None),
+    "state_excess": ("states over", "%", 100.0, None),
+    "return_time": ("states back after", "s", 1.0, 0.5),
+    "clamped": ("ticks clamped", "%", 100.0, 0.01),
+    "failed": ("failed", "", 1.0, 0.0),
+    "hand_error": ("hand error", "mm", 1e3, None),
+    "solve_median": ("solve median", "ms", 1e3, None),
+    "solve_p95": ("solve p95", "ms", 1e3, None),
+}
+Runs = dict[str, dict[str, list[dict[str, float]]]]
+
+
+class Bounds:
+    """Excess over bounds (n) as a share of the range; open bounds are left out."""
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
+        self.index = np.flatnonzero(np.isfinite(upper - lower))
+        self.lower, self.upper = lower[self.index], upper[self.index]
+
+    def excess(self, values: np.ndarray) -> np.ndarray:
+        """For (…, n): how far each is outside, 0 inside."""
+        v, width = values[..., self.index], self.upper - self.lower
+        return np.maximum(np.maximum(v - self.upper, self.lower - v), 0.0) / width
+
+
+@dataclass
+class Recorder:
+    """Figures of one run, gathered at every controller tick."""
+
+    rig: Rig
+    times: list[float] = field(default_factory=list)
+    command: list[float] = field(default_factory=list)
+    wanted: list[float] = field(default_factory=list)
+    state: list[np.ndarray] = field(default_factory=list)
+    plan_state: float = 0.0
+    plan_input: float = 0.0
+    error: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        limits = self.rig.robot.limits
+        self.x = Bounds(limits.state_lower, limits.state_upper)
+        self.u = Bounds(limits.input_lower, limits.input_upper)
+        self.swerve = self.rig.robot.description.base.type == "swerve"
+        self.drive = self.u
+        if self.swerve:  # the planner leaves the steering servo a reserve up to the drives' own limit
+            upper = limits.input_upper.copy()
+            upper[self.rig.robot.input["steer"]] = STEER_SPEED
+            self.drive = Bounds(-upper, upper)
+        self._plan: Any = None
+        self._pending = sorted(self.rig.events, key=lambda e: e[0])
+
+    def __call__(self, t: float, command: Any, plans: Any) -> None:
+        """One tick; also lets the events happen that are due."""
+        while self._pending and self._pending[0][0] <= t + 1e-9:
+            self._pending.pop(0)[1]()
+        rig, plan = self.rig, plans.current
+        if plan is not self._plan:
+            self._plan = plan
+            self.plan_state = max(self.plan_state, float(self.x.excess(plan.x[1:]).max()))
+            self.plan_input = max(self.plan_input, float(self.u.excess(plan.u).max()))
+        self.times.append(t)
+        planned = float(self.u.excess(plan.feedforward(self._clock(t))).max())
+        self.command.append(max(planned, float(self.drive.excess(self._sent(command)).max())))
+        self.wanted.append(float(self.drive.excess(self._wanted()).max()))
+        self.state.append(self.x.excess(self._measured()))
+        if len(self.times) % 4 == 0:
+            self.error.append(float(np.linalg.norm(self._hand() - rig.goal(t))))
+
+    def _clock(self, t: float) -> float:
+        """The plan's time: a swerve robot's runs ahead by the drives' lag."""
+        return t + self.rig.agent.lag if self.swerve else t
+
+    def _wanted(self) -> np.ndarray:
+        return self.rig.agent.wanted[: self.rig.robot.input.size]
+
+    def _sent(self, command: Any) -> np.ndarray:
+        if not self.swerve:
+            return command.torque
+        given, out = self.rig.robot.input, self._wanted().copy()
+        out[given["wheel"]], out[given["steer"]], out[given["arm"]] = command.wheel, command.steer, command.arm
+        return out
+
+    def _measured(self) -> np.ndarray:
+        """The state as the sensors give it; of the ball robot without its noise."""
+        if self.swerve:
+            return self.rig.agent.state()
+        return self.rig.plant.state() + self.rig.plant.offset
+
+    def _hand(self) -> np.ndarray:
+        """Hand position; of the swerve robot in its estimated frame."""
+        truth = self.rig.plant.truth()
+        if not self.swerve:
+            return truth.tool
+        x, y, yaw = self.rig.agent.odometry.pose
+        c, s = np.cos(yaw), np.sin(yaw)
+        along, across, _ = truth.tool_in_base
+        return np.array([x + c * along - s * across, y + s * along + c * across, truth.tool[2]])
+
+
+def longest(outside: np.ndarray, period: float) -> float:
+    """Longest time [s] that any column of (ticks, states) stays outside."""
+    most = 0
+    for column in outside.T:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
+        if edges.size:
+            most = max(most, int(np.max(edges[1::2] - edges[::2])))
+    return most * period
+
+
+def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
+    """Figures of one run."""
+    rig = SCENARIOS[scenario](variant, seed)
+    record = Recorder(rig)
+    reason = run_lockstep(rig.plant, rig.agent, rig.mpc, rig.timing, rig.duration, record)
+    state, solve = np.array(record.state), rig.mpc.statistics.solve_times or [np.nan]
+    return {
+        "command_excess": max(record.command),
+        "plan_input_excess": record.plan_input,
+        "plan_state_excess": record.plan_state,
+        "state_excess": float(state.max()),
+        "return_time": longest(state > OUTSIDE, rig.timing.period),
+        "clamped": float(np.mean(np.array(record.wanted) > OUTSIDE)),
+        "failed": float(bool(reason) or rig.mpc.statistics.failures > 0),
+        "hand_error": float(np.mean(record.error)),
+        "solve_median": float(np.median(solve)),
+        "solve_p95": float(np.percentile(solve, 95)),
+    }
+
+
+def statistics(runs: list[dict[str, float]], figure: str) -> tuple[float, float]:
+    """Median and largest value; of failures their number twice."""
+    values = [r[figure] for r in runs]
+    return (sum(values), sum(values)) if figure == "failed" else (float(np.median(values)), float(max(values)))
+
+
+def cell(runs: list[dict[str, float]], figure: str) -> str:
+    """Median (worst), red where the worst misses its goal."""
+    _, _, factor, goal = FIGURES[figure]
+    middle, worst = statistics(runs, figure)
+    text = f"{worst:.0f}" if figure == "failed" else f"{middle * factor:.2g} ({worst * factor:.2g})"
+    return f"[red]{text}[/red]" if goal is not None and worst > goal else text
+
+
+def table(found: Runs, seeds: str) -> Table:
+    """All scenarios and variants: median (worst) over the seeds."""
+    out = Table(
+        title=f"Hard limits in closed loop, seeds {seeds}: median (worst); red: goal missed", title_justify="left"
+    )
+    out.add_column("scenario", no_wrap=True)
+    out.add_column("variant", no_wrap=True)
+    for heading, unit, _, _ in FIGURES.values():
+        out.add_column(f"{heading} [{unit}]".replace("[]", "").replace("[", r"\["), justify="right")
+    for scenario, variants in found.items():
+        for k, (name, runs) in enumerate(variants.items()):
+            out.add_row("" if k else scenario, name, *(cell(runs, f) for f in FIGURES))
+        out.add_section()
+    return out
+
+
+def to_json(found: Runs, seeds: str, times: dict[str, Any]) -> dict[str, Any]:
+    """Every run and the statistics, SI units; shares of the range are not in percent."""
+    numbers = {
+        s: {
+            v: {f: dict(zip(("median", "worst"), statistics(runs, f), strict=True)) for f in FIGURES}
+            for v, runs in by.items()
+        }
+        for s, by in found.items()
+    }
+    goals = {f: goal for f, (_, _, _, goal) in FIGURES.items() if goal is not None}
+    return {
+        "seeds": seeds, "goals": goals, "statistics": numbers, "runs": found, "iteration": times, "versions": versions()
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", default="200-219", help="first-last")
+    parser.add_argument("--scenarios", nargs="*", default=list(SCENARIOS), choices=list(SCENARIOS))
+    parser.add_argument("--variants", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--json", type=Path, help="also write all figures to this file")
+    parser.add_argument("--out", type=Path, default=Path("hard-limits"), help="directory of the figure")
+    given = parser.parse_args()
+    first, last = (int(s) for s in given.seeds.split("-"))
+    found: Runs = {}
+    for scenario in given.scenarios:
+        for name in given.variants:
+            for seed in range(first, last + 1):
+                runs = found.setdefault(scenario, {}).setdefault(name, [])
+                runs.append(run(scenario, VARIANTS[name], seed))
+                print(f"{scenario}, {name}, seed {seed}", file=sys.stderr, flush=True)
+            if given.json is not None:  # what there is so far: the study is long
+                given.json.write_text(json.dumps(to_json(found, given.seeds, {}), indent=2, allow_nan=False) + "\n")
+    times = iteration_times()
+    console = Console(width=None if sys.stdout.isatty() else 220)
+    console.print(table(found, given.seeds))
+    for name, t in times.items():
+        console.print(
+            f"{name}: one iteration {t['hard_ms']:.3f} ms hard, {t['unlimited_ms']:.3f} ms without limits, ratio {t['ratio']:.2f}"
+        )
+    if given.json is not None:
+        given.json.write_text(json.dumps(to_json(found, given.seeds, times), indent=2, allow_nan=False) + "\n")
+    for path in write_figure(found, given.out):
+        console.print(f"figure: {path}")
+
+
+if __name__ == "__main__":
+    main()

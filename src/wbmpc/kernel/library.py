@@ -1,0 +1,144 @@
+"""A library of translated functions: compiled as one module, cached, called without the interpreter lock."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import threading
+from collections.abc import Callable
+from functools import update_wrapper
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import KernelError
+from wbmpc.kernel import cache
+from wbmpc.kernel.translate import BOOL, DECLARATIONS, INTS, NONE, NUM, NUMS, Signature, Translator, Type, llvm_type
+
+_CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
+
+
+class Function:
+    """A translated function: calling it runs machine code; ``python`` is the same as ordinary Python."""
+
+    def __init__(self, library: Library, python: Callable[..., Any], result: Type, arguments: tuple[Type, ...]) -> None:
+        symbol = f"{python.__module__.rsplit('.', 1)[-1]}_{python.__name__}"
+        self.library, self.python = library, python
+        self.signature = Signature(symbol, result, arguments)
+        self._pointer: Any = None
+        update_wrapper(self, python)
+
+    @property
+    def pointer(self) -> Any:
+        """The function as ctypes calls it: the arguments, then where the results go (8 bytes each)."""
+        if self._pointer is None:
+            kinds = [
+                ctypes.c_int64 if isinstance(a, tuple) else _CTYPES.get(a, ctypes.c_int64)
+                for a in self.signature.arguments
+            ]
+            address = self.library.address(f"{self.signature.symbol}.entry")
+            self._pointer = ctypes.CFUNCTYPE(None, *kinds, ctypes.c_void_p)(address)
+        return self._pointer
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the machine code. Arrays must be contiguous, of float64 or int64."""
+        given, result = [], self.signature.result
+        for value, kind in zip(arguments, self.signature.arguments, strict=True):
+            if kind in (NUMS, INTS):
+                if value.dtype != (np.float64 if kind == NUMS else np.int64) or not value.flags.c_contiguous:
+                    raise KernelError(f"{self.signature.symbol}: contiguous float64 or int64 arrays are needed")
+                value = value.ctypes.data
+            given.append(value)
+        kinds = result if isinstance(result, tuple) else () if result == NONE else (result,)
+        out = ((ctypes.c_double if kinds and kinds[0] == NUM else ctypes.c_int64) * max(len(kinds), 1))()
+        self.pointer(*given, ctypes.addressof(out))
+        found = tuple(bool(v) if k == BOOL else v for v, k in zip(out, kinds, strict=False))
+        return found if isinstance(result, tuple) else found[0] if found else None
+
+
+def _entry(s: Signature) -> str:
+    """A wrapper with plain C arguments: truth values as integers, results through a pointer."""
+    given = [f"{'i64' if k == BOOL else llvm_type(k)} %a{i}" for i, k in enumerate(s.arguments)]
+    lines = [f"define void @{s.symbol}.entry({', '.join([*given, 'ptr %out'])}) nounwind {{"]
+    passed = []
+    for i, k in enumerate(s.arguments):
+        if k == BOOL:
+            lines.append(f"%b{i} = icmp ne i64 %a{i}, 0")
+        passed.append(f"{llvm_type(k)} %{'b' if k == BOOL else 'a'}{i}")
+    call = f"call {llvm_type(s.result)} @{s.symbol}({', '.join(passed)})"
+    lines.append(call if s.result == NONE else f"%r = {call}")
+    kinds = s.result if isinstance(s.result, tuple) else () if s.result == NONE else (s.result,)
+    for i, k in enumerate(kinds):
+        value = "%r"
+        if isinstance(s.result, tuple):
+            lines.append(f"%r{i} = extractvalue {llvm_type(s.result)} %r, {i}")
+            value = f"%r{i}"
+        if k == BOOL:
+            lines.append(f"%w{i} = zext i1 {value} to i64")
+            value = f"%w{i}"
+        lines.append(f"%o{i} = getelementptr i64, ptr %out, i64 {i}")
+        lines.append(f"store {'double' if k == NUM else 'i64'} {value}, ptr %o{i}")
+    return "\n".join([*lines, "ret void", "}"])
+
+
+class Library:
+    """Functions that are compiled together, when the first of them is called, and kept in the cache.
+
+    ``rooms``: folders of the package whose source decides whether a cached build is still right; none: no cache.
+    """
+
+    def __init__(self, name: str, rooms: tuple[str, ...] = ()) -> None:
+        self.name, self.rooms = name, rooms
+        self.functions: list[Function] = []
+        self._engine: Any = None
+        self._lock = threading.Lock()
+
+    def compiled(self, result: Type, *arguments: Type) -> Callable[[Callable[..., Any]], Function]:
+        """Decorator: the function with its result and argument types."""
+
+        def decorate(python: Callable[..., Any]) -> Function:
+            function = Function(self, python, result, arguments)
+            self.functions.append(function)
+            return function
+
+        return decorate
+
+    def source(self) -> str:
+        """The library as LLVM IR."""
+        known = {id(f): f.signature for f in self.functions}
+        find = lambda target: known.get(id(target))
+        parts = [Translator(f.python, f.signature, find).translate() for f in self.functions]
+        text = "\n".join(parts)
+        text = text.replace("\ndefine ", "\ndefine internal ").replace("define ", "define internal ", 1)
+        return "\n".join([DECLARATIONS, text, *(_entry(f.signature) for f in self.functions)])
+
+    def _key(self) -> str:
+        from wbmpc.kernel.machine import target_text
+
+        text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()}"
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def build(self) -> None:
+        """Compile, or load from the cache."""
+        from wbmpc.kernel.machine import compile_module, load_object, target_text
+
+        with self._lock:
+            if self._engine is not None:
+                return
+            key = self._key() if self.rooms else ""
+            found = cache.load(key) if key else None
+            if found is None or found[1].get("target") != target_text():
+                code = compile_module(self.source(), optimise=2)
+                if key:
+                    cache.save(key, code, {"library": self.name, "target": target_text()})
+            else:
+                code = found[0]
+            self._engine = load_object(code)
+
+    def address(self, symbol: str) -> int:
+        """Where a function is."""
+        self.build()
+        found = self._engine.get_function_address(symbol)
+        if found == 0:
+            raise KernelError(f"the library '{self.name}' has no function '{symbol}'")
+        return int(found)

@@ -1,0 +1,88 @@
+"""The target: its features, LLVM IR to object code, object code to addresses."""
+
+from __future__ import annotations
+
+import os
+import platform
+from functools import cache
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+
+from wbmpc.errors import KernelError
+
+
+@cache
+def target() -> tuple[str, str]:
+    """CPU name and features; 512-bit vectors are asked for where the target has them.
+
+    ``WBMPC_TARGET`` (name, or name and comma-separated features after a colon) compiles for another one of the same family.
+    """
+    given = os.environ.get("WBMPC_TARGET")
+    if given:
+        name, _, features = given.partition(":")
+        return name, features
+    features = llvm.get_host_cpu_features()
+    flags = features.flatten()
+    if features.get("avx512f"):
+        flags += ",-prefer-256-bit"
+    return llvm.get_host_cpu_name(), flags
+
+
+def vector_budget() -> int:
+    """How many vectors of eight doubles a product may add up in the target's registers, a few left for its operands."""
+    name, flags = target()
+    features = set(flags.split(","))
+    wide = ("+avx512f" in features, "+avx2" in features or "+avx" in features)
+    if "WBMPC_TARGET" in os.environ:
+        wide = (wide[0] or name in _AVX512, wide[1] or name in _AVX2)
+    if wide[0]:
+        return 24  # 32 registers of 8
+    if wide[1] or platform.machine() in ("aarch64", "arm64"):
+        return 6  # 16 registers of 4, or 32 of 2
+    return 3  # 16 registers of 2
+
+
+_AVX512 = ("skylake-avx512", "icelake-server", "sapphirerapids", "znver4", "znver5", "x86-64-v4")
+_AVX2 = ("haswell", "broadwell", "skylake", "znver1", "znver2", "znver3", "x86-64-v3")
+
+
+def target_text() -> str:
+    """What cached code depends on besides its source."""
+    return " ".join([*target(), llvmlite.__version__])
+
+
+@cache
+def _initialise() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+
+
+def _machine(opt: int) -> Any:
+    _initialise()
+    cpu, flags = target()
+    return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
+
+
+def compile_module(ir: str, optimise: int = 0) -> bytes:
+    """Object code of an LLVM module; ``optimise``: level of the passes on the IR (the kernels need none)."""
+    machine = _machine(1 if optimise == 0 else 2)
+    try:
+        module = llvm.parse_assembly(ir)
+    except RuntimeError as error:
+        raise KernelError(f"the generated code was refused: {str(error)[:400]}") from error
+    if optimise:
+        options = llvm.create_pipeline_tuning_options(speed_level=optimise)
+        options.loop_vectorization = True
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(module, builder)
+    return bytes(machine.emit_object(module))
+
+
+def load_object(code: bytes) -> Any:
+    """An execution engine that holds the object code."""
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(1))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine

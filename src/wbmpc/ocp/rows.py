@@ -1,0 +1,266 @@
+"""Constraints sorted by how the solver treats their rows.
+
+Four ways: rows of the Riccati recursion (state-input equalities), relaxed barriers on single variables (boxes), relaxed
+barriers on expressions (part of the cost function), and rows with a state of their own: slack and multiplier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.ocp.norms import AugmentedLagrangian
+from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.ocp.terms import Constraint
+
+#: Of the proximal multipliers of equality rows that cannot enter the Riccati recursion.
+EQUALITY_RHO = 1e4
+
+
+class Kind(IntEnum):
+    """How a row with a state of its own is treated."""
+
+    HARD = 0  # h ≥ 0 by the interior point
+    MULTIPLIER = 1  # h ≥ 0 by an augmented Lagrangian
+    EQUAL = 2  # h = 0 by a proximal multiplier
+
+
+class BoxRow(NamedTuple):
+    """Relaxed barrier on h = sign z[place] + offset ≥ 0, z = [x; u]."""
+
+    place: int
+    sign: float
+    offset: float
+    mu: float
+    delta: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row with a state of its own: h = sign z[place] + offset of one variable, or (``place`` −1) a general expression.
+
+    ``penalty``: weight of the L1 slack (infinite: no slack) or ρ; ``unit``: size of one unit of h in the residual's own;
+    ``state_only``: does not count at the measured state.
+    """
+
+    name: str
+    kind: Kind
+    place: int
+    sign: float
+    offset: float
+    penalty: float
+    unit: float
+    state_only: bool
+
+
+@dataclass
+class Place:
+    """The rows of one place (path or end of the horizon): those of single variables first, then general ones."""
+
+    barriers: list[BoxRow] = field(default_factory=list)
+    general_barriers: list[tuple[Constraint, ca.SX]] = field(default_factory=list)
+    boxes: list[Row] = field(default_factory=list)
+    general: list[Row] = field(default_factory=list)
+    expressions: list[ca.SX] = field(default_factory=list)
+
+    @property
+    def rows(self) -> list[Row]:
+        return [*self.boxes, *self.general]
+
+    def expression(self) -> ca.SX:
+        """All general rows, (rows, 1)."""
+        return ca.vertcat(*self.expressions) if self.expressions else ca.SX(0, 1)
+
+
+class Equalities(NamedTuple):
+    """Rows of the Riccati recursion."""
+
+    expression: ca.SX
+    compliance: np.ndarray
+    names: list[str]
+
+
+def row_names(term: Constraint) -> list[str]:
+    """A name for every row of a term's residual: term.group[i], or term.component where the residual names its rows."""
+    own = getattr(term.residual, "row_names", None)
+    if own is not None:
+        return [f"{term.name}.{n}" for n in own]
+    names = [term.name] * term.residual.size
+    for group, part in term.residual.groups.items():
+        for i, row in enumerate(range(part.start, part.stop)):
+            names[row] = f"{term.name}.{group}[{i}]"
+    return names
+
+
+def equality_rows(
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+) -> Equalities:
+    """Sort the rows of equality terms, given as (term, residual, switch)."""
+    parts, compliance, names = [], [], []
+    for term, r, switch in terms:
+        with_input = depends(r, u)
+        row_name = row_names(term)
+        soft = isinstance(term.penalty, AugmentedLagrangian)
+        rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
+        if term.at == "terminal" and with_input.any():
+            raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
+        for i in range(r.shape[0]):
+            row = switch * r[i]
+            if term.at != "terminal" and with_input[i] and not soft:
+                parts.append(row)
+                compliance.append(term.compliance)
+                names.append(row_name[i])
+                continue
+            own = Row(row_name[i], Kind.EQUAL, -1, 1.0, 0.0, rho, 1.0, not with_input[i])
+            if term.at != "terminal":
+                path.general.append(own)
+                path.expressions.append(row)
+            if term.at != "path" and not with_input[i]:
+                end.general.append(own)
+                end.expressions.append(row)
+    expression = ca.vertcat(*parts) if parts else ca.SX(0, 1)
+    return Equalities(expression, np.array(compliance, float), names)
+
+
+class _Side(NamedTuple):
+    """One side of an inequality: h = sign r[i] + offset ≥ 0."""
+
+    i: int
+    sign: float
+    offset: float
+    width: float  # of the allowed range, 1 where it is open
+    name: str
+
+
+def _sides(term: Constraint, rows: int) -> list[_Side]:
+    names = row_names(term)
+    if isinstance(term.set, NonNegative):
+        return [_Side(i, 1.0, 0.0, 1.0, names[i]) for i in range(rows)]
+    assert isinstance(term.set, Box)
+    lower, upper = term.set.bounds(rows)
+    if np.any(lower > upper):
+        raise InputError(f"constraint '{term.name}': a lower bound is above its upper bound")
+    width = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
+    low = [
+        _Side(int(i), 1.0, -float(lower[i]), float(width[i]), f"{names[i]} >= {lower[i]:g}")
+        for i in np.flatnonzero(np.isfinite(lower))
+    ]
+    high = [
+        _Side(int(i), -1.0, float(upper[i]), float(width[i]), f"{names[i]} <= {upper[i]:g}")
+        for i in np.flatnonzero(np.isfinite(upper))
+    ]
+    return low + high
+
+
+def inequality_rows(
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+) -> None:
+    """Sort the rows of inequality terms, given as (term, residual, switch)."""
+    z = ca.vertcat(x, u)
+    for term, r, switch in terms:
+        sides = _sides(term, r.shape[0])
+        selection = None if term.modes is not None else _selection(r, z)
+        with_input = depends(r, u)
+        if term.at == "terminal" and with_input.any():
+            raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
+        places = [(path, term.at != "terminal", sides)]
+        places.append((end, term.at != "path", [s for s in sides if not with_input[s.i]]))
+        for place, wanted, chosen in places:
+            if not wanted or not chosen:
+                continue
+            if term.hard or isinstance(term.penalty, AugmentedLagrangian):
+                _own_rows(term, r, switch, chosen, selection, with_input, place)
+            else:
+                _barriers(term, r, chosen, selection, place)
+    for place in (path, end):
+        place.barriers.sort(key=lambda b: (b.mu, b.place))
+        place.boxes.sort(key=lambda b: b.place)
+
+
+def _barriers(
+    term: Constraint, r: ca.SX, sides: list[_Side], selection: list[tuple[int, float, float]] | None, place: Place
+) -> None:
+    assert not isinstance(term.penalty, AugmentedLagrangian)
+    if selection is None:
+        place.general_barriers.append((term, ca.vertcat(*[s.sign * r[s.i] + s.offset for s in sides])))
+        return
+    for s in sides:
+        index, scale, shift = selection[s.i]
+        penalty = term.penalty
+        box = BoxRow(index, s.sign * scale, s.offset + s.sign * shift, penalty.mu, penalty.delta)
+        place.barriers.append(box)
+
+
+def _own_rows(
+    term: Constraint,
+    r: ca.SX,
+    switch: ca.SX | float,
+    sides: list[_Side],
+    selection: list[tuple[int, float, float]] | None,
+    with_input: np.ndarray,
+    place: Place,
+) -> None:
+    multiplier = isinstance(term.penalty, AugmentedLagrangian)
+    kind = Kind.MULTIPLIER if multiplier else Kind.HARD
+    widths = _paired_widths(sides, selection)
+    for s, width in zip(sides, widths, strict=True):
+        width = 1.0 if multiplier else width  # ρ is per squared unit of the residual
+        free = with_input[s.i] and selection is not None
+        slack = np.inf if free else term.slack
+        penalty = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else slack
+        if selection is not None:
+            index, scale, shift = selection[s.i]
+            sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
+            place.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
+        else:
+            # a term that does not count in the present mode is h = 1: far inside
+            h = switch * ((s.sign * r[s.i] + s.offset) / width) + (1.0 - switch)
+            place.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
+            place.expressions.append(ca.SX(h))
+
+
+def _paired_widths(sides: list[_Side], selection: list[tuple[int, float, float]] | None) -> list[float]:
+    """Widths of the ranges; rows of a NonNegative set that bound one variable from both sides make a range too."""
+    if selection is None:
+        return [s.width for s in sides]
+    bounds: dict[tuple[int, bool], float] = {}
+    for s in sides:
+        index, scale, shift = selection[s.i]
+        bounds[index, s.sign * scale > 0.0] = (s.offset + s.sign * shift) / abs(scale)
+    out = []
+    for s in sides:
+        index, scale, _ = selection[s.i]
+        pair = [bounds.get((index, side)) for side in (True, False)]
+        total = sum(p for p in pair if p is not None) if None not in pair else 0.0
+        out.append(total * abs(scale) if total > 0.0 else s.width)
+    return out
+
+
+def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
+    """For every row, whether it depends on the input."""
+    found = np.zeros(r.shape[0], bool)
+    if u.shape[0]:
+        found[list(set(ca.jacobian(r, u).sparsity().get_triplet()[0]))] = True
+    return found
+
+
+def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
+    """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
+    jacobian = ca.jacobian(r, z)
+    if ca.symvar(jacobian):
+        return None
+    dense = np.array(ca.DM(ca.densify(jacobian)))
+    if np.any((dense != 0.0).sum(axis=1) != 1):
+        return None
+    offset = ca.substitute(r, z, ca.DM.zeros(z.shape[0]))
+    if ca.symvar(offset):
+        return None
+    shift = np.array(ca.DM(ca.densify(offset))).ravel()
+    index = np.argmax(dense != 0.0, axis=1)
+    return [(int(i), float(dense[k, i]), float(shift[k])) for k, i in enumerate(index)]

@@ -1,0 +1,151 @@
+"""Settings of the solvers: which algorithm, how far, how hard limits are treated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from wbmpc.errors import InputError, unknown_name
+
+
+@dataclass(frozen=True)
+class InteriorPoint:
+    """How hard inequalities are treated.
+
+    ``mode``: "converge" drives μ from ``mu_start`` to ``mu``; "real_time" keeps it at ``mu`` and starts every solve from
+    slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration per solve is enough. Rows are in units
+    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so
+    many more iterations while the step is cut below 0.9.
+    ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
+    """
+
+    mode: Literal["converge", "real_time"] = "converge"
+    mu: float | None = None
+    mu_start: float = 0.1
+    least_slack: float | None = None
+    tau: float = 0.995
+    extra_when_cut: int = 3
+    reset: bool = True
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("converge", "real_time"):
+            raise unknown_name("interior point mode", self.mode, ("converge", "real_time"))
+        for name in ("mu", "mu_start", "least_slack"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise InputError(f"interior point: {name} must be positive, got {value}")
+        if not 0.0 < self.tau < 1.0:
+            raise InputError(f"interior point: tau must be between 0 and 1, got {self.tau}")
+
+    def numbers(self) -> dict[str, float]:
+        """What the compiled code needs."""
+        real_time = self.mode == "real_time"
+        mu = self.mu if self.mu is not None else (1e-3 if real_time else 1e-9)
+        least = self.least_slack if self.least_slack is not None else (1e-3 if real_time else 1e-2)
+        return {
+            "mu_start": mu if real_time else max(self.mu_start, mu),
+            "mu_end": mu,
+            "keep_multipliers": float(real_time),
+            "least_slack": least,
+            "tau": 0.99 if real_time else self.tau,
+            "extra_when_cut": float(self.extra_when_cut if real_time else 0),
+            "keep_slacks": float(real_time and not self.reset),
+        }
+
+
+@dataclass(frozen=True)
+class SQP:
+    """Sequential quadratic programming by multiple shooting: states and inputs are unknowns, gaps close with the steps.
+
+    ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
+    ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
+    ``force_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``largest_shift``: of the Hessian's diagonal
+    (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
+    derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only);
+    ``backend``: machine code, or the interpreted twin.
+    """
+
+    iterations: int = 100
+    tolerance: float = 1e-8
+    feasibility: float = 1e-6
+    smallest_step: float = 1e-3
+    certify: bool = True
+    force_step: bool = False
+    line_search: Literal["merit", "filter"] = "merit"
+    largest_shift: float = 1e6
+    hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
+    interior_point: InteriorPoint = field(default_factory=InteriorPoint)
+    backend: Literal["compiled", "interpreted"] = "compiled"
+
+    single_shooting = False
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.iterations < 1:
+            raise InputError(f"{name}: iterations must be at least 1, got {self.iterations}")
+        if self.backend not in ("compiled", "interpreted"):
+            raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
+        if self.line_search not in ("merit", "filter"):
+            raise unknown_name("line search", self.line_search, ("merit", "filter"))
+        if self.hessian not in ("gauss_newton", "exact"):
+            raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
+        for key in ("tolerance", "feasibility", "smallest_step"):
+            if not getattr(self, key) > 0.0:
+                raise InputError(f"{name}: {key} must be positive, got {getattr(self, key)}")
+
+    @classmethod
+    def real_time(cls, iterations: int = 1, **more: object) -> SQP:
+        """One iteration (or a few) per solve from the shifted last solution, hard limits included: for use in an MPC."""
+        interior = InteriorPoint("real_time")
+        given = {
+            "certify": False,
+            "smallest_step": 0.2,
+            "force_step": True,
+            "largest_shift": 0.0,
+            "interior_point": interior,
+        }
+        return cls(iterations=iterations, **(given | more))  # type: ignore[arg-type]
+
+    @property
+    def most_iterations(self) -> int:
+        """Rows that the iteration log needs."""
+        return self.iterations + max(int(self.interior_point.extra_when_cut), 0)
+
+    def numbers(self) -> np.ndarray:
+        """The settings in the order of :data:`wbmpc.solver.driver.SETTINGS`."""
+        from wbmpc.solver.driver import SETTINGS
+
+        own = {
+            "iterations": self.iterations, "tolerance": self.tolerance, "feasibility": self.feasibility,
+            "smallest_step": self.smallest_step, "certify": self.certify, "force_step": self.force_step,
+            "single_shooting": self.single_shooting, "use_filter": self.line_search == "filter",
+            "largest_shift": self.largest_shift, **self.interior_point.numbers(),
+        }  # fmt: skip
+        return np.array([float(own[name]) for name in SETTINGS])
+
+
+@dataclass(frozen=True)
+class ILQR(SQP):
+    """Single shooting: the policy is rolled out, feedback included, so that every iterate is a motion of the model.
+
+    Source: Tassa, Erez and Todorov 2012; Gauss-Newton instead of second derivatives.
+    """
+
+    single_shooting = True
+
+
+@dataclass(frozen=True)
+class SLQ(ILQR):
+    """ILQR on a refined grid, close to its limit in continuous time: no interval is longer than ``step`` [s].
+
+    Source: Farshidian et al. 2017, "An efficient optimal planning and control framework for quadrupedal locomotion".
+    """
+
+    step: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.step > 0.0:
+            raise InputError(f"SLQ: step must be positive, got {self.step}")

@@ -1,0 +1,217 @@
+"""Compiled code of one interval: stage functions, Runge-Kutta steps, their sensitivities, jumps at events."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, call2, call5, compiled
+from wbmpc.solver.places import (
+    AB,
+    ARG,
+    BASE,
+    CHAIN,
+    DYNAMICS,
+    DYNAMICS_J,
+    END_BOXES,
+    END_ROW_BOXES,
+    END_ROW_GENERAL,
+    GRID,
+    INDEX,
+    J1,
+    J2,
+    JUMP,
+    JUMP_J,
+    JUMPS,
+    LX,
+    LZ,
+    NP,
+    NU,
+    NX,
+    PATH_BOXES,
+    QUATERNIONS,
+    RES,
+    RK4,
+    ROW_BOXES,
+    ROW_GENERAL,
+    S1,
+    S2,
+    SLOPES,
+    SMALL,
+    P,
+    U,
+    W,
+    X,
+)  # fmt: skip
+
+
+@compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)
+def stage(o, function, x, u, p, r0, r1, r2):  # type: ignore[no-untyped-def]
+    """Call a stage function of (x, u, p, w, h); all arguments are offsets into the memory."""
+    base = o[BASE]
+    o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * u, base + 8 * p
+    o[ARG + 3], o[ARG + 4] = base + 8 * o[W], base + 8 * (o[SMALL] + 2)
+    o[RES], o[RES + 1], o[RES + 2] = base + 8 * r0, base + 8 * r1, base + 8 * r2
+    call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
+
+
+@compiled(NONE, INTS, INT, INT, INT, INT, INT)
+def stage_end(o, function, x, p, r0, r1):  # type: ignore[no-untyped-def]
+    """Call a stage function of (x, p, w): of the end of the horizon, or of an event."""
+    base = o[BASE]
+    o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * p, base + 8 * o[W]
+    o[RES], o[RES + 1], o[RES + 2] = base + 8 * r0, base + 8 * r1, base + 8 * r1
+    call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
+
+
+@compiled(INT, INTS)
+def row_index(o):  # type: ignore[no-untyped-def]
+    """First of the rows' entries in the table: their places, then kinds, then whether they depend on the state alone."""
+    return INDEX + o[PATH_BOXES] + o[END_BOXES] + o[QUATERNIONS]
+
+
+@compiled(INT, INTS)
+def row_count(o):  # type: ignore[no-untyped-def]
+    """Rows with a state of their own, path and end together."""
+    return o[ROW_BOXES] + o[ROW_GENERAL] + o[END_ROW_BOXES] + o[END_ROW_GENERAL]
+
+
+@compiled(BOOL, INTS, INT)
+def jumps_after(o, k):  # type: ignore[no-untyped-def]
+    """Whether an event with a jump of the state ends interval k."""
+    return o[JUMPS] > 0 and o[row_index(o) + 3 * row_count(o) + k] > 0
+
+
+@compiled(NONE, NUMS, INTS, INT, INT)
+def normalise(m, o, x, ab):  # type: ignore[no-untyped-def]
+    """Unit length of the quaternions of a state; with ``ab`` ≥ 0 the derivative of that onto its rows."""
+    lz, boxes = o[LZ], o[PATH_BOXES] + o[END_BOXES]
+    for s in range(o[QUATERNIONS]):
+        q = o[INDEX + boxes + s]
+        norm = np.sqrt(m[x + q] ** 2 + m[x + q + 1] ** 2 + m[x + q + 2] ** 2 + m[x + q + 3] ** 2)
+        for i in range(q, q + 4):
+            m[x + i] /= norm
+        if ab >= 0:
+            for c in range(lz):
+                along = 0.0
+                for i in range(q, q + 4):
+                    along += m[x + i] * m[ab + i * lz + c]
+                for i in range(q, q + 4):
+                    m[ab + i * lz + c] = (m[ab + i * lz + c] - m[x + i] * along) / norm
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
+def offset_state(m, o, out, x, f, c):  # type: ignore[no-untyped-def]
+    """out = x + c f."""
+    for i in range(o[NX]):
+        m[out + i] = m[x + i] + c * m[f + i]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
+def combine(m, o, out, x, k1, h):  # type: ignore[no-untyped-def]
+    """out = x + h (k1 + 2 k2 + 2 k3 + k4) / 6 with the slopes one after the other."""
+    lx = o[LX]
+    for i in range(o[NX]):
+        k = k1 + i
+        m[out + i] = m[x + i] + h / 6.0 * (m[k] + 2.0 * m[k + lx] + 2.0 * m[k + 2 * lx] + m[k + 3 * lx])
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, INT)
+def integrate(m, o, x, u, p, h, out):  # type: ignore[no-untyped-def]
+    """One Runge-Kutta step of the state at offset ``x`` to ``out``."""
+    lx = o[LX]
+    k1 = o[SLOPES]
+    middle = k1 + 4 * lx
+    stage(o, DYNAMICS, x, u, p, k1, k1, k1)
+    offset_state(m, o, middle, x, k1, 0.5 * h)
+    stage(o, DYNAMICS, middle, u, p, k1 + lx, k1, k1)
+    if o[RK4] == 0:
+        offset_state(m, o, out, x, k1 + lx, h)
+    else:
+        offset_state(m, o, middle, x, k1 + lx, 0.5 * h)
+        stage(o, DYNAMICS, middle, u, p, k1 + 2 * lx, k1, k1)
+        offset_state(m, o, middle, x, k1 + 2 * lx, h)
+        stage(o, DYNAMICS, middle, u, p, k1 + 3 * lx, k1, k1)
+        combine(m, o, out, x, k1, h)
+    normalise(m, o, out, -1)
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
+def interval(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
+    """The state at the end of interval k, after the jump if an event ends it."""
+    p, nx = o[P] + k * o[NP], o[NX]
+    integrate(m, o, x, u, p, m[o[GRID] + k + 1] - m[o[GRID] + k], out)
+    if jumps_after(o, k):
+        stage_end(o, JUMP, out, p + o[NP], o[SLOPES], o[SLOPES])
+        for i in range(nx):
+            m[out + i] = m[o[SLOPES] + i]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, NUM)
+def chain(m, o, j, s, t, ab, c, weight):  # type: ignore[no-untyped-def]
+    """t = j + c j_x s; ab += weight t."""
+    base, small = o[BASE], o[SMALL]
+    m[small], m[small + 1] = c, weight
+    call5(o[CHAIN], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * ab, base + 8 * small)
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def jump_sensitivity(m, o, x, p, ab):  # type: ignore[no-untyped-def]
+    """x = g(x) in place; rows of ab times the Jacobian of g."""
+    nx, lx, lz = o[NX], o[LX], o[LZ]
+    jacobian, rows, after = o[S1], o[S2], o[SLOPES]
+    for i in range(nx * lz):
+        m[jacobian + i] = 0.0
+    stage_end(o, JUMP_J, x, p, after, jacobian)
+    for i in range(nx):
+        m[x + i] = m[after + i]
+        for c in range(lz):
+            m[rows + i * lz + c] = 0.0
+        for j in range(nx):
+            factor = m[jacobian + i * lx + j]
+            for c in range(lz):
+                m[rows + i * lz + c] += factor * m[ab + j * lz + c]
+    for i in range(nx * lz):
+        m[ab + i] = m[rows + i]
+        m[jacobian + i] = 0.0
+        m[rows + i] = 0.0
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def linearise_dynamics(m, o, k):  # type: ignore[no-untyped-def]
+    """[A b B] of node k; returns the 1-norm of the gap b."""
+    nx, lx, lz = o[NX], o[LX], o[LZ]
+    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
+    x, u, p = o[X] + k * nx, o[U] + k * o[NU], o[P] + k * o[NP]
+    ab, j1, j2, s1, s2 = o[AB] + k * (nx + 1) * lz, o[J1], o[J2], o[S1], o[S2]
+    k1 = o[SLOPES]
+    middle, end = k1 + 4 * lx, k1 + 5 * lx
+    for i in range(nx * lz):
+        m[ab + i] = 0.0
+    for i in range(nx):
+        m[ab + i * lz + i] = 1.0
+    stage(o, DYNAMICS_J, x, u, p, k1, j1, j1)
+    offset_state(m, o, middle, x, k1, 0.5 * h)
+    stage(o, DYNAMICS_J, middle, u, p, k1 + lx, j2, j2)
+    if o[RK4] == 0:
+        chain(m, o, j2, j1, s1, ab, 0.5 * h, h)
+        offset_state(m, o, end, x, k1 + lx, h)
+    else:
+        for i in range(nx * lz):
+            m[ab + i] += h / 6.0 * m[j1 + i]
+        chain(m, o, j2, j1, s1, ab, 0.5 * h, h / 3.0)
+        offset_state(m, o, middle, x, k1 + lx, 0.5 * h)
+        stage(o, DYNAMICS_J, middle, u, p, k1 + 2 * lx, j2, j2)
+        chain(m, o, j2, s1, s2, ab, 0.5 * h, h / 3.0)
+        offset_state(m, o, middle, x, k1 + 2 * lx, h)
+        stage(o, DYNAMICS_J, middle, u, p, k1 + 3 * lx, j2, j2)
+        chain(m, o, j2, s2, s1, ab, h, h / 6.0)
+        combine(m, o, end, x, k1, h)
+    normalise(m, o, end, ab)
+    if jumps_after(o, k):
+        jump_sensitivity(m, o, end, p + o[NP], ab)
+    gap = 0.0
+    for i in range(nx):
+        difference = m[end + i] - m[x + nx + i]
+        m[ab + i * lz + nx] = difference
+        gap += abs(difference)
+    return gap
