@@ -38,6 +38,8 @@ class LQProblem:
 def linearise(program: Program, x: Array, u: Array, x0: Array) -> LQProblem:
     """The quadratic problem at the trajectory x (N + 1, nx), u (N, nu)."""
     s, stages, nx = program.samples, program.stages, program.nx
+    if program.t.path.rows or program.t.end.rows:
+        raise ValueError("the quadratic problem has no hard rows: use limits='soft'")
     rows, jacobian, quadratic = stages.constraint(), stages.jacobian(), stages.quadratic()
     dense = lambda m: np.array(ca.DM(ca.densify(m)))
     out: dict[str, list[Array]] = {k: [] for k in ("ab", "b", "h", "g", "cd", "e")}

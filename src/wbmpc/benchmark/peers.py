@@ -53,7 +53,7 @@ def _solver(name: str, prepared: Prepared, iterations: int, tolerance: float) ->
     compiled = isinstance(prepared.library, Path)
     get = lambda f: ca.external(f, str(prepared.library)) if compiled else prepared.functions[f]
     if name == "fatrop":
-        options |= {"structure_detection": "auto", "equality": [True] * prepared.program.rows}
+        options |= {"structure_detection": "auto", "equality": prepared.program.equality().tolist()}
         options |= {"fatrop.print_level": 0, "fatrop.tolerance": tolerance, "fatrop.max_iter": iterations}
     else:
         options |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": tolerance, "ipopt.max_iter": iterations}
@@ -72,10 +72,10 @@ def solve_with(
     """Solve from a guess x (N + 1, nx), u (N, nu): states, inputs, and figures of the fastest of ``repeat`` solves."""
     solver = _solver(name, prepared, 300, 1e-8)
     guess = np.concatenate([np.hstack([x[:-1], u]).ravel(), x[-1]])
-    best = np.inf
+    best, above = np.inf, np.where(prepared.program.equality(), 0.0, np.inf)
     for _ in range(repeat):
         start = time.perf_counter()
-        found = solver(x0=guess, p=x0, lbg=0.0, ubg=0.0)
+        found = solver(x0=guess, p=x0, lbg=0.0, ubg=above)
         best = min(best, time.perf_counter() - start)
     stats = solver.stats()
     steps = max(int(stats["iter_count"]), 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.solver import SQP, Solver
 from wbmpc.zoo import ZooProblem
 
+Limits = Literal["hard", "soft"]
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -26,13 +29,15 @@ class Problem:
     u0: np.ndarray
 
 
-def swerve_bench(intervals: int = 100, settings: SQP | None = None, brakes: str = "closed") -> Problem:
+def swerve_bench(
+    intervals: int = 100, settings: SQP | None = None, brakes: str = "closed", limits: Limits = "hard"
+) -> Problem:
     """Swerve base with arm on the way along a gentle sine: nx 21, nu 21, 10 s.
 
     With closed brakes the twelve rows of rolling and brakes depend on each other; with open ones eight rows remain.
     """
     robot = load_robot("swerve-ur10")
-    ocp = swerve_problem(robot, MpcSettings(intervals=intervals, first_interval=0.0), SwerveCost())
+    ocp = swerve_problem(robot, MpcSettings(intervals=intervals, first_interval=0.0, limits=limits), SwerveCost())
     if brakes == "open":
         del ocp.terms["brakes"]
     solver = Solver(ocp, settings or SQP(iterations=300))
@@ -50,15 +55,17 @@ def swerve_bench(intervals: int = 100, settings: SQP | None = None, brakes: str 
     solver.set_reference("state", Reference(t, states))
     solver.set_reference("input", Reference(t, inputs))
     return Problem(
-        f"swerve base with arm, brakes {brakes}, N = {intervals}", solver, robot.home, np.zeros(robot.input.size)
+        f"swerve base with arm, brakes {brakes}, {limits} limits, N = {intervals}", solver, robot.home, np.zeros(robot.input.size)
     )
 
 
-def rezero_bench(intervals: int = 65, settings: SQP | None = None, step: float = 0.1) -> Problem:
+def rezero_bench(
+    intervals: int = 65, settings: SQP | None = None, step: float = 0.1, limits: Limits = "hard"
+) -> Problem:
     """Ball robot with arm and a hand force as an input, a step of the hand: nx 16, nu 9, 1.3 s."""
     robot = load_robot("rezero", contact="force")
     horizon = 0.02 * intervals if intervals > 40 else 1.3
-    mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2)
+    mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)
     solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
@@ -67,7 +74,7 @@ def rezero_bench(intervals: int = 65, settings: SQP | None = None, step: float =
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(u0))
-    return Problem(f"ball robot with arm, N = {intervals}", solver, home, u0)
+    return Problem(f"ball robot with arm, {limits} limits, N = {intervals}", solver, home, u0)
 
 
 def zoo_bench(problem: ZooProblem, settings: SQP | None = None) -> Problem:

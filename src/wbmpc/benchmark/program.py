@@ -16,7 +16,7 @@ import numpy as np
 
 from wbmpc.kernel.cache import cache_directory
 from wbmpc.ocp import RelaxedBarrier, Transcription
-from wbmpc.ocp.rows import BoxRow
+from wbmpc.ocp.rows import BoxRow, Kind, Row
 from wbmpc.solver import Solver
 
 COMPILER_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
@@ -72,14 +72,18 @@ def _normalised(t: Transcription, x: ca.SX) -> ca.SX:
     return x
 
 
+def _box_rows(rows: list[Row], z: ca.SX) -> ca.SX:
+    """h of the rows of single variables."""
+    return ca.vertcat(*[r.sign * z[r.place] + r.offset for r in rows]) if rows else ca.SX(0, 1)
+
+
 class Stages:
-    """SX functions of one interval: (x, u, p, w, h) to cost, rows [−F(x, u); equality] and their derivatives."""
+    """SX functions of one interval: (x, u, p, w, h) to cost, rows [−F(x, u); equality; hard] and their derivatives."""
 
     def __init__(self, t: Transcription) -> None:
         self.t = t
         self.rk4 = t.ocp.integrator == "rk4"
         self.symbols = [t.x, t.u, t.p, t.w, t.h]
-        self.rows = t.nx + t.equality.shape[0]
 
     def _function(self, name: str, out: list[Any]) -> ca.Function:
         return ca.Function(name, self.symbols, ca.cse([ca.SX(o) for o in out]))
@@ -98,12 +102,11 @@ class Stages:
         return self._function("stage_quadratic", [gradient + t.h * slope, ca.triu(hessian + t.h * ca.diag(curve))])
 
     def constraint(self) -> ca.Function:
-        """[−F(x, u); equality rows]."""
-        t = self.t
+        """[−F(x, u); equality rows; hard rows]."""
+        t, given = self.t, self.symbols[:4]
         end = _step(t.values["dynamics"], *self.symbols, self.rk4)
-        return self._function(
-            "stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*self.symbols[:4]))]
-        )
+        hard = [_box_rows(t.path.boxes, t.z), t.values["rows"](*given)]
+        return self._function("stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*given), *hard)])
 
     def jacobian(self) -> ca.Function:
         """Jacobian of :meth:`constraint` by (x, u), by the chain rule through the integrator's stages."""
@@ -124,7 +127,18 @@ class Stages:
             turn = ca.substitute(ca.jacobian(_normalised(t, free), free), free, end)
             total = turn @ total
         _, rows = t.derivatives["equality_jacobian"](*self.symbols[:4])
-        return self._function("stage_jacobian", [ca.vertcat(-total, rows)])
+        _, general = t.derivatives["rows_jacobian"](*self.symbols[:4])
+        boxes = ca.jacobian(_box_rows(t.path.boxes, t.z), t.z)
+        return self._function("stage_jacobian", [ca.vertcat(-total, rows, boxes, general)])
+
+    def end_rows(self) -> tuple[ca.Function, ca.Function]:
+        """Hard rows of (x, p, w) at the end of the horizon; their Jacobian."""
+        t = self.t
+        arguments = [t.x, t.p, t.w]
+        boxes = _box_rows(t.end.boxes, t.x)
+        value = ca.vertcat(boxes, t.values["end_rows"](*arguments))
+        slope = ca.vertcat(ca.jacobian(boxes, t.x), t.derivatives["end_rows_jacobian"](*arguments)[1])
+        return ca.Function("end_rows", arguments, [value]), ca.Function("end_slope", arguments, [slope])
 
     def end(self) -> tuple[ca.Function, ca.Function]:
         """Terminal cost of (x, p, w); its gradient and Hessian."""
@@ -139,8 +153,9 @@ class Stages:
 
 # ---------------------------------------------------------------------- the whole program
 class Program:
-    """The nonlinear program: unknowns (x_0, u_0, …, x_N), parameter x0; rows [gap; start (k = 0); equality] per stage.
+    """The nonlinear program: unknowns (x_0, u_0, …, x_N), parameter x0; rows [gap; start (k = 0); equality; hard] per stage.
 
+    Hard rows are h ≥ 0; those of the state alone do not count at the measured state and are left out there.
     ``functions``: what CasADi's ``nlpsol`` asks for, with the names under which it looks for them in a library; the
     Hessian is Gauss-Newton's, which does not depend on the multipliers.
     """
@@ -150,8 +165,21 @@ class Program:
         self.samples, self.stages = sampled(solver), Stages(t)
         self.n, self.nx, self.nu = t.ocp.intervals, t.nx, t.nu
         self.width, self.ng = self.nx + self.nu, t.equality.shape[0]
-        self.rows = self.n * (self.nx + self.ng) + self.nx
+        local = self.nx + self.ng
+        #: Rows of a stage that count at node 0.
+        self.first = [*range(local), *(local + i for i, r in enumerate(t.path.rows) if not r.state_only)]
+        self.per_stage = local + len(t.path.rows)
+        self.rows = len(self.first) + self.nx + (self.n - 1) * self.per_stage + len(t.end.rows)
         self.x, self.p = ca.MX.sym("x", self.n * self.width + self.nx), ca.MX.sym("p", self.nx)
+
+    def equality(self) -> np.ndarray:
+        """Which rows (rows,) are to be zero; the others are to be non-negative."""
+        kinds = np.array([r.kind == Kind.EQUAL for r in self.t.path.rows], bool)
+        stage = np.concatenate([np.ones(self.nx + self.ng, bool), kinds])
+        first = stage[self.first]
+        start = [first[: self.nx], np.ones(self.nx, bool), first[self.nx :]]
+        end = np.array([r.kind == Kind.EQUAL for r in self.t.end.rows], bool)
+        return np.concatenate([*start, np.tile(stage, self.n - 1), end])
 
     def _path(self) -> list[Any]:
         """Arguments of the stage functions, one column per interval."""
@@ -167,29 +195,32 @@ class Program:
         return ca.sum2(self.stages.cost().map(self.n)(*self._path())) + self.stages.end()[0](*self._end())
 
     def constraints(self) -> ca.MX:
-        """All rows; they are to be zero."""
+        """All rows."""
         path = self._path()
         rows = self.stages.constraint().map(self.n)(*path)
         gaps = rows[: self.nx, :] + ca.horzcat(path[0][:, 1:], self.x[-self.nx :])
         blocks = ca.vec(ca.vertcat(gaps[:, 1:], rows[self.nx :, 1:]))
-        return ca.vertcat(gaps[:, 0], self.x[: self.nx] - self.p, rows[self.nx :, 0], blocks)
+        start = [gaps[:, 0], self.x[: self.nx] - self.p, rows[self.first[self.nx :], 0]]
+        return ca.vertcat(*start, blocks, self.stages.end_rows()[0](*self._end()))
 
     def _gap(self, k: int) -> int:
-        """First row of stage k."""
-        return 0 if k == 0 else self.nx + k * (self.nx + self.ng)
+        """First row of stage k; k = N: of the end's rows."""
+        return 0 if k == 0 else len(self.first) + self.nx + (k - 1) * self.per_stage
 
     def _column_patterns(self) -> tuple[list[list[int]], list[list[int]], list[int]]:
         """Rows of every column of stage 0 and of a later stage, counted from the stage's first row (the unit entry of a
         later stage belongs to the gap before it); and where stage 0 finds its values in a later stage's order."""
         nx, local = self.nx, self.stages.jacobian().sparsity_out(0)
+        place = {r: i for i, r in enumerate(self.first)}
         first, later, order, start = [], [], [], 0
         for c in range(self.width):
             rows = list(local.row()[local.colind()[c] : local.colind()[c + 1]])
-            unit, above = c < nx, sum(r < nx for r in rows)
+            unit = c < nx
             later.append([c] * unit + rows)
-            first.append(rows[:above] + [nx + c] * unit + [r + nx for r in rows[above:]])
-            values = list(range(start + unit, start + unit + len(rows)))
-            order += values[:above] + [start] * unit + values[above:]
+            values = {r: start + unit + i for i, r in enumerate(rows) if r in place}
+            gap, rest = [r for r in values if r < nx], [r for r in values if r >= nx]
+            first.append([place[r] for r in gap] + [nx + c] * unit + [place[r] + nx for r in rest])
+            order += [values[r] for r in gap] + [start] * unit + [values[r] for r in rest]
             start += len(rows) + unit
         return first, later, order
 
@@ -203,18 +234,24 @@ class Program:
                 unit = int(k > 0 and c < nx)
                 rows += [self._gap(k - 1) + c] * unit + [self._gap(k) + r for r in pattern[unit:]]
                 ends.append(len(rows))
-        rows += [self._gap(n - 1) + i for i in range(nx)]
-        ends += range(ends[-1] + 1, ends[-1] + nx + 1)
+        last = self.stages.end_rows()[1].sparsity_out(0)
+        for c in range(nx):
+            own = last.row()[last.colind()[c] : last.colind()[c + 1]]
+            rows += [self._gap(n - 1) + c, *(self._gap(n) + r for r in own)]
+            ends.append(len(rows))
         return ca.Sparsity(self.rows, self.x.shape[0], ends, rows), order
 
     def jacobian(self) -> ca.MX:
-        """Of :meth:`constraints`: the columns of a stage follow each other, so its values are one block of non-zeros."""
+        """Of :meth:`constraint`: the columns of a stage follow each other, so its values are one block of non-zeros."""
         pattern, order = self._jacobian_pattern()
         unit = ca.horzcat(ca.SX.eye(self.nx), ca.SX(self.nx, self.nu))
         stacked = ca.vertcat(unit, ca.SX(self.stages.jacobian()(*self.stages.symbols)))
         values = ca.Function("stage_columns", self.stages.symbols, [ca.vertcat(*stacked.nonzeros())])
         table = values.map(self.n)(*self._path())
-        return ca.MX(pattern, ca.vertcat(table[order, 0], ca.vec(table[:, 1:]), ca.DM.ones(self.nx)))
+        slope = self.stages.end_rows()[1]
+        last = ca.vertcat(ca.SX.eye(self.nx), ca.SX(slope(self.t.x, self.t.p, self.t.w)))
+        end = ca.Function("end_columns", [self.t.x, self.t.p, self.t.w], [ca.vertcat(*last.nonzeros())])
+        return ca.MX(pattern, ca.vertcat(table[order, 0], ca.vec(table[:, 1:]), end(*self._end())))
 
     def _quadratic(self, full: bool) -> tuple[ca.MX, ca.MX]:
         """Gradient and Hessian (both triangles if ``full``) of the cost."""
