@@ -23,9 +23,9 @@ def milliseconds(call: Callable[[], Any], repeat: int) -> np.ndarray:
     return times
 
 
-def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray) -> Solver:
-    """A solver of the same problem with one iteration per call, at the trajectory (x, u)."""
-    single = Solver(solver.ocp, SQP(iterations=1, certify=False, force_step=True))
+def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP | None = None) -> Solver:
+    """A solver of the same problem with one iteration and one trial point per call, at the trajectory (x, u)."""
+    single = Solver(solver.ocp, settings or SQP.real_time(smallest_step=0.9))
     for name, reference in solver.references.items():
         single.set_reference(name, reference)
     single.set_schedule(solver.schedule)

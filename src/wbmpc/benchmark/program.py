@@ -181,6 +181,11 @@ class Program:
         end = np.array([r.kind == Kind.EQUAL for r in self.t.end.rows], bool)
         return np.concatenate([*start, np.tile(stage, self.n - 1), end])
 
+    def trajectory(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States (N + 1, nx) and inputs (N, nu) of a vector of unknowns."""
+        table = z[: self.n * self.width].reshape(self.n, self.width)
+        return np.vstack([table[:, : self.nx], z[-self.nx :]]), table[:, self.nx :]
+
     def _path(self) -> list[Any]:
         """Arguments of the stage functions, one column per interval."""
         s, z = self.samples, ca.reshape(self.x[: self.n * self.width], self.width, self.n)
