@@ -68,18 +68,27 @@ def peer_planner(name: str, prepared: Prepared) -> Planner:
 
 
 def drive(
-    problem: Problem, planner: Planner, iterations: int, late: int, seed: int, periods: int = PERIODS
+    problem: Problem,
+    planner: Planner,
+    iterations: int,
+    late: int,
+    seed: int,
+    periods: int = PERIODS,
+    kicked: slice = slice(0),
 ) -> float:
-    """Cost per second of the closed loop; plans come into force ``late`` periods after the state they start from."""
+    """Cost per second of the closed loop; plans come into force ``late`` periods after the state they start from.
+
+    ``kicked``: states that change by ±``KICK`` every ``EVERY`` periods.
+    """
     program = Program(problem.solver)
     s, h, rng = program.samples, float(program.samples.h[0]), np.random.default_rng(seed)
-    stage, rates = program.stages.cost(), problem.solver.ocp.dynamics.state["base_velocity"]
+    stage = program.stages.cost()
     x, total = np.array(problem.x0, float), 0.0
     current = (np.tile(problem.x0, (program.n + 1, 1)), np.tile(problem.u0, (program.n, 1)))
     pending, ready = current, 0
     for k in range(periods):
         if k and k % EVERY == 0:
-            x[rates][:2] += KICK * rng.choice([-1.0, 1.0], 2)
+            x[kicked] += KICK * rng.choice([-1.0, 1.0], x[kicked].size)
         if k >= ready:
             if k:
                 current = pending
@@ -120,15 +129,22 @@ def pace(problem: Problem, planner: Planner) -> tuple[float, float]:
 def _means(
     problem: Problem, planner: Planner, budgets: Sequence[float], seeds: Sequence[int], iterations_alone: bool
 ) -> list[dict[str, Any]]:
+    rates = problem.solver.ocp.dynamics.state["base_velocity"]
+    kicked = slice(rates.start, rates.start + 2)
     first, further = pace(problem, planner)
     first = further if iterations_alone else first
     out = []
     for budget in budgets:
         iterations = min(1 + max(int((budget - first) / further), 0), MOST)
         late = 0 if first <= budget else math.ceil(first / budget)
-        costs = [drive(problem, planner, iterations, late, seed) for seed in seeds]
+        costs = [drive(problem, planner, iterations, late, seed, kicked=kicked) for seed in seeds]
         fell = sum(not math.isfinite(c) for c in costs)
-        row = {"budget_ms": budget, "iterations": iterations, "late": late, "plan_ms": first + (iterations - 1) * further}
+        row = {
+            "budget_ms": budget,
+            "iterations": iterations,
+            "late": late,
+            "plan_ms": first + (iterations - 1) * further,
+        }
         out.append({**row, "cost": float(np.mean(costs)) if fell == 0 else None, "fell": fell, "success": fell == 0})
     return out
 

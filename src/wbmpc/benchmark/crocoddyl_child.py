@@ -6,19 +6,23 @@ Imports nothing of this library. The models are built from crocoddyl's own C++ c
 import json
 import sys
 import time
+from typing import Any
 
 import crocoddyl
 import numpy as np
 import pinocchio as pin
 
+Spec = dict[str, Any]
 
-def placement(link):
+
+def placement(link: Spec) -> Any:
     return pin.SE3(np.array(link["rotation"]), np.array(link["position"]))
 
 
-def multibody(links, tip, armature):
+def multibody(links: list[Spec], tip: Spec, armature: float) -> Any:
     """Pinocchio's model of a list of links with one joint each; the frame ``tip`` is fixed to its link."""
-    model, ids = pin.Model(), []
+    model = pin.Model()
+    ids: list[int] = []
     for link in links:
         axis = np.array(link["axis"], float)
         revolute = link["kind"] == "revolute"
@@ -33,11 +37,11 @@ def multibody(links, tip, armature):
     return model
 
 
-def weighted(weights):
+def weighted(weights: list[float]) -> Any:
     return crocoddyl.ActivationModelWeightedQuad(np.array(weights, float))
 
 
-def action(spec, state, model, step, terminal):
+def action(spec: Spec, state: Any, model: Any, step: float, terminal: bool) -> Any:
     """One node: ½ Σ w r² of hand, state and torque as in the library's problem; free forward dynamics."""
     actuation = crocoddyl.ActuationModelFull(state)
     costs = crocoddyl.CostModelSum(state, actuation.nu)
@@ -62,7 +66,7 @@ def action(spec, state, model, step, terminal):
     return crocoddyl.IntegratedActionModelRK(free, crocoddyl.RKType.two, step)
 
 
-def shooting(spec):
+def shooting(spec: Spec) -> tuple[Any, np.ndarray]:
     n = spec["intervals"]
     if spec["kind"] == "lqr":
         node = crocoddyl.ActionModelLQR(spec["nx"], spec["nu"], False)
@@ -75,17 +79,17 @@ def shooting(spec):
     return crocoddyl.ShootingProblem(np.array(spec["x0"]), nodes, end), np.array(spec["u0"])
 
 
-def run(spec):
+def run(spec: Spec) -> Spec:
     """Milliseconds of one iteration: derivatives, direction, one trial; and of a whole solve with its iterations."""
     problem, u0 = shooting(spec)
     problem.nthreads = 1
     solver = crocoddyl.SolverFDDP(problem)
     xs, us = [np.array(problem.x0)] * (problem.T + 1), [u0] * problem.T
     start = time.perf_counter()
-    solver.th_stop = 1e-16
+    solver.th_stop = 1e-12
     done = solver.solve(xs, us, 200, False)
     total, iterations = time.perf_counter() - start, solver.iter + 1
-    parts = {"iteration": [], "direction": [], "derivatives": []}
+    parts: dict[str, list[float]] = {"iteration": [], "direction": [], "derivatives": []}
     for _ in range(spec["repeat"]):
         solver.setCandidate(solver.xs, solver.us, False)
         a = time.perf_counter()

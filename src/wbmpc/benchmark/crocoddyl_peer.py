@@ -135,5 +135,3 @@ def crocoddyl_figures(specs: Sequence[dict[str, Any]], seconds: float = 60.0) ->
         return (done.stderr.splitlines() or [f"ended with exit status {done.returncode}"])[-1][:200]
     answers: list[dict[str, Any]] = json.loads(done.stdout[done.stdout.index("[") :])
     return answers
-
-

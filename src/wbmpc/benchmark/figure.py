@@ -51,5 +51,7 @@ def write(figures: dict[str, Any], directory: Path) -> dict[str, str]:
         drawn = [f.to_html(full_html=False, include_plotlyjs=False) for f in scaling_figures(figures)]
         page = f"<script>{get_plotlyjs()}</script><h1>The race</h1>{''.join(drawn)}<pre>{html.escape(table)}</pre>"
         files["plots"] = directory / "race.html"
-        files["plots"].write_text(f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Race</title>{page}</html>')
+        files["plots"].write_text(
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Race</title>{page}</html>'
+        )
     return {kind: str(path) for kind, path in files.items()}

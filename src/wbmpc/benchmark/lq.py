@@ -59,8 +59,9 @@ def linearise(program: Program, x: Array, u: Array, x0: Array) -> LQProblem:
 
 
 class Packed(NamedTuple):
-    """A quadratic problem in the kernel's layout, and room for its solution."""
+    """A quadratic problem in the kernel's layout, room for its solution, and the kernel, whose code must not go away."""
 
+    kernel: Kernel
     ab: Array
     h: Array
     e: Array
@@ -98,19 +99,22 @@ def pack(kernel: Kernel, lq: LQProblem, compliance: Array) -> Packed:
     dx[0, :nx] = lq.dx0
     node = [ab[0].size, h[0].size, e[0].size, nu * lx]
     sizes = np.array([n, nx, nu, lx, lz, *node], dtype=np.int64)
-    return Packed(ab, h, e, eps, end, new(nx + 1, lx), new(n, nu, lx), new(s.scratch()["total"]), dx, new(n, nu), sizes)
+    return Packed(
+        kernel, ab, h, e, eps, end, new(nx + 1, lx), new(n, nu, lx), new(s.scratch()["total"]), dx, new(n, nu), sizes
+    )
 
 
-def our_step(m: Packed, address: int) -> Array:
-    """The step (x_0, u_0, …, x_N) of the Riccati kernel at ``address``."""
-    eliminate(m, address)
+def our_step(m: Packed) -> Array:
+    """The step (x_0, u_0, …, x_N) of the Riccati kernel."""
+    eliminate(m)
     substitute(m)
     nx = int(m.sizes[loops.NX])
     return np.concatenate([np.hstack([m.dx[:-1, :nx], m.du]).ravel(), m.dx[-1, :nx]])
 
 
-def eliminate(m: Packed, address: int) -> None:
+def eliminate(m: Packed) -> None:
     """The backward pass."""
+    address = m.kernel.address("riccati_node")
     loops.backward(address, m.sizes, m.ab, m.h, m.e, m.eps, m.end, m.value, m.k, m.scratch)
 
 

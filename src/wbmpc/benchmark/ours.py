@@ -34,20 +34,22 @@ def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP
 
 
 def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-    """Solution (x, u) from the common guess and figures: per iteration (warm, trial point included), to convergence."""
-    solver = problem.solver
-    solver.guess(problem.x0, problem.u0)
-    solver.solve(problem.x0)
-    solver.guess(problem.x0, problem.u0)
-    solution = solver.solve(problem.x0)
+    """Solution (x, u) from the common guess and figures: least time of an iteration (warm, trial point included) and of
+    five solves to convergence, with the certificate's residuals."""
+    solver, total = problem.solver, np.inf
+    for _ in range(6):  # the first does not count
+        solver.guess(problem.x0, problem.u0)
+        solver.forget()
+        solution = solver.solve(problem.x0)
+        total = min(total, solution.solve_time)
     single = single_iteration(solver, solution.x, solution.u)
     times = milliseconds(lambda: single.run(problem.x0), repeat)
     return solution.x, solution.u, {
         "success": solution.status.name == "CONVERGED",
         "iterations": solution.iterations,
-        "total_ms": 1e3 * solution.solve_time,
-        "iteration_ms": float(np.median(times)),
-        "iteration_ms_min": float(np.min(times)),
+        "total_ms": 1e3 * total,
+        "iteration_ms": float(np.min(times)),
+        "iteration_ms_median": float(np.median(times)),
         "kkt": solution.kkt,
         "violation": solution.violation,
     }  # fmt: skip

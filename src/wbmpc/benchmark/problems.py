@@ -55,7 +55,10 @@ def swerve_bench(
     solver.set_reference("state", Reference(t, states))
     solver.set_reference("input", Reference(t, inputs))
     return Problem(
-        f"swerve base with arm, brakes {brakes}, {limits} limits, N = {intervals}", solver, robot.home, np.zeros(robot.input.size)
+        f"swerve base with arm, brakes {brakes}, {limits} limits, N = {intervals}",
+        solver,
+        robot.home,
+        np.zeros(robot.input.size),
     )
 
 

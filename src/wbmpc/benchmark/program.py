@@ -19,7 +19,9 @@ from wbmpc.ocp import RelaxedBarrier, Transcription
 from wbmpc.ocp.rows import BoxRow, Kind, Row
 from wbmpc.solver import Solver
 
-COMPILER_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+COMPILER_FLAGS = ("-march=native", "-fno-math-errno", "-shared", "-fPIC")
+#: Straight-line code of more characters than this takes the compiler many minutes with -O2: it gets -O1.
+LARGE = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,11 @@ def _box_rows(rows: list[Row], z: ca.SX) -> ca.SX:
     return ca.vertcat(*[r.sign * z[r.place] + r.offset for r in rows]) if rows else ca.SX(0, 1)
 
 
+def _nonzeros(m: ca.SX) -> ca.SX:
+    values: list[Any] = list(m.nonzeros())
+    return ca.vertcat(*values)
+
+
 class Stages:
     """SX functions of one interval: (x, u, p, w, h) to cost, rows [−F(x, u); equality; hard] and their derivatives."""
 
@@ -104,7 +111,7 @@ class Stages:
     def constraint(self) -> ca.Function:
         """[−F(x, u); equality rows; hard rows]."""
         t, given = self.t, self.symbols[:4]
-        end = _step(t.values["dynamics"], *self.symbols, self.rk4)
+        end = _step(t.values["dynamics"], t.x, t.u, t.p, t.w, t.h, self.rk4)
         hard = [_box_rows(t.path.boxes, t.z), t.values["rows"](*given)]
         return self._function("stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*given), *hard)])
 
@@ -251,11 +258,11 @@ class Program:
         pattern, order = self._jacobian_pattern()
         unit = ca.horzcat(ca.SX.eye(self.nx), ca.SX(self.nx, self.nu))
         stacked = ca.vertcat(unit, ca.SX(self.stages.jacobian()(*self.stages.symbols)))
-        values = ca.Function("stage_columns", self.stages.symbols, [ca.vertcat(*stacked.nonzeros())])
+        values = ca.Function("stage_columns", self.stages.symbols, [_nonzeros(stacked)])
         table = values.map(self.n)(*self._path())
         slope = self.stages.end_rows()[1]
         last = ca.vertcat(ca.SX.eye(self.nx), ca.SX(slope(self.t.x, self.t.p, self.t.w)))
-        end = ca.Function("end_columns", [self.t.x, self.t.p, self.t.w], [ca.vertcat(*last.nonzeros())])
+        end = ca.Function("end_columns", [self.t.x, self.t.p, self.t.w], [_nonzeros(last)])
         return ca.MX(pattern, ca.vertcat(table[order, 0], ca.vec(table[:, 1:]), end(*self._end())))
 
     def _quadratic(self, full: bool) -> tuple[ca.MX, ca.MX]:
@@ -264,7 +271,7 @@ class Program:
         g, h = self.stages.quadratic()(*self.stages.symbols)
         h = ca.SX(both(h))
         name = f"stage_values_{'full' if full else 'upper'}"
-        values = ca.Function(name, self.stages.symbols, [g, ca.vertcat(*h.nonzeros())])
+        values = ca.Function(name, self.stages.symbols, [g, _nonzeros(h)])
         gradients, hessians = values.map(self.n)(*self._path())
         g_end, h_end = self.stages.end()[1](*self._end())
         h_end = both(h_end)
@@ -301,7 +308,7 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc")
 
 
-def compiled_library(functions: dict[str, ca.Function], seconds: float = 100.0) -> Path | str:
+def compiled_library(functions: dict[str, ca.Function], seconds: float = 400.0) -> Path | str:
     """A shared library of the functions, kept beside the kernels' cache; a sentence when it cannot be made."""
     found = compiler()
     if found is None:
@@ -310,7 +317,8 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 100.0) 
     for function in functions.values():
         generator.add(function)
     code = generator.dump()
-    key = hashlib.sha256((code + found + " ".join(COMPILER_FLAGS)).encode()).hexdigest()[:32]
+    flags = ("-O1" if len(code) > LARGE else "-O2", *COMPILER_FLAGS)
+    key = hashlib.sha256((code + found + " ".join(flags)).encode()).hexdigest()[:32]
     folder = cache_directory() / "peers"
     library = folder / f"{key}.so"
     if library.exists():
@@ -318,7 +326,7 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 100.0) 
     folder.mkdir(parents=True, exist_ok=True)
     source, partial = folder / f"{key}.c", folder / f"{key}.part.so"
     source.write_text(code)
-    command = [found, *COMPILER_FLAGS, "-o", str(partial), str(source), "-lm"]
+    command = [found, *flags, "-o", str(partial), str(source), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, timeout=seconds)
     except subprocess.SubprocessError as error:

@@ -49,7 +49,7 @@ def matrices(lq: LQProblem) -> tuple[sparse.csc_matrix, np.ndarray, sparse.csc_m
 
 def _matrix(m: sparse.csc_matrix) -> ca.DM:
     m = m.sorted_indices()
-    pattern = ca.Sparsity(*m.shape, m.indptr.tolist(), m.indices.tolist())
+    pattern = ca.Sparsity(int(m.shape[0]), int(m.shape[1]), m.indptr.tolist(), m.indices.tolist())
     return ca.DM(pattern, m.data)
 
 
@@ -68,7 +68,9 @@ def _solve(name: str, lq: LQProblem, ours: np.ndarray, repeat: int) -> dict[str,
     big, rows = _matrix(h), _matrix(a)
     figures: dict[str, Any] = {}
     for iterations in ITERATIONS if name == "hpipm" else (None,):
-        solver = ca.conic("step", name, {"h": big.sparsity(), "a": rows.sparsity()}, _options(name, lq, iterations or 0))
+        solver = ca.conic(
+            "step", name, {"h": big.sparsity(), "a": rows.sparsity()}, _options(name, lq, iterations or 0)
+        )
         call = lambda solver=solver: solver(h=big, g=g, a=rows, lba=right, uba=right)
         difference = float(np.abs(np.concatenate([lq.dx0, np.array(call()["x"]).ravel()]) - ours).max())
         figures = {"success": difference <= RIGHT, "iterations": iterations, "difference": difference}
@@ -84,8 +86,8 @@ def _solve(name: str, lq: LQProblem, ours: np.ndarray, repeat: int) -> dict[str,
     return {**figures, "call_ms": float(times.min()), "step_ms": float(times.min()) if inside is None else inside}
 
 
-def step_problem(problem: Problem) -> tuple[LQProblem, Packed, int]:
-    """The quadratic problem of the first iteration from the common guess, packed, and the Riccati kernel's address.
+def step_problem(problem: Problem) -> tuple[LQProblem, Packed]:
+    """The quadratic problem of the first iteration from the common guess, packed for the kernel.
 
     There the equality rows agree with each other even where they depend on each other.
     """
@@ -93,7 +95,7 @@ def step_problem(problem: Problem) -> tuple[LQProblem, Packed, int]:
     assert solver.kernel is not None
     x, u = np.tile(problem.x0, (program.n + 1, 1)), np.tile(problem.u0, (program.n, 1))
     lq = linearise(program, x, u, problem.x0)
-    return lq, pack(solver.kernel, lq, solver.problem.compliance), solver.kernel.address("riccati_node")
+    return lq, pack(solver.kernel, lq, solver.problem.compliance)
 
 
 def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) -> list[dict[str, Any]]:
@@ -101,12 +103,19 @@ def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) ->
 
     ``step_ms`` is the solver's own time where CasADi measures it, else that of the whole call.
     """
-    lq, packed, address = step_problem(problem)
-    z = our_step(packed, address)
-    times = milliseconds(lambda: (eliminate(packed, address), substitute(packed)), 10 * repeat)
+    lq, packed = step_problem(problem)
+    z = our_step(packed)
+
+    def step() -> None:
+        eliminate(packed)
+        substitute(packed)
+
+    times = milliseconds(step, 10 * repeat)
     common = {"problem": problem.name}
     rows = [{**common, "solver": "wbmpc Riccati", "success": True, "step_ms": float(times.min()), "difference": 0.0}]
     for name in PEERS:
         found = within(seconds, _solve, name, lq, z, repeat)
-        rows.append({**common, "solver": name, **({"success": False, "error": found} if isinstance(found, str) else found)})
+        rows.append(
+            {**common, "solver": name, **({"success": False, "error": found} if isinstance(found, str) else found)}
+        )
     return rows

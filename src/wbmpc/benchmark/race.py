@@ -48,7 +48,13 @@ def one_core() -> Iterator[int | None]:
 def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
     """One problem by all full solvers: milliseconds per iteration and to convergence, largest difference from ours."""
     t = problem.solver.problem
-    size = {"nx": t.nx, "nu": t.nu, "rows": t.equality.shape[0], "limits": len(t.path.rows), "intervals": t.ocp.intervals}
+    size = {
+        "nx": t.nx,
+        "nu": t.nu,
+        "rows": t.equality.shape[0],
+        "limits": len(t.path.rows),
+        "intervals": t.ocp.intervals,
+    }
     common = {"problem": problem.name, **size}
     x, u, figures = ours(problem, repeat)
     rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]

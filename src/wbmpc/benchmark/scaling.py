@@ -30,7 +30,9 @@ def limited_arm(rows: int, kind: str, intervals: int = 50) -> Problem:
     groups: list[tuple[str, Any, float]] = []
     if kind == "boxes":
         slices = (lambda s: s.u, lambda s: s.x[6:], lambda s: s.x[:6])
-        groups = [(name, f, w) for name, f, w in zip(("torque", "rate", "angle"), slices, (60.0, 20.0, 6.0), strict=True)]
+        groups = [
+            (name, f, w) for name, f, w in zip(("torque", "rate", "angle"), slices, (60.0, 20.0, 6.0), strict=True)
+        ]
     else:
         dynamics = problem.ocp.dynamics
         assert isinstance(dynamics, Multibody)
@@ -42,7 +44,9 @@ def limited_arm(rows: int, kind: str, intervals: int = 50) -> Problem:
 
         groups = [(a, lambda s, i=i: coordinate(s, i), 2.0) for i, a in enumerate("xyz")]  # type: ignore[misc]
     for name, function, width in groups[: rows // 12]:
-        problem.ocp.add(Constraint(name, Rows(6, function), sets.Box(-np.full(6, width), np.full(6, width)), hard=True))
+        box = sets.Box(-np.full(6, width), np.full(6, width))
+        at = "path" if name == "torque" else "all"
+        problem.ocp.add(Constraint(f"{name}_limit", Rows(6, function), box, at=at, hard=True))
     return zoo_bench(problem)
 
 
@@ -57,7 +61,7 @@ def _all(problem: Problem, repeat: int, peers: Iterable[str], **more: Any) -> li
     figures = ours(problem, repeat)[2]
     kept = ("iteration_ms", "success", "iterations", "how", "error")
     few = lambda f: {k: f[k] for k in kept if k in f}
-    rows = [_row(problem, "wbmpc SQP", few({**figures, "iteration_ms": figures["iteration_ms_min"]}), **more)]
+    rows = [_row(problem, "wbmpc SQP", few(figures), **more)]
     names = list(peers)
     if names:
         prepared = prepare(problem)
@@ -70,9 +74,7 @@ def _crocoddyl(specs: list[tuple[Problem, dict[str, Any]]]) -> list[dict[str, An
     if isinstance(figures, str):
         return [_row(p, "crocoddyl", {"success": False, "error": figures}) for p, _ in specs]
     kept = ("iteration_ms", "success", "iterations", "error")
-    return [
-        _row(p, "crocoddyl", {k: f[k] for k in kept if k in f}) for (p, _), f in zip(specs, figures, strict=True)
-    ]
+    return [_row(p, "crocoddyl", {k: f[k] for k in kept if k in f}) for (p, _), f in zip(specs, figures, strict=True)]
 
 
 def over_intervals(repeat: int, peers: Iterable[str], note: Note) -> list[dict[str, Any]]:
@@ -111,7 +113,9 @@ def over_limits(repeat: int, peers: Iterable[str], note: Note) -> list[dict[str,
 def slope(rows: list[dict[str, Any]], by: str, solver: str = "wbmpc SQP", problem: str = "") -> float | None:
     """Exponent of the time over ``by``, from a straight line through the logarithms: 1 is linear."""
     chosen = [
-        r for r in rows if r["solver"] == solver and r["problem"].startswith(problem) and "iteration_ms" in r and r[by] > 0
+        r
+        for r in rows
+        if r["solver"] == solver and r["problem"].startswith(problem) and "iteration_ms" in r and r[by] > 0
     ]
     if len(chosen) < 2:
         return None

@@ -55,7 +55,9 @@ def _sizes(rows: list[dict[str, Any]]) -> Table:
     size = lambda r: f"{r['nx']}/{r['nu']}/{r['intervals']}"
     cells = [[r["problem"], size(r), r["iteration_ms"], r["ocs2_ms"], r["ratio"], r["goal"]] for r in rows]
     columns = ("problem", "nx/nu/N", "ms / iteration", "OCS2's constant", "times faster", "goal")
-    return _table("Problems of the size of OCS2's published figures (constants of a Zen 5, not run here)", columns, cells)
+    return _table(
+        "Problems of the size of OCS2's published figures (constants of a Zen 5, not run here)", columns, cells
+    )
 
 
 def _floor(profiles: list[dict[str, Any]]) -> Table:
@@ -66,7 +68,9 @@ def _floor(profiles: list[dict[str, Any]]) -> Table:
             share = f"{100 * part['ms'] / p['iteration_ms']:.0f} %"
             cells.append([p["problem"], name, part["operations"], part["ms"], share, rate])
         whole = f"all: {p['ratio']:.1f} times the floor of {p['floor_ms']:.3g} ms"
-        cells.append([p["problem"], whole, p["operations"], p["iteration_ms"], "", p["operations"] / p["iteration_ms"] / 1e6])
+        cells.append(
+            [p["problem"], whole, p["operations"], p["iteration_ms"], "", p["operations"] / p["iteration_ms"] / 1e6]
+        )
     columns = ("problem", "part of an iteration", "operations", "ms", "share", "GFLOP/s")
     return _table("Where an iteration's time goes", columns, cells)
 
@@ -85,7 +89,14 @@ def _scaling(title: str, rows: list[dict[str, Any]], key: str) -> Table:
 
 def _closed_loop(rows: list[dict[str, Any]]) -> Table:
     cells = [
-        [r["solver"], r.get("budget_ms"), r.get("iterations"), r.get("late"), r.get("cost"), r.get("error") or r.get("fell")]
+        [
+            r["solver"],
+            r.get("budget_ms"),
+            r.get("iterations"),
+            r.get("late"),
+            r.get("cost"),
+            r.get("error") or r.get("fell"),
+        ]
         for r in rows
     ]
     columns = ("solver", "ms per period", "iterations", "periods late", "cost per second", "falls")
@@ -114,7 +125,9 @@ def tables(figures: dict[str, Any]) -> list[Table]:
     if "scaling" in figures:
         s = figures["scaling"]
         exponent = slope(s["intervals"], "intervals", problem="torque arm")
-        out.append(_scaling(f"Time over intervals; ours grows with the power {_number(exponent)}", s["intervals"], "intervals"))
+        out.append(
+            _scaling(f"Time over intervals; ours grows with the power {_number(exponent)}", s["intervals"], "intervals")
+        )
         out.append(_scaling("Time over joints", s["joints"], "joints"))
         out.append(_scaling("Time over hard limits per node", s["limits"], "limits"))
     if "closed_loop" in figures:
@@ -123,7 +136,7 @@ def tables(figures: dict[str, Any]) -> list[Table]:
 
 
 NOTES = (
-    "wbmpc: least of many warm iterations, trial point included; in the first table the median. IPOPT and Fatrop: the least of "
+    "Least of many, for others may use the machine. wbmpc: warm iterations, trial point included. IPOPT and Fatrop: the least of "
     "five solves without CasADi's set-up, divided by the iterations; the difference is to their solution from a guess 1e-3 "
     "beside ours."
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,15 @@ from wbmpc.kernel.compiled import RELATIVE_COMPLIANCE, output_maps
 from wbmpc.ocp import Transcription
 
 SOURCE = Path(__file__).parents[3] / "benchmarks" / "c" / "iteration.c"
-FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-mprefer-vector-width=512",
+    "-fno-math-errno",
+    "-ffp-contract=fast",
+    "-shared",
+    "-fPIC",
+)
 #: Functions that the C code calls; CasADi's name, where it is another one.
 FUNCTIONS = {
     "dynamics": "dynamics",
@@ -35,7 +44,7 @@ FUNCTIONS = {
 }
 
 
-def _scatter(name: str, places: list[list[int]]) -> str:
+def _scatter(name: str, places: Sequence[Sequence[int]]) -> str:
     lines = [f"    m[{place}] = v[{i}];" for i, targets in enumerate(places) for place in targets]
     return "\n".join([f"static inline void scatter_{name}(const double *v, double *m) {{", *lines, "}"])
 
@@ -163,13 +172,13 @@ def _race(
     rounds: int,
 ) -> dict[str, float]:  # fmt: skip
     packed = pack(kernel, lq, t.compliance)
-    address, node = kernel.address("riccati_node"), ctypes.c_long(packed.e[0].size)
+    node = ctypes.c_long(packed.e[0].size)
     given = [_address(a) for a in (packed.ab, packed.h, packed.e)]
     start = _address(x0)
     calls = {
         "ours_ms": lambda: single.run(x0),
         "c_ms": lambda: library.iterate(start),
-        "ours_riccati_ms": lambda: eliminate(packed, address),
+        "ours_riccati_ms": lambda: eliminate(packed),
         "c_riccati_ms": lambda: library.eliminate(*given, node, _address(packed.end), _address(packed.k)),
     }
     best = dict.fromkeys(calls, np.inf)
