@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench realtime soak study grids lint format pictures clean
+.PHONY: demo test bench race realtime soak study grids lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -16,6 +16,10 @@ test: $(VENV)/.tested
 
 bench: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc bench
+
+# the whole race: more peers, C, scaling, floor, closed loop (minutes)
+race: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/wbmpc bench --peers --out runs/race
 
 # both robots by the wall clock, 60 s each; REALTIME_ARGS="--process --fifo" and others
 realtime: $(VENV)/.installed

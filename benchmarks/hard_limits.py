@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from limit_figure import write_figure
 from limit_scenarios import SCENARIOS, VARIANTS, Rig, Variant
-from limit_timing import iteration_times
 from rich.console import Console
 from rich.table import Table
 
+from wbmpc.benchmark.limits import iteration_times
 from wbmpc.loop import run_lockstep
 from wbmpc.plant.swerve import STEER_SPEED
 from wbmpc.report import versions

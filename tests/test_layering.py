@@ -20,7 +20,7 @@ ROOMS = (
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
-    "plotly": {"report"},
+    "plotly": {"report", "benchmark"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "llvmlite": {"kernel"},

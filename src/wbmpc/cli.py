@@ -244,15 +244,30 @@ def demo(
 
 @app.command()
 def bench(
+    peers: Annotated[
+        bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Directory for race.json, race.txt and race.html (plots).")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:
-    """Time the solver against IPOPT and Fatrop on the same discretised problems."""
-    from wbmpc.benchmark import print_table, run_benchmark
+    """Time the solver against others on the same discretised problems, on one core."""
+    from wbmpc.benchmark import run_benchmark
 
-    with _progress("bench", not as_json) as progress:
-        figures = run_benchmark(repeat, progress)
-    typer.echo(json.dumps(figures)) if as_json else print_table(figures)
+    directory = None if out is None else _directory(out, "bench", 0)
+    with _progress("bench", not as_json) as bar:
+        show = bar or (lambda _, note: None if as_json else typer.echo(note, err=True))
+        figures = run_benchmark(repeat, show, peers)
+    if directory is not None:
+        from wbmpc.benchmark.figure import write
+
+        figures["files"] = write(figures, directory)
+    if as_json:
+        typer.echo(json.dumps(figures, allow_nan=False))
+    else:
+        from wbmpc.benchmark.table import text
+
+        typer.echo(text(figures))
 
 
 def _complain(error: Exception, debug: bool) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wbmpc.benchmark import Problem, rezero_bench, swerve_bench
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 

@@ -1,0 +1,149 @@
+"""What an iteration must cost: its floating-point operations against this core's peak, and where the rest goes."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from wbmpc.benchmark import loops
+from wbmpc.benchmark.lq import eliminate, linearise, pack, substitute
+from wbmpc.benchmark.ours import milliseconds, single_iteration
+from wbmpc.benchmark.problems import Problem
+from wbmpc.benchmark.program import Program
+from wbmpc.kernel import dense
+from wbmpc.kernel.compiled import Sizes
+from wbmpc.kernel.machine import compile_module, load_object, vector_budget
+from wbmpc.solver.workspace import aligned
+
+_FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
+_CALLS = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ATAN2, ca.OP_ACOS, ca.OP_ASIN, ca.OP_ATAN, ca.OP_EXP, ca.OP_LOG}
+
+
+def operations(function: ca.Function) -> tuple[int, int]:
+    """(arithmetic operations, calls of elementary functions) of one evaluation; a call counts as one operation too."""
+    codes = [function.instruction_id(k) for k in range(function.n_instructions())]
+    return sum(c not in _FREE for c in codes), sum(c in _CALLS for c in codes)
+
+
+def riccati_operations(s: Sizes) -> int:
+    """Operations of one Riccati step, without the padding: products, factorisations, substitutions."""
+    x, z, u, g = s.nx + 1, s.nz, s.nu, s.ng
+    cholesky = sum((2 * (u - 1 - j) + 1) * (s.first + j + 1) for j in range(u))
+    total = 2 * z * x * x + 2 * x * x * x + 2 * z * u * x + 2 * x * x * u + cholesky + u * u * x
+    if g:  # U⁻¹Dᵀ, Schur complement and its factor, value function, multipliers, gains; then all once more for what is left
+        total += g * u * u + 2 * x * g * u + 2 * g * g * u + g**3 // 3 + g * g * x + 2 * x * x * g
+        total += g * g * x + 2 * x * u * g
+        total += 2 * x * g * u + 2 * x * g + 2 * g * g * x + 2 * x * u * g + u * u * x
+    return total
+
+
+def iteration_operations(program: Program, sizes: Sizes) -> dict[str, int]:
+    """Floating-point operations of the parts of one iteration, all nodes."""
+    t, n = program.t, program.n
+    functions, stages = {**t.values, **t.derivatives}, 4 if program.stages.rk4 else 2
+    count = {name: operations(f)[0] for name, f in functions.items()}
+    pattern = functions["dynamics_jacobian"].sparsity_out(1)
+    states = sum(c < t.nx for c in pattern.get_col())
+    chain = (stages - 1) * (2 * states * sizes.nz + 2 * t.nx * sizes.nz)
+    linear = 2 * (t.nu * sizes.nx + t.nx * sizes.nz)
+    return {
+        "dynamics with Jacobian": n * stages * count["dynamics_jacobian"],
+        "chain rule": n * chain,
+        "cost with Hessian": n * count["cost_quadratic"] + count["terminal_quadratic"],
+        "equalities with Jacobian": n * count["equality_jacobian"],
+        "Riccati": n * riccati_operations(sizes),
+        "step": n * linear,
+        "trial: dynamics": n * stages * count["dynamics"],
+        "trial: cost": n * count["cost"] + count["terminal"],
+        "trial: equalities": n * count["equality"],
+    }
+
+
+@cache
+def peak_gflops(inner: int = 48) -> float:
+    """GFLOP/s of one core on products (24 × ``inner``)(``inner`` × 48) in the first-level cache, by our own kernel."""
+    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
+    engine = load_object(compile_module(ir))
+    a, b, c = aligned(24 * inner), aligned(48 * inner), aligned(24 * 48)
+    a[:], b[:], count = 1.0, 1.0, 1000
+    address = engine.get_function_address("peak")
+    times = milliseconds(lambda: loops.repeat_product(address, a, b, c, count), 20)
+    return float(2 * 24 * 48 * inner * count / times.min() / 1e6)
+
+
+def matrix_product_speed() -> float:
+    """GFLOP/s of one core on products of 512 x 512 matrices (NumPy's BLAS): a yardstick of the machine."""
+    a = np.random.default_rng(0).normal(size=(512, 512))
+    return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
+
+
+def _chain_time(problem: Problem, ab: np.ndarray, repeat: int) -> float:
+    """Milliseconds of the chain rule of one Runge-Kutta stage at all nodes."""
+    kernel = problem.solver.kernel
+    assert kernel is not None
+    size = kernel.sizes.nx * kernel.sizes.lz
+    room = aligned(3 * size)
+    weights, target = aligned(8), aligned(ab.size).reshape(ab.shape)
+    weights[:2] = 0.01, 0.02
+    address = kernel.address("chain")
+    return float(
+        milliseconds(lambda: loops.chain_all(address, room, size, target, ab[0].size, len(ab), weights), repeat).min()
+    )
+
+
+def _stage_times(problem: Problem, x: np.ndarray, u: np.ndarray, program: Program, repeat: int) -> dict[str, float]:
+    """Milliseconds of every stage function at all nodes once."""
+    kernel, s = problem.solver.kernel, program.samples
+    assert kernel is not None
+    p, w = (np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)])) for a in (s.p, s.w))
+    x, u, h = np.ascontiguousarray(x), np.ascontiguousarray(u), np.ascontiguousarray(s.h)
+    nodes = range(program.n)
+    pointers = np.array([[a[k].ctypes.data for a in (x, u, p)] + [w.ctypes.data, h[k:].ctypes.data] for k in nodes])
+    room = aligned((kernel.sizes.nz + 8) * (kernel.sizes.lz + kernel.sizes.lg + 8))
+    results = np.full(3, room.ctypes.data, dtype=np.int64)
+    names = ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "dynamics", "cost", "equality")
+    time = lambda name: milliseconds(
+        lambda: loops.sweep(kernel.address(name), pointers, 5, program.n, results), repeat
+    ).min()
+    none = () if kernel.sizes.ng else ("equality", "equality_jacobian")  # not called where there are no rows
+    return {name: 0.0 if name in none else float(time(name)) for name in names}
+
+
+def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
+    """Operations, time and rate of the parts of one iteration; what is left over is called "rest"."""
+    solver, program = problem.solver, Program(problem.solver)
+    assert solver.kernel is not None
+    solver.guess(problem.x0, problem.u0)
+    solution = solver.solve(problem.x0)
+    single = single_iteration(solver, solution.x, solution.u)
+    whole = float(milliseconds(lambda: single.run(problem.x0), repeat).min())
+    stage = _stage_times(problem, solution.x, solution.u, program, repeat)
+    packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.compliance)
+    slopes = 4 if program.stages.rk4 else 2
+    times = {
+        "chain rule": (slopes - 1) * _chain_time(problem, packed.ab, repeat),
+        "dynamics with Jacobian": slopes * stage["dynamics_jacobian"],
+        "cost with Hessian": stage["cost_quadratic"],
+        "equalities with Jacobian": stage["equality_jacobian"],
+        "Riccati": float(milliseconds(lambda: eliminate(packed), repeat).min()),
+        "step": float(milliseconds(lambda: substitute(packed), repeat).min()),
+        "trial: dynamics": slopes * stage["dynamics"],
+        "trial: cost": stage["cost"],
+        "trial: equalities": stage["equality"],
+    }
+    counts = iteration_operations(program, solver.kernel.sizes)
+    total, peak = sum(counts.values()), peak_gflops()
+    parts = {n: {"operations": c, "ms": times[n]} for n, c in counts.items()}
+    rest = whole - sum(times.values())
+    return {
+        "problem": problem.name,
+        "parts": {**parts, "rest: limits, copies": {"operations": 0, "ms": rest}},
+        "operations": total,
+        "iteration_ms": whole,
+        "peak_gflops": peak,
+        "floor_ms": total / peak / 1e6,
+        "ratio": whole / (total / peak / 1e6),
+    }

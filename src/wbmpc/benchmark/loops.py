@@ -1,0 +1,78 @@
+"""Compiled loops around the kernels, so that single parts of an iteration can be timed without the interpreter."""
+
+from __future__ import annotations
+
+from wbmpc.kernel.library import Library
+from wbmpc.kernel.translate import INT, INTS, NONE, NUMS, PointerCall
+
+LIBRARY = Library("benchmark", rooms=("benchmark", "kernel"))
+compiled = LIBRARY.compiled
+call2, call4, call5, call7 = PointerCall(2), PointerCall(4), PointerCall(5), PointerCall(7)
+
+#: Entries of the sizes that the loops take.
+N, NX, NU, LX, LZ, NODE_AB, NODE_H, NODE_E, NODE_K = range(9)
+
+
+@compiled(NONE, INT, INTS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS)
+def backward(address, sizes, ab, h, e, eps, end, value, k, scratch):  # type: ignore[no-untyped-def]
+    """All Riccati steps, from the last node to the first. ``NODE_…``: doubles per node."""
+    nx, lx = sizes[NX], sizes[LX]
+    for i in range((nx + 1) * lx):
+        value[i] = end[i]
+    for node in range(sizes[N] - 1, -1, -1):
+        call7(
+            address,
+            ab.ctypes.data + 8 * node * sizes[NODE_AB],
+            h.ctypes.data + 8 * node * sizes[NODE_H],
+            e.ctypes.data + 8 * node * sizes[NODE_E],
+            eps.ctypes.data,
+            value.ctypes.data,
+            k.ctypes.data + 8 * node * sizes[NODE_K],
+            scratch.ctypes.data,
+        )
+        for i in range(nx):
+            for j in range(i):
+                value[j * lx + i] = value[i * lx + j]
+
+
+@compiled(NONE, INTS, NUMS, NUMS, NUMS, NUMS)
+def forward(sizes, ab, k, dx, du):  # type: ignore[no-untyped-def]
+    """The step from the gains."""
+    nx, nu, lx, lz = sizes[NX], sizes[NU], sizes[LX], sizes[LZ]
+    for node in range(sizes[N]):
+        x, u = node * lx, node * nu
+        for j in range(nu):
+            row, total = node * sizes[NODE_K] + j * lx, 0.0
+            for i in range(nx + 1):
+                total += k[row + i] * dx[x + i]
+            du[u + j] = total
+        for r in range(nx):
+            row, total = node * sizes[NODE_AB] + r * lz, 0.0
+            for i in range(nx + 1):
+                total += ab[row + i] * dx[x + i]
+            for j in range(nu):
+                total += ab[row + nx + 1 + j] * du[u + j]
+            dx[x + lx + r] = total
+
+
+@compiled(NONE, INT, NUMS, NUMS, NUMS, INT)
+def repeat_product(address, a, b, c, count):  # type: ignore[no-untyped-def]
+    """One matrix product many times."""
+    for _ in range(count):
+        call4(address, a.ctypes.data, b.ctypes.data, c.ctypes.data, c.ctypes.data)
+
+
+@compiled(NONE, INT, INTS, INT, INT, INTS)
+def sweep(address, arguments, width, count, results):  # type: ignore[no-untyped-def]
+    """A stage function at ``count`` nodes; every row of ``width`` ``arguments`` holds its pointers."""
+    for k in range(count):
+        call2(address, arguments.ctypes.data + 8 * k * width, results.ctypes.data)
+
+
+@compiled(NONE, INT, NUMS, INT, NUMS, INT, INT, NUMS)
+def chain_all(address, j, size, ab, node, count, weights):  # type: ignore[no-untyped-def]
+    """The chain rule of one Runge-Kutta stage at ``count`` nodes; ``j`` holds three matrices of ``size`` doubles."""
+    first = j.ctypes.data
+    for k in range(count):
+        target = ab.ctypes.data + 8 * k * node
+        call5(address, first, first + 8 * size, first + 16 * size, target, weights.ctypes.data)

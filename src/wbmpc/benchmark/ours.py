@@ -1,0 +1,55 @@
+"""Figures of this library's solver on a problem."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wbmpc.benchmark.problems import Problem
+from wbmpc.solver import SQP, Solver
+
+
+def milliseconds(call: Callable[[], Any], repeat: int) -> np.ndarray:
+    """Durations (repeat,) [ms] of calls after one that does not count."""
+    call()
+    times = np.empty(repeat)
+    for i in range(repeat):
+        start = time.perf_counter()
+        call()
+        times[i] = 1e3 * (time.perf_counter() - start)
+    return times
+
+
+def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP | None = None) -> Solver:
+    """A solver of the same problem with one iteration and one trial point per call, at the trajectory (x, u)."""
+    single = Solver(solver.ocp, settings or SQP.real_time(smallest_step=0.9))
+    for name, reference in solver.references.items():
+        single.set_reference(name, reference)
+    single.set_schedule(solver.schedule)
+    single.guess(x, u)
+    return single
+
+
+def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Solution (x, u) from the common guess and figures: least time of an iteration (warm, trial point included) and of
+    five solves to convergence, with the certificate's residuals."""
+    solver, total = problem.solver, np.inf
+    for _ in range(6):  # the first does not count
+        solver.guess(problem.x0, problem.u0)
+        solver.forget()
+        solution = solver.solve(problem.x0)
+        total = min(total, solution.solve_time)
+    single = single_iteration(solver, solution.x, solution.u)
+    times = milliseconds(lambda: single.run(problem.x0), repeat)
+    return solution.x, solution.u, {
+        "success": solution.status.name == "CONVERGED",
+        "iterations": solution.iterations,
+        "total_ms": 1e3 * total,
+        "iteration_ms": float(np.min(times)),
+        "iteration_ms_median": float(np.median(times)),
+        "kkt": solution.kkt,
+        "violation": solution.violation,
+    }  # fmt: skip

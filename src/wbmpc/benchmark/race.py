@@ -1,0 +1,160 @@
+"""The whole race in one run on one core: who, on what, and how far from the goals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from wbmpc.benchmark import closed_loop, scaling
+from wbmpc.benchmark.crocoddyl_peer import ball_robot_spec, crocoddyl_figures, lq_spec, torque_arm_spec
+from wbmpc.benchmark.floor import matrix_product_speed, peak_gflops, profile
+from wbmpc.benchmark.limits import iteration_times
+from wbmpc.benchmark.ours import ours
+from wbmpc.benchmark.peers import PEERS, peer, prepare
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
+from wbmpc.benchmark.program import compiler
+from wbmpc.benchmark.qp import quadratic_race
+from wbmpc.benchmark.sizes import size_race
+from wbmpc.benchmark.yardstick import yardstick
+from wbmpc.report import versions
+
+#: Both robots; with open brakes the swerve robot's rows do not depend on each other, which Fatrop asks for.
+ROBOTS: tuple[Callable[..., Problem], ...] = (swerve_bench, partial(swerve_bench, brakes="open"), rezero_bench)
+#: Least factor by which we want to be faster than the fastest full solver, and than the fastest QP solver; most that hard
+#: limits may cost; most against C.
+FULL, QUADRATIC, HARD, C = 5.0, 2.0, 1.3, 1.2
+Progress = Callable[[float, str], None]
+
+
+@contextmanager
+def one_core() -> Iterator[int | None]:
+    """Run on one processor core, children too, where the system allows it; yields its number."""
+    try:
+        before = os.sched_getaffinity(0)
+        core = max(before)
+        os.sched_setaffinity(0, {core})
+    except (AttributeError, OSError):
+        yield None
+        return
+    try:
+        yield core
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
+    """One problem by all full solvers: milliseconds per iteration and to convergence, largest difference from ours."""
+    t = problem.solver.problem
+    size = {
+        "nx": t.nx,
+        "nu": t.nu,
+        "rows": t.equality.shape[0],
+        "limits": len(t.path.rows),
+        "intervals": t.ocp.intervals,
+    }
+    common = {"problem": problem.name, **size}
+    x, u, figures = ours(problem, repeat)
+    rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]
+    note(f"{problem.name}: compiling for the peers")
+    prepared = prepare(problem)
+    for name in PEERS:
+        note(f"{problem.name}: {name}")
+        rows.append({**common, "solver": name, **peer(name, prepared, problem, x, u)})
+    return rows
+
+
+def crocoddyl_race() -> list[dict[str, Any]]:
+    """Nearest problems that crocoddyl can express; see :mod:`wbmpc.benchmark.crocoddyl_peer`."""
+    specs = {
+        "torque arm, 6 joints, N = 50 (same problem, quadrature of the cost apart)": torque_arm_spec(6, 50),
+        "ball robot, N = 65 (nearest: every joint actuated, no limits)": ball_robot_spec(65),
+        "swerve, N = 100 (linear-quadratic, no rows: a lower bound)": lq_spec(21, 21, 100),
+    }
+    figures = crocoddyl_figures(list(specs.values()))
+    if isinstance(figures, str):
+        return [{"problem": name, "solver": "crocoddyl", "success": False, "error": figures} for name in specs]
+    return [{"problem": name, "solver": "crocoddyl", **f} for name, f in zip(specs, figures, strict=True)]
+
+
+def _fastest(rows: list[dict[str, Any]], key: str) -> dict[str, Any] | None:
+    """The fastest peer: it has a time, and a right answer where that was looked at."""
+    peers = [r for r in rows if not r["solver"].startswith("wbmpc") and r.get(key)]
+    return min(peers, key=lambda r: r[key], default=None)
+
+
+def _against(rows: list[dict[str, Any]], key: str, goal: float) -> list[dict[str, Any]]:
+    """How many times faster than the fastest peer, per problem."""
+    out = []
+    for name in dict.fromkeys(r["problem"] for r in rows):
+        group = [r for r in rows if r["problem"] == name]
+        own, best = next(r for r in group if r["solver"].startswith("wbmpc")), _fastest(group, key)
+        value = best[key] / own[key] if best else None
+        what = f"{name}: times faster than {best['solver'] if best else 'peers'}"
+        out.append({"what": what, "value": value, "goal": goal, "met": None if value is None else value >= goal})
+    return out
+
+
+def goals(figures: dict[str, Any]) -> list[dict[str, Any]]:
+    """What was wanted, what is, and whether that is enough (None: not measured)."""
+    out = _against(figures["rows"], "iteration_ms", FULL)
+    out += _against(figures.get("quadratic", []), "step_ms", QUADRATIC)
+    for r in figures["sizes"]:
+        what = f"{r['problem']}: times faster than OCS2's constant"
+        out.append({"what": what, "value": r["ratio"], "goal": r["goal"], "met": r["ratio"] >= r["goal"]})
+    at_most = [(f"{n}: hard-limited over unlimited", v["ratio"], HARD) for n, v in figures["limits"].items()]
+    at_most += [(f"{r['problem']}: over C", r.get("ratio"), C) for r in figures.get("yardstick", [])]
+    for what, value, goal in at_most:
+        out.append({"what": what, "value": value, "goal": goal, "met": None if value is None else value <= goal})
+    return out
+
+
+def run_benchmark(repeat: int = 200, progress: Progress | None = None, peers: bool = False) -> dict[str, Any]:
+    """All figures as one object. ``peers``: also crocoddyl (installed into the cache directory when it is not there), the QP
+    solvers, the C yardstick, the floor, the scaling and the closed loop (minutes)."""
+    done, parts = 0, 8 if peers else 3
+
+    def note(text: str) -> None:
+        if progress is not None:
+            progress(min(done / parts, 1.0), text)
+
+    figures: dict[str, Any] = {"versions": versions(), "compiler": compiler()}
+    with one_core() as core:
+        figures["core"] = core
+        figures["reference_kernel_gflops"], figures["peak_gflops"] = matrix_product_speed(), peak_gflops()
+        figures["rows"] = []
+        for make in ROBOTS:
+            for limits in ("soft", "hard"):
+                figures["rows"] += robot_race(make(limits=limits), repeat, note)
+        done = 1
+        figures["sizes"] = size_race(repeat, note)
+        done = 2
+        note("hard limits")
+        figures["limits"] = iteration_times()
+        done = 3
+        if peers:
+            note("crocoddyl")
+            figures["crocoddyl"] = crocoddyl_race()
+            done = 4
+            figures |= {"quadratic": [], "yardstick": [], "floor": []}
+            for make in ROBOTS:
+                problem = make(limits="soft")
+                note(f"{problem.name}: a quadratic problem")
+                figures["quadratic"] += quadratic_race(problem)
+                note(f"{problem.name}: C")
+                figures["yardstick"].append(yardstick(problem, repeat))
+                note(f"{problem.name}: floor")
+                figures["floor"].append(profile(problem, repeat))
+            done = 5
+            figures["scaling"] = {
+                "intervals": scaling.over_intervals(repeat, PEERS, note),
+                "joints": scaling.over_joints(repeat, PEERS, note),
+                "limits": scaling.over_limits(repeat, PEERS, note),
+            }
+            done = 7
+            figures["closed_loop"] = closed_loop.closed_loop_race(("wbmpc SQP", *PEERS), note)
+            done = 8
+    figures["goals"] = goals(figures)
+    return figures
