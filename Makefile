@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench study lint format pictures clean
+.PHONY: demo test bench realtime soak study grids lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -17,9 +17,21 @@ test: $(VENV)/.tested
 bench: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc bench
 
+# both robots by the wall clock, 60 s each; REALTIME_ARGS="--process --fifo" and others
+realtime: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/realtime.py $(REALTIME_ARGS)
+
+# 100 000 solves: memory and drift
+soak: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/soak.py
+
 # the reporting seeds of both experiments (minutes)
 study: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/seeds.py
+
+# error and time of the swerve robot's MPC over grids of the horizon (minutes)
+grids: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/grids.py
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -175,7 +175,9 @@ def cell(runs: list[dict[str, float]], figure: str) -> str:
 
 def table(found: Runs, seeds: str) -> Table:
     """All scenarios and variants: median (worst) over the seeds."""
-    out = Table(title=f"Hard limits in closed loop, seeds {seeds}: median (worst); red: goal missed", title_justify="left")
+    out = Table(
+        title=f"Hard limits in closed loop, seeds {seeds}: median (worst); red: goal missed", title_justify="left"
+    )
     out.add_column("scenario", no_wrap=True)
     out.add_column("variant", no_wrap=True)
     for heading, unit, _, _ in FIGURES.values():
@@ -190,7 +192,10 @@ def table(found: Runs, seeds: str) -> Table:
 def to_json(found: Runs, seeds: str, times: dict[str, Any]) -> dict[str, Any]:
     """Every run and the statistics, SI units; shares of the range are not in percent."""
     numbers = {
-        s: {v: {f: dict(zip(("median", "worst"), statistics(runs, f), strict=True)) for f in FIGURES} for v, runs in by.items()}
+        s: {
+            v: {f: dict(zip(("median", "worst"), statistics(runs, f), strict=True)) for f in FIGURES}
+            for v, runs in by.items()
+        }
         for s, by in found.items()
     }
     goals = {f: goal for f, (_, _, _, goal) in FIGURES.items() if goal is not None}
@@ -221,7 +226,9 @@ def main() -> None:
     console = Console(width=None if sys.stdout.isatty() else 220)
     console.print(table(found, given.seeds))
     for name, t in times.items():
-        console.print(f"{name}: one iteration {t['hard_ms']:.3f} ms hard, {t['unlimited_ms']:.3f} ms without limits, ratio {t['ratio']:.2f}")
+        console.print(
+            f"{name}: one iteration {t['hard_ms']:.3f} ms hard, {t['unlimited_ms']:.3f} ms without limits, ratio {t['ratio']:.2f}"
+        )
     if given.json is not None:
         given.json.write_text(json.dumps(to_json(found, given.seeds, times), indent=2, allow_nan=False) + "\n")
     for path in write_figure(found, given.out):

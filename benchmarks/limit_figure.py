@@ -34,7 +34,6 @@ def _points(found: Runs, figure: str, factor: float, variant: int, log: bool) ->
 
 
 def _html(found: Runs, path: Path) -> None:
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     names, variants = list(found), list(next(iter(found.values())))
@@ -45,7 +44,15 @@ def _html(found: Runs, path: Path) -> None:
             marker = {"size": 5, "color": COLOURS[v % len(COLOURS)]}
             shown = row == 1
             figure.add_scatter(
-                x=x, y=y, mode="markers", marker=marker, name=variant, legendgroup=variant, showlegend=shown, row=row, col=1
+                x=x,
+                y=y,
+                mode="markers",
+                marker=marker,
+                name=variant,
+                legendgroup=variant,
+                showlegend=shown,
+                row=row,
+                col=1,
             )
         if goal is not None:
             figure.add_hline(y=goal, line={"dash": "dash", "width": 1}, row=row, col=1)

@@ -112,7 +112,10 @@ def _hold_goals(rig: Rig, goals: list[tuple[float, Array]]) -> None:
 
 
 def _push(rig: Rig, start: float, force: Array, body: str | None = None) -> list[Event]:
-    return [(start, lambda: rig.plant.push(force, body=body)), (start + 0.2, lambda: rig.plant.push(0.0 * force, body=body))]
+    return [
+        (start, lambda: rig.plant.push(force, body=body)),
+        (start + 0.2, lambda: rig.plant.push(0.0 * force, body=body)),
+    ]
 
 
 def rezero_push(variant: Variant, seed: int) -> Rig:
@@ -198,7 +201,10 @@ def swerve_fast(variant: Variant, seed: int) -> Rig:
     """A sine of 0.2 to 0.35 m, run at 1.5 to 1.9 m/s: faster than base, wheels and arm may move."""
     rng = np.random.default_rng([seed, 4])
     rig = _swerve(load_robot("swerve-ur10"), variant, seed, 5.0)
-    _follow(rig, *_sine(rng.uniform(1.5, 1.9), rng.choice([-1, 1]) * rng.uniform(0.2, 0.35), rng.uniform(1.8, 2.6), 5.0, 2.0))
+    _follow(
+        rig,
+        *_sine(rng.uniform(1.5, 1.9), rng.choice([-1, 1]) * rng.uniform(0.2, 0.35), rng.uniform(1.8, 2.6), 5.0, 2.0),
+    )
     return rig
 
 
@@ -233,7 +239,9 @@ def swerve_brakes(variant: Variant, seed: int) -> Rig:
     for k, (begin, end, legs) in enumerate(windows):
         events += [begin, end]
         modes += [Mode(f"open{k}", {"brake": [float(i in legs) for i in range(4)]}), Mode(f"{k}", {"brake": [0.0] * 4})]
-    rig = _swerve(load_robot("swerve-ur10"), variant, seed, 6.0, ModeSchedule(tuple(modes), tuple(events)), leg_weight=100.0)
+    rig = _swerve(
+        load_robot("swerve-ur10"), variant, seed, 6.0, ModeSchedule(tuple(modes), tuple(events)), leg_weight=100.0
+    )
     t, hand, base = _sine(0.2, 0.1, 2.66, 6.0)
     leg, home = np.zeros((t.size, 4)), rig.robot.home[rig.robot.state["leg"]]
     for begin, end, legs in windows:

@@ -36,8 +36,8 @@ def record(t: float, command: object, plans: Plans) -> None:
     hand.append(plant.truth().tool)
 
 
-reason = run_lockstep(plant, agent, mpc, timing, 6.0, record)
+ending = run_lockstep(plant, agent, mpc, timing, 6.0, record)
 last = np.array(hand[-400:])
-print(reason or "the robot stood for 6 s")
+print(ending.reason or "the robot stood for 6 s")
 print(f"hand error in the last second: {1e3 * np.linalg.norm(last - aside, axis=1).mean():.2f} mm")
 print(f"solve time: median {1e3 * np.median(mpc.statistics.solve_times):.3f} ms at {mpc.rate:.0f} Hz")

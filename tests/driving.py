@@ -51,10 +51,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Drive:
-    """What came out: planned base twists (n, 3) over time, end pose of odometry and truth, slip."""
+    """What came out: planned base twists (n, 3) and true base poses (n, 3) over time; the end pose (3) that was asked for,
+    of the odometry, and the true one."""
 
     times: np.ndarray
     planned: np.ndarray
+    poses: np.ndarray
     reference: np.ndarray
     odometry: np.ndarray
     truth: np.ndarray
@@ -100,12 +102,13 @@ def drive(
     timing = Timing.of(plant.timestep, 400.0, 50.0, 0.010)
     agent = SwerveAgent(robot, plant.truth().pose, timing.period, planned_steering=planned_steering)
     mpc.reset(home)
-    times, planned = [], []
+    times, planned, true = [], [], []
 
     def record(now: float, command: object, plans: object) -> None:
         times.append(now)
         planned.append(plans.current.feedforward(now)[robot.input["base"]])
+        true.append(plant.truth().pose)
 
-    reason = run_lockstep(plant, agent, mpc, timing, motion.end + rest, record)
+    ending = run_lockstep(plant, agent, mpc, timing, motion.end + rest, record)
     end = np.array([poses[-1], agent.odometry.pose, plant.truth().pose])
-    return Drive(np.array(times), np.array(planned), end[0], end[1], end[2], reason)
+    return Drive(np.array(times), np.array(planned), np.array(true), end[0], end[1], end[2], ending.reason)

@@ -48,6 +48,8 @@ class FakeSettings(Section):
     duration: float = Field(4.0, gt=0)
     fall_at: float | None = None
     abort: bool = False
+    interrupt: bool = False
+    failures: int = 0
 
 
 def run(settings: FakeSettings, seed: int, progress: Callable[[float, str], None] | None = None) -> RunResult:
@@ -65,7 +67,9 @@ def run(settings: FakeSettings, seed: int, progress: Callable[[float, str], None
     hand, error = log.array("hand"), log.array("error")
     metrics = {
         "hand_error_mean_odometry": Metric(float(error.mean()), "m", paper=0.0167, goal=0.003),
-        "hand_error_max_odometry": Metric(float(error.max()), "m", goal=0.001),
+        "hand_error_max_odometry": Metric(
+            float(error.max()), "m", goal=0.001, goal_note="the goal is for the mean of many"
+        ),
         "path_length": Metric(20.53, "m", paper=20.53),
         "rise_time_max": Metric(float("inf") if fell else 0.9, "s"),
         "fell": Metric(float(fell), "1", goal=0.0),
@@ -80,11 +84,14 @@ def run(settings: FakeSettings, seed: int, progress: Callable[[float, str], None
         ]),
         Plot("Empty <plot>", "time [s]", "nothing", [Series("none & nothing", np.zeros(0), np.zeros(0))]),
     ]  # fmt: skip
-    return RunResult(
+    result = RunResult(
         "fake", seed, not fell, f"the robot fell at {settings.fall_at:.2f} s" if fell else "", metrics,
-        MpcStatistics.of(settings.mpc.rate, [0.001, 0.002, 0.030]), log, plots,
+        MpcStatistics.of(settings.mpc.rate, [0.001, 0.002, 0.030], 100, settings.failures, 1), log, plots,
         ["there is no physics <at all>", "the clock is perfect"], settings.model_dump(mode="json"),
     )  # fmt: skip
+    if settings.interrupt:
+        result.completed, result.reason, result.interrupted = False, "interrupted at 0.10 s", True
+    return result
 
 
 FAKE = Experiment("fake", "a sine without physics", FakeSettings, run)

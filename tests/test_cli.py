@@ -120,13 +120,56 @@ def test_a_fall_is_status_1_with_its_figures(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_fall_is_said_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("run", "fake", "--set", "fall_at=2.0") == 1
-    assert "fake ended early: the robot fell at 2.00 s" in capsys.readouterr().out
+    assert "fake did not complete: the robot fell at 2.00 s" in capsys.readouterr().out
 
 
 def test_an_abort_is_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("run", "fake", "--set", "abort=true") == 1
-    assert capsys.readouterr().err == "wbmpc: the solver gave up at 0.10 s\n"
-    assert not (tmp_path / "runs/fake-seed200").exists()  # no empty directory stays
+    """Also when the experiment has nothing to show: what it was and why it ended is on disk."""
+    assert call("run", "fake", "--set", "abort=true", "--json") == 1
+    data = json.loads(capsys.readouterr().out)
+    assert data["completed"] is False and data["reason"] == "the solver gave up at 0.10 s"
+    saved = json.loads((tmp_path / data["files"]["metrics"]).read_text())
+    assert saved["settings"]["abort"] is True and saved["metrics"] == {}
+    assert "the solver gave up at 0.10 s" in (tmp_path / data["files"]["report"]).read_text()
+
+
+def test_ctrl_c_is_status_130_and_leaves_what_there_is(tmp_path: Path) -> None:
+    out = shell("run", "fake", "--set", "interrupt=true", "--json", code=FAKE_MAIN)
+    assert out.returncode == 130 and "Traceback" not in out.stderr
+    data = json.loads(out.stdout)
+    assert data["completed"] is False and data["reason"] == "interrupted at 0.10 s"
+    assert all((tmp_path / f).is_file() for f in data["files"].values())
+
+
+def test_an_interrupted_demo_does_not_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    fake = REGISTRY["fake"]
+    begun: list[str] = []
+
+    def run(settings, seed, progress):  # type: ignore[no-untyped-def]
+        begun.append("run")
+        return fake.run(settings.model_copy(update={"interrupt": True}), seed, progress)
+
+    one = SimpleNamespace(name="x", config_type=fake.config_type, run=run)
+    assert main(["demo", "--json"], {"swerve-track": one, "rezero-steps": one}) == 130  # type: ignore[dict-item]
+    assert begun == ["run"]
+
+
+def test_failures_of_the_solver_are_in_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake", "--set", "failures=7", "--json") == 0
+    mpc = json.loads(capsys.readouterr().out)["mpc"]
+    assert (mpc["solves"], mpc["failures"], mpc["no_step"], mpc["failed_share"]) == (100, 7, 1, 0.08)
+    assert call("run", "fake", "--set", "failures=7") == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert any("solves that failed" in r and "of 100" in r and "8" in r for r in rows)
+    assert any("deadline misses" in r for r in rows)
+
+
+def test_a_missed_goal_is_explained(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert call("run", "fake", "--out", "here") == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "fake, hand_error_max_odometry: the goal is for the mean of many" in out
+    assert "the goal is for the mean of many" in (tmp_path / "here/report.html").read_text()
+    assert "path_length:" not in out
 
 
 # ---------------------------------------------------------------------- bad input
@@ -169,6 +212,17 @@ REAL = {
     ("run", "swerve-track", "--set", "mpc.intervals=0"): "mpc.intervals=0",
     ("run", "swerve-track", "--set", "mpc.rate=77"): "mpc.rate",
     ("run", "rezero-steps", "--set", "plant.friction=[0.9, 0.2]"): "plant.friction",
+    (
+        "run",
+        "swerve-track",
+        "--set",
+        "mpc.horizon=1e13",
+    ): "first_interval: 0.017 s is too short for a horizon of 1e+13 s",
+    ("run", "swerve-track", "--set", "mpc.first_interval=1e-30"): "first_interval: 1e-30 s is too short",
+    ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
+    ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
+    ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 
 
@@ -191,7 +245,7 @@ def test_debug_shows_the_traceback(place: str) -> None:
 
 def test_a_failed_run_leaves_a_given_directory_alone(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    assert call("run", "fake", "--out", "mine", "--set", "abort=true") == 1
+    assert call("run", "fake", "--out", "mine", "--set", "mpc.rate=-1") == 2
     assert (tmp_path / "mine").is_dir()
 
 

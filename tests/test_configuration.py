@@ -20,6 +20,8 @@ def test_keys_are_all_leaves() -> None:
         "duration",
         "fall_at",
         "abort",
+        "interrupt",
+        "failures",
     ]
 
 
@@ -28,7 +30,7 @@ def test_without_assignments_the_defaults_hold() -> None:
 
 
 def test_only_the_named_keys_change() -> None:
-    given = ["mpc.rate=100", "cost.hand.weight=3e2", "plant.friction=[0.5, 0.7]", "abort=true", "mpc.rate=80"]
+    given = ["mpc.rate=100", "cost.hand.weight=3e2", "plant.friction=[5e-1, 0.7]", "abort=true", "mpc.rate=80"]
     changed = configure(FakeSettings, given, "fake").model_dump()
     expected = FakeSettings().model_dump()
     expected["mpc"]["rate"] = 80.0  # the later one wins
@@ -49,6 +51,9 @@ BAD = {
     "mpc.rate=": ["the form is key=value"],
     "=3": ["the form is key=value"],
     "mpc.rate=[": ["mpc.rate", "cannot be read"],
+    "mpc.rate=true": ["mpc.rate=true", "not true or false"],
+    "plant.friction=[true, 1]": ["not true or false"],
+    "plant.friction=8e-1": ["plant.friction=0.8", "several numbers in brackets", "[0.6, 0.9]"],
     "mpc.rate=0": ["mpc.rate=0", "greater than 0"],
     "mpc.rate=fast": ["mpc.rate='fast'", "valid number"],
     "mpc.intervals=0": ["mpc.intervals=0", "greater than or equal to 1"],

@@ -1,6 +1,7 @@
 """What everything on a swerve base rests on: it moves as fast as asked with inexact steering, and it starts from rest.
 
-Independent truth: the reference speed and the reference's end pose, in MuJoCo physics.
+Independent truth: the reference's speed and end pose against the true pose of the base in MuJoCo physics; the odometry,
+which the controller believes, must say the same within its drift.
 """
 
 from __future__ import annotations
@@ -27,13 +28,22 @@ def speed_ratio(result, motion: Motion) -> float:
     return float(np.hypot(*result.planned[steady][:, :2].T).mean() / asked)
 
 
+def true_speed_ratio(result, motion: Motion) -> float:
+    """Way of the base in the world over the way asked for, while the reference is at full speed."""
+    steady = (result.times > motion.start + motion.ramp) & (result.times < motion.start + motion.length)
+    way, t = result.poses[steady][:, :2], result.times[steady]
+    return float(np.linalg.norm(way[-1] - way[0]) / ((t[-1] - t[0]) * np.hypot(*motion.twist[:2])))
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
 @pytest.mark.parametrize("name", ["H", "X", "A", "fixed"])
-def test_commanded_speed_with_noisy_steering(name: str) -> None:
-    motion = Motion((0.3, 0.0, 0.0), 4.0)
+def test_commanded_speed_with_noisy_steering(name: str, seed: int) -> None:
+    motion = Motion((0.3, 0.0, 0.0), 3.0)
     robot = "swerve-fixed-ur10" if name == "fixed" else "swerve-ur10"
-    result = drive(motion, robot, legs=CONFIGURATIONS.get(name), perturbation=NOISY, seed=3, guess=False)
+    result = drive(motion, robot, legs=CONFIGURATIONS.get(name), perturbation=NOISY, seed=seed, guess=False, rest=0.0)
     assert result.reason == ""
     assert speed_ratio(result, motion) == pytest.approx(1.0, abs=0.02)
+    assert true_speed_ratio(result, motion) == pytest.approx(1.0, abs=0.02)
 
 
 def test_measured_steering_in_the_state_stalls() -> None:
@@ -66,15 +76,17 @@ def test_goal_from_rest(goal: str, start: float) -> None:
     result = drive(motion, steer=steer, seed=1)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
-    missing = np.linalg.norm((result.odometry - result.reference) * [1, 1, 0.8])
-    assert missing <= 0.1 * way, f"{result.odometry} instead of {result.reference}"
+    missing = np.linalg.norm((result.truth - result.reference) * [1, 1, 0.8])
+    assert missing <= 0.1 * way, f"{result.truth} instead of {result.reference}"
+    lost = np.linalg.norm((result.truth - result.odometry) * [1, 1, 0.8])
+    assert lost <= 0.03 * way, f"the odometry says {result.odometry}, the base is at {result.truth}"
 
 
 def test_sideways_is_stationary_without_the_guess() -> None:
     """Straight wheels at rest are an exact stationary point of a sideways goal: the solver says "converged" and stays."""
     robot = load_robot("swerve-ur10")
     cost = SwerveCost(hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
-    ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40), cost)
+    ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40, limits="soft"), cost)
     solver = Solver(ocp, SQP(iterations=200))
     goal = robot.home.copy()
     goal[robot.state["base"]] = [0.0, 1.0, 0.0]

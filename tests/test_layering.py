@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "mpc", "estimation", "plant",
-    "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
+    "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
+    "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
@@ -24,6 +24,8 @@ ONLY_IN = {
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "llvmlite": {"kernel"},
+    "threading": {"mpc", "kernel", "loop"},
+    "multiprocessing": {"mpc", "benchmark"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")

@@ -6,7 +6,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
@@ -144,3 +144,12 @@ def test_rotation_angle_equals_scipy(a: np.ndarray, b: np.ndarray) -> None:
     truth = (scipy_rotation(a).inv() * scipy_rotation(b)).magnitude()
     angle = lie.rotation_angle(lie.quaternion_to_rotation(a), lie.quaternion_to_rotation(b))
     np.testing.assert_allclose(angle, truth, atol=1e-6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(*[st.floats(-3.0, 3.0) for _ in range(6)])
+def test_se2_log_undoes_the_step(x: float, y: float, yaw: float, dx: float, dy: float, w: float) -> None:
+    pose = np.array([x, y, yaw])
+    for turns in (-1, 0, 1):
+        after = lie.se2_step(pose, [dx, dy, w]) + [0.0, 0.0, 2.0 * np.pi * turns]
+        np.testing.assert_allclose(lie.se2_log(pose, after), [dx, dy, w], atol=1e-9)

@@ -60,7 +60,8 @@ def test_metrics_repeat_bit_for_bit_and_hold_no_timings() -> None:
     first, second = (to_json(run(FakeSettings(), 7), {}) for _ in range(2))
     assert json.dumps(first["metrics"]) == json.dumps(second["metrics"])
     assert json.dumps(first["metrics"]) != json.dumps(to_json(run(FakeSettings(), 8), {})["metrics"])
-    assert set(first["mpc"]) == {"rate_hz", "solve_ms", "deadline_misses"}
+    counts = {"solves", "failures", "no_step", "failed_share"}
+    assert set(first["mpc"]) == {"rate_hz", "solve_ms", "deadline_misses"} | counts
     assert set(first["mpc"]["solve_ms"]) == {"median", "p95", "max"}
 
 
@@ -107,7 +108,7 @@ def test_page_shows_everything(html_page: str) -> None:
 
 def test_page_of_a_fall_says_so() -> None:
     text = page(run(FELL, 3))
-    assert "The run ended early: the robot fell at 2.00 s" in text
+    assert "The run did not complete: the robot fell at 2.00 s" in text
     assert '"card verdict bad"' in text
 
 
@@ -169,6 +170,11 @@ def test_solve_time_statistics() -> None:
     s = MpcStatistics.of(100.0, [0.001] * 95 + [0.011] * 5)
     assert s.solve_ms == pytest.approx({"median": 1.0, "p95": 1.5, "max": 11.0})
     assert s.deadline_misses == 5
+    assert (s.failed_share, s.fault) == (0.0, "")
+    some = MpcStatistics.of(100.0, [], solves=200, failures=15, no_step=5)
+    assert some.failed_share == pytest.approx(0.1) and some.fault == ""
+    many = MpcStatistics.of(100.0, [], solves=200, failures=15, no_step=6)
+    assert "10 % of the MPC's 200 solves gave no new plan (15 failed, 6 without a step)" in many.fault
     empty = MpcStatistics.of(100.0, [])
     assert empty.deadline_misses == 0 and np.isnan(empty.solve_ms["max"])
 

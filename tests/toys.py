@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import casadi as ca
@@ -175,6 +175,17 @@ def pendulum(
     times = np.array([0.0, 0.5, 1.0])
     solver.set_reference("state", Reference(times, np.array([[0.0, 0, 0, 0], [0.4, 0, 0.5, 0], [0.6, 0, 0, 0]])))
     solver.guess(np.zeros(4))
+    return solver
+
+
+def hardened_pendulum(settings: SQP | None = None, **kwargs: object) -> Solver:
+    """The cart with the pendulum, its inequalities hard: boxes, a scaled box, a general row; at the path and the end."""
+    base = pendulum(**kwargs)
+    for name, term in base.ocp.terms.items():
+        if isinstance(term, Constraint) and not term.equality:
+            base.ocp.terms[name] = replace(term, hard=True)
+    solver = Solver(base.ocp, settings or SQP(iterations=300))
+    solver.set_reference("state", base.references["state"])
     return solver
 
 

@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiments import Experiment
-    from wbmpc.result import RunResult
+    from wbmpc.result import MpcStatistics, RunResult
 
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -113,6 +113,7 @@ def _execute(
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.configuration import configure
     from wbmpc.report import write_run
+    from wbmpc.result import RunResult
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
@@ -122,7 +123,10 @@ def _execute(
     directory = _directory(out, name, seed)
     try:
         with _progress(name, show) as progress:
-            result = experiment.run(settings, seed, progress)
+            try:
+                result = experiment.run(settings, seed, progress)
+            except RunAborted as error:
+                result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
         return result, write_run(result, directory)
     finally:
         if ours:
@@ -134,7 +138,7 @@ def _table(results: list[RunResult]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from wbmpc.report import number
+    from wbmpc.report import goal_notes, number
 
     table = Table(title="Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
     for column in ("experiment", "metric"):
@@ -152,8 +156,18 @@ def _table(results: list[RunResult]) -> None:
         table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
         for kind, milliseconds in mpc.solve_ms.items():
             table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
+        for kind, how_many in _counts(mpc).items():
+            table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
         table.add_section()
-    Console(width=None if sys.stdout.isatty() else 120).print(table)
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(table)
+    for result in results:
+        for note in goal_notes(result):
+            console.print(f"{result.experiment}, {note}", highlight=False)
+
+
+def _counts(mpc: MpcStatistics) -> dict[str, int]:
+    return {"deadline misses": mpc.deadline_misses, "solves that failed": mpc.failures + mpc.no_step}
 
 
 def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
@@ -166,8 +180,10 @@ def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> N
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
-                typer.echo(f"{result.experiment} ended early: {result.reason}")
+                typer.echo(f"{result.experiment} did not complete: {result.reason}")
             typer.echo(f"{result.experiment}: the report page is {files['report']}")
+    if any(r.interrupted for r, _ in results):
+        raise typer.Exit(INTERRUPTED)
     if not all(r.completed for r, _ in results):
         raise typer.Exit(ABORTED)
 
@@ -221,6 +237,8 @@ def demo(
         if not as_json:
             typer.echo(f"running {name} …", err=True)
         results.append(_execute(context.obj, name, seed, [], None, not as_json))
+        if results[-1][0].interrupted:
+            break
     _finish(results, as_json)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any, get_args
 
 import yaml
@@ -68,7 +69,31 @@ def _parse(assignment: str, where: str) -> tuple[str, Any]:
         raise InputError(f"{where}: --set {key.strip()}: the value '{text}' cannot be read") from error
     if not _finite(value):
         raise InputError(f"{where}: --set {key.strip()}={text.strip()}: the value must be a finite number")
-    return key.strip(), value
+    return key.strip(), _numbers(value)
+
+
+def _numbers(value: Any) -> Any:
+    """Text that is a number as that number: YAML 1.1 reads 8e-1 as text."""
+    if isinstance(value, list):
+        return [_numbers(v) for v in value]
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(value)
+    return value
+
+
+def _types(model: type[BaseModel], key: str) -> tuple[Any, ...]:
+    """The types in the annotation of a dotted key."""
+    *parents, last = key.split(".")
+    for parent in parents:
+        model = _model_of(model.model_fields[parent].annotation) or model
+    annotation = model.model_fields[last].annotation
+    return (annotation, *get_args(annotation))
+
+
+def _truths(value: Any) -> bool:
+    """Whether a value is, or holds, true or false."""
+    return any(map(_truths, value)) if isinstance(value, list) else isinstance(value, bool)
 
 
 def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -89,6 +114,9 @@ def describe(error: ValidationError) -> str:
             if isinstance(fault["input"], (Mapping, BaseModel)) or fault["type"] == "missing"
             else f"={fault['input']!r}"
         )
+        if fault["type"] == "tuple_type":
+            faults.append(f"{key}{shown}: several numbers in brackets are needed, e.g. [0.6, 0.9]")
+            continue
         text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))
     return "; ".join(faults)
@@ -105,6 +133,8 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
         key, value = _parse(assignment, where)
         if key not in valid:
             raise _unknown(key, valid, where)
+        if _truths(value) and bool not in _types(model, key):
+            raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
         _insert(settings, key, value)
     try:
         return model.model_validate(settings)

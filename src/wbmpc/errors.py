@@ -14,6 +14,10 @@ class InputError(WbmpcError, ValueError):
     """Bad input of the user: one clear sentence (file, key, valid choices). The command line exits with 2."""
 
 
+class NotFinite(InputError):
+    """A number that is not finite where a finite one is needed. In a running loop it ends the run, which exits with 1."""
+
+
 class RunAborted(WbmpcError):
     """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
 

@@ -153,3 +153,14 @@ def se2_step(pose: ArrayLike, delta: ArrayLike) -> Array:
 
 
 se2_exp_step = se2_step
+
+
+def se2_log(a: ArrayLike, b: ArrayLike) -> Array:
+    """Integral (dx, dy, dyaw) of the constant body twist that moves the pose ``a`` to ``b``; |dyaw| at most π."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    w = float(np.remainder(b[2] - a[2] + np.pi, 2.0 * np.pi) - np.pi)
+    c, s = np.cos(a[2]), np.sin(a[2])
+    x, y = c * (b[0] - a[0]) + s * (b[1] - a[1]), -s * (b[0] - a[0]) + c * (b[1] - a[1])
+    half = 0.5 * w
+    f = half / np.tan(half) if abs(half) > 1e-6 else 1.0 - half * half / 3.0
+    return np.array([f * x + half * y, -half * x + f * y, w])

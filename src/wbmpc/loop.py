@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from wbmpc.control import Plans
-from wbmpc.errors import InputError, RunAborted
-from wbmpc.mpc import MPC, Observation
+import numpy as np
+
+from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.mpc import MPC, Agent, Plans
 
 Progress = Callable[[float, str], None]
+#: How long [s] the robot is held at a stop after a run that ended early.
+STOP_TIME = 0.5
+#: More units than this in one period or delay are a mistake in the settings.
+_MOST = 1_000_000
 
 
-class Agent(Protocol):
-    """What stands between measurements, MPC and commands of one robot."""
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended: an empty ``reason`` when it completed; ``fell`` and ``interrupted`` say what kind of end it was."""
 
-    def measure(self, measurement: Any) -> None: ...
-    def predict(self, t: float, until: float, plans: Plans) -> Observation: ...
-    def command(self, t: float, plans: Plans) -> Any: ...
+    reason: str = ""
+    fell: bool = False
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -40,10 +50,36 @@ class Timing:
 
 
 def _whole(key: str, length: float, unit: float, name: str, least: int = 1) -> int:
+    if not (math.isfinite(length) and length / unit < _MOST):
+        raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
     count = round(length / unit)
     if count < least or abs(length - count * unit) > 1e-9:
         raise InputError(f"{key}: {length * 1e3:g} ms is not a whole number of {name} of {unit * 1e3:g} ms")
     return count
+
+
+@contextmanager
+def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C was pressed: a tick is finished first, so that the log stays whole.
+
+    A second Ctrl-C acts at once. Nothing is changed outside the main thread, or where somebody else handles the signal.
+    """
+    pressed = threading.Event()
+
+    def note(number: int, frame: Any) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed.is_set
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def run_lockstep(
@@ -54,30 +90,66 @@ def run_lockstep(
     duration: float,
     record: Callable[[float, Any, Plans], None],
     progress: Progress | None = None,
-) -> str:
-    """Run for ``duration`` [s]; returns an empty string, or why the run ended early.
+) -> Ending:
+    """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
+    robot and is returned, not raised.
 
     ``record(t, command, plans)`` is called at every tick, with the plant as it is before the command acts.
     """
-    plans, ticks = Plans(), round(duration / timing.period)
-    for i in range(ticks):
-        t = i * timing.period
+    plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
+    # what is not finite is found by its value; NumPy's warnings would only repeat it
+    with _interrupt_between_ticks() as interrupted, np.errstate(over="ignore", invalid="ignore"):
+        for i in range(ticks):
+            t = i * timing.period
+            if interrupted():
+                ending = Ending(f"interrupted at {t:.2f} s", interrupted=True)
+                break
+            ending = _tick(plant, agent, mpc, timing, i, plans, record)
+            if ending.reason:
+                break
+            if progress is not None and i % 40 == 0:
+                progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
+        if ending.reason and not plant.diverged:
+            plant.step(agent.stop(), round(STOP_TIME / timing.period) * timing.steps)
+    if progress is not None and not ending.reason:
+        progress(1.0, f"{duration:.1f} s")
+    return ending
+
+
+def _tick(
+    plant: Any,
+    agent: Agent,
+    mpc: MPC,
+    timing: Timing,
+    i: int,
+    plans: Plans,
+    record: Callable[[float, Any, Plans], None],
+) -> Ending:
+    """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
+    t = i * timing.period
+    try:
         agent.measure(plant.measure())
         plans.activate(t)
         if i % timing.mpc_every == 0:
             until = t + timing.delay * timing.period
-            try:
-                plans.add(until, mpc.update(agent.predict(t, until, plans)))
-            except RunAborted as error:
-                return str(error)
+            plans.add(until, mpc.update(agent.predict(t, until, plans)))
             plans.activate(t)
         command = agent.command(t, plans)
+        _check(command)
         record(t, command, plans)
         plant.step(command, timing.steps)
-        if plant.fell:
-            return f"the robot fell at {t:.2f} s"
-        if progress is not None and i % 40 == 0:
-            progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
-    if progress is not None:
-        progress(1.0, f"{duration:.1f} s")
-    return ""
+    except RunAborted as error:
+        return Ending(f"aborted at {t:.2f} s: {error}")
+    except NotFinite as error:
+        return Ending(f"stopped at {t:.2f} s: {error}")
+    if plant.diverged:
+        return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
+    return Ending(f"the robot fell at {t:.2f} s", fell=True) if plant.fell else Ending()
+
+
+def _check(command: Any) -> None:
+    """Raise :class:`NotFinite` naming the part of a command that is not finite: it must not reach the drives."""
+    for name, values in vars(command).items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise NotFinite(f"command: '{name}' of drive {bad[0]} is not finite")

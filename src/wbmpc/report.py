@@ -74,6 +74,10 @@ def to_json(result: RunResult, files: dict[str, str]) -> dict[str, Any]:
             "rate_hz": result.mpc.rate_hz,
             "solve_ms": {k: _plain(round(v, 4)) for k, v in result.mpc.solve_ms.items()},
             "deadline_misses": result.mpc.deadline_misses,
+            "solves": result.mpc.solves,
+            "failures": result.mpc.failures,
+            "no_step": result.mpc.no_step,
+            "failed_share": round(result.mpc.failed_share, 6),
         },
         "files": files,
     }
@@ -184,10 +188,15 @@ def _metric_rows(metrics: dict[str, Metric]) -> list[list[str]]:
     ]
 
 
+def goal_notes(result: RunResult) -> list[str]:
+    """What a reader must know about the goals that this run misses."""
+    return [f"{name}: {m.goal_note}" for name, m in result.metrics.items() if m.met is False and m.goal_note]
+
+
 def _verdict(result: RunResult) -> str:
     judged = {name: m.met for name, m in result.metrics.items() if m.met is not None}
     missed = [html.escape(name) for name, met in judged.items() if not met]
-    text = "The run completed" if result.completed else f"The run ended early: {html.escape(result.reason)}"
+    text = "The run completed" if result.completed else f"The run did not complete: {html.escape(result.reason)}"
     if judged:
         text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
     if missed:
@@ -204,7 +213,9 @@ def _solve_times(result: RunResult) -> str:
         *(f"{number(mpc.solve_ms[k])} ms" for k in ("median", "p95", "max")),
     ]
     header = ["rate", "period", "median solve", "95 % below", "longest", "longer than the period"]
-    return _table(header, [[*row, str(mpc.deadline_misses)]], set(range(6)))
+    counts = [mpc.deadline_misses, mpc.solves, mpc.failures, mpc.no_step]
+    header += ["solves", "failed", "without a step"]
+    return _table(header, [[*row, *map(str, counts)]], set(range(len(header))))
 
 
 def page(result: RunResult) -> str:
@@ -219,6 +230,7 @@ def page(result: RunResult) -> str:
         f'<div class="card {"wide" if p.equal_axes else ""}"><h3>{html.escape(p.title)}</h3>{_figure(p)}</div>'
         for p in result.plots
     )
+    notes = "".join(f'<p class="sub">{html.escape(note)}.</p>' for note in goal_notes(result))
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
     settings = html.escape(json.dumps(_plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
@@ -231,7 +243,7 @@ def page(result: RunResult) -> str:
 <p class="sub">Seed {result.seed}, simulated in MuJoCo; the plant differs from the planner's model as the settings say.</p>
 {_verdict(result)}
 <h2>Figures</h2>{metrics}
-<p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>
+<p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>{notes}
 <h2>Model predictive control</h2>{_solve_times(result)}
 <h2>Plots</h2><div class="plots">{plots}</div>
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>

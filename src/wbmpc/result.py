@@ -9,15 +9,22 @@ import numpy as np
 
 from wbmpc.log import Log
 
+#: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
+MOST_FAILED = 0.1
+
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure with its unit, the paper's figure and the goal (a largest value) where there is one."""
+    """A figure with its unit, the paper's figure and the goal (a largest value) where there is one.
+
+    ``goal_note``: what a reader must know about the goal when one run misses it.
+    """
 
     value: float
     unit: str
     paper: float | None = None
     goal: float | None = None
+    goal_note: str = ""
 
     @property
     def met(self) -> bool | None:
@@ -27,18 +34,41 @@ class Metric:
 
 @dataclass(frozen=True)
 class MpcStatistics:
-    """Rate [Hz], solve times [ms] (median, p95, max) and how many took longer than the period."""
+    """Rate [Hz], solve times [ms] (median, p95, max) and how many took longer than the period.
+
+    Of ``solves`` solves ``failures`` gave no usable plan, and ``no_step`` found no step, so that the old plan went on.
+    """
 
     rate_hz: float
     solve_ms: dict[str, float]
     deadline_misses: int
+    solves: int = 0
+    failures: int = 0
+    no_step: int = 0
 
     @classmethod
-    def of(cls, rate: float, seconds: list[float]) -> MpcStatistics:
-        """Statistics of solve times [s]."""
+    def of(
+        cls, rate: float, seconds: list[float], solves: int = 0, failures: int = 0, no_step: int = 0
+    ) -> MpcStatistics:
+        """Statistics of solve times [s] and of failures."""
         ms = 1e3 * np.array(seconds if seconds else [np.nan])
         figures = {"median": float(np.median(ms)), "p95": float(np.percentile(ms, 95)), "max": float(ms.max())}
-        return cls(rate, figures, int(np.sum(ms > 1e3 / rate)))
+        return cls(rate, figures, int(np.sum(ms > 1e3 / rate)), solves, failures, no_step)
+
+    @property
+    def failed_share(self) -> float:
+        """Solves that gave no new plan over all solves (0 without any)."""
+        return (self.failures + self.no_step) / max(self.solves, 1)
+
+    @property
+    def fault(self) -> str:
+        """Why a run with these statistics does not count as completed; empty when it does."""
+        if self.failed_share <= MOST_FAILED:
+            return ""
+        return (
+            f"{100 * self.failed_share:.0f} % of the MPC's {self.solves} solves gave no new plan "
+            f"({self.failures} failed, {self.no_step} without a step); at most {100 * MOST_FAILED:.0f} % may"
+        )
 
 
 @dataclass(frozen=True)
@@ -64,7 +94,7 @@ class Plot:
 
 @dataclass
 class RunResult:
-    """Everything a run leaves behind; ``reason`` says why it ended early (empty when completed)."""
+    """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C."""
 
     experiment: str
     seed: int
@@ -76,3 +106,9 @@ class RunResult:
     plots: list[Plot] = field(default_factory=list)
     idealisations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
+    interrupted: bool = False
+
+    @classmethod
+    def aborted(cls, experiment: str, seed: int, reason: str, settings: dict[str, Any]) -> RunResult:
+        """A run that ended before it had anything to show."""
+        return cls(experiment, seed, False, reason, {}, MpcStatistics.of(1.0, []), Log(), settings=settings)

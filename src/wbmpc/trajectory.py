@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
+#: A horizon is at most so many times its first interval.
+LONGEST = 1e6
 
 
 def uniform_grid(horizon: float, intervals: int) -> Array:
@@ -25,19 +27,25 @@ def geometric_grid(horizon: float, intervals: int, first: float) -> Array:
     _check(horizon, intervals)
     if not 0.0 < first <= horizon / intervals:
         raise InputError(
-            f"first interval: {first:g} s must be positive and at most horizon / intervals = {horizon / intervals:g} s"
+            f"first_interval: {first:g} s must be positive and at most horizon / intervals = {horizon / intervals:g} s"
+        )
+    if first * LONGEST < horizon:
+        raise InputError(
+            f"first_interval: {first:g} s is too short for a horizon of {horizon:g} s; valid: at least {horizon / LONGEST:g} s"
         )
     low, high = 1.0, 2.0 + horizon / first
+    powers = np.arange(intervals)
     for _ in range(200):
         ratio = 0.5 * (low + high)
-        length = first * np.sum(ratio ** np.arange(intervals)) if ratio ** (intervals - 1) < 1e12 else np.inf
+        with np.errstate(over="ignore"):  # an infinite length is too long, which is what the comparison says
+            length = first * np.sum(ratio**powers)
         low, high = (ratio, high) if length < horizon else (low, ratio)
-    steps = first * low ** np.arange(intervals)
+    steps = first * low**powers
     return np.concatenate([[0.0], np.cumsum(steps * horizon / steps.sum())])
 
 
 def _check(horizon: float, intervals: int) -> None:
-    if intervals < 1:
-        raise InputError(f"intervals: a horizon needs at least one interval, got {intervals}")
-    if not (np.isfinite(horizon) and horizon > 0.0):
-        raise InputError(f"horizon: must be a positive time in seconds, got {horizon}")
+    if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)) or intervals < 1:
+        raise InputError(f"intervals: a whole number of intervals is needed, at least one, got {intervals!r}")
+    if not (isinstance(horizon, (int, float, np.number)) and np.isfinite(horizon) and horizon > 0.0):
+        raise InputError(f"horizon: must be a positive time in seconds, got {horizon!r}")

@@ -1,15 +1,18 @@
-"""Plans and the lockstep loop. Truth: a list of who should be in force when."""
+"""Plans and the lockstep loop. Truth: a list of who should be in force when; what reaches the drives when a run fails."""
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from wbmpc.control import Plans
-from wbmpc.errors import InputError, RunAborted
-from wbmpc.loop import Timing, run_lockstep
+from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.loop import Ending, Timing, run_lockstep
 from wbmpc.mpc import Observation
 
 
@@ -36,15 +39,38 @@ class FakeAgent:
         return Observation(until, np.zeros(1))
 
     def command(self, t: float, plans: Plans):  # type: ignore[no-untyped-def]
-        return plans.current
+        return SimpleNamespace(drive=plans.current)
+
+    def stop(self):  # type: ignore[no-untyped-def]
+        return SimpleNamespace(drive=0.0)
 
 
-def fake_plant(falls_after: int = 10**9):  # type: ignore[no-untyped-def]
-    plant = SimpleNamespace(steps=0, fell=False)
+class ErringAgent(FakeAgent):
+    """At 0.2 s something that is not finite turns up."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self.where = where
+
+    def measure(self, measurement) -> None:  # type: ignore[no-untyped-def]
+        super().measure(measurement)
+        if self.where == "measure" and self.measured > 20:
+            raise NotFinite("the estimate is not finite")
+
+    def command(self, t: float, plans: Plans):  # type: ignore[no-untyped-def]
+        if self.where == "command" and t > 0.195:
+            return SimpleNamespace(drive=np.array([1.0, np.nan]))
+        return SimpleNamespace(drive=np.array([1.0, 1.0]))
+
+
+def fake_plant(falls_after: int = 10**9, diverges_after: int = 10**9):  # type: ignore[no-untyped-def]
+    plant = SimpleNamespace(steps=0, fell=False, diverged=False, commands=[])
 
     def step(command, n: int) -> None:  # type: ignore[no-untyped-def]
         plant.steps += n
+        plant.commands.append((command.drive, n))
         plant.fell = plant.steps > falls_after
+        plant.diverged = plant.steps > diverges_after
 
     plant.step, plant.measure = step, lambda: None
     return plant
@@ -65,6 +91,8 @@ def test_timing_counts_whole_steps() -> None:
         ((5e-4, 400.0, 50.0, 0.011), r"mpc\.delay: 11 ms is not a whole number of controller periods"),
         ((5e-4, 4000.0, 50.0, 0.01), r"control\.rate"),
         ((5e-4, 400.0, 800.0, 0.01), r"mpc\.rate"),
+        ((5e-4, 400.0, 1e-310, 0.01), r"mpc\.rate: inf s is too long, more than a million controller periods"),
+        ((5e-4, 400.0, 50.0, 1e300), r"mpc\.delay: 1e\+300 s is too long"),
     ],
 )
 def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], message: str) -> None:
@@ -77,8 +105,8 @@ def test_who_is_in_force(every: int, delay: int) -> None:
     """The newest policy whose computation is over; also when computing takes several MPC periods."""
     timing = Timing(0.01, 3, every, delay)
     agent, plant, seen = FakeAgent(), fake_plant(), []
-    reason = run_lockstep(plant, agent, FakeMPC(), timing, 0.5, lambda t, c, p: seen.append((round(t / 0.01), c)))
-    assert reason == ""
+    record = lambda t, c, p: seen.append((round(t / 0.01), c.drive))
+    assert run_lockstep(plant, agent, FakeMPC(), timing, 0.5, record) == Ending()
     assert plant.steps == 150
     assert agent.measured == 50
     for tick, command in seen:
@@ -104,16 +132,80 @@ def test_plans_look_ahead() -> None:
 def test_a_fall_ends_the_run() -> None:
     plant, progress = fake_plant(falls_after=30), []
     timing = Timing(0.01, 3, 5, 1)
-    reason = run_lockstep(
+    ending = run_lockstep(
         plant, FakeAgent(), FakeMPC(), timing, 1.0, lambda *a: None, lambda p, text: progress.append(p)
     )
-    assert reason == "the robot fell at 0.10 s"
-    assert plant.steps == 33
+    assert ending == Ending("the robot fell at 0.10 s", fell=True)
+    assert plant.commands[-1] == (0.0, 150)  # held at a stop for half a second
+    assert plant.steps == 33 + 150
 
 
 def test_an_aborted_mpc_ends_the_run() -> None:
-    reason = run_lockstep(fake_plant(), FakeAgent(), FakeMPC(0.5), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
-    assert reason == "no plan"
+    plant = fake_plant()
+    ending = run_lockstep(plant, FakeAgent(), FakeMPC(0.5), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+    assert ending == Ending("aborted at 0.50 s: no plan")
+    assert plant.commands[-1] == (0.0, 150)
+
+
+@pytest.mark.parametrize(
+    ("where", "reason"),
+    [
+        ("measure", "stopped at 0.20 s: the estimate is not finite"),
+        ("command", "stopped at 0.20 s: command: 'drive' of drive 1 is not finite"),
+    ],
+)
+def test_what_is_not_finite_stops_the_robot_and_never_reaches_it(where: str, reason: str) -> None:
+    plant, recorded = fake_plant(), []
+    ending = run_lockstep(
+        plant, ErringAgent(where), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
+    )
+    assert ending == Ending(reason)
+    assert plant.commands.pop() == (0.0, 150)
+    assert len(plant.commands) == len(recorded) == 20
+    assert all(np.isfinite(drive).all() for drive, _ in plant.commands)
+
+
+def test_a_simulation_that_diverged_is_left_alone() -> None:
+    plant = fake_plant(diverges_after=30)
+    ending = run_lockstep(plant, FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+    assert ending == Ending("the simulation diverged at 0.10 s: positions are not finite")
+    assert plant.steps == 33
+
+
+def test_ctrl_c_takes_effect_between_ticks_and_stops_the_robot() -> None:
+    """The tick in which it comes is finished: recorded and commanded."""
+    plant, recorded = fake_plant(), []
+
+    def record(t: float, command: object, plans: Plans) -> None:
+        if t == pytest.approx(0.1):
+            os.kill(os.getpid(), signal.SIGINT)
+        recorded.append(t)
+
+    ending = run_lockstep(plant, FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
+    assert ending == Ending("interrupted at 0.11 s", interrupted=True)
+    assert len(recorded) == 11
+    assert plant.commands[-1] == (0.0, 150)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_acts_at_once() -> None:
+    def record(t: float, command: object, plans: Plans) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_lockstep(fake_plant(), FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_leave_the_signal_alone() -> None:
+    found: list[object] = []
+    record = lambda *a: found.append(signal.getsignal(signal.SIGINT))
+    arguments = (fake_plant(), FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 0.05, record)
+    thread = threading.Thread(target=run_lockstep, args=arguments)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler] * 5
 
 
 def test_progress_ends_at_one() -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from archives import check_steps, check_track
 from wbmpc.experiments import REGISTRY
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
@@ -29,31 +32,45 @@ def check_statistics(result) -> None:  # type: ignore[no-untyped-def]
     assert result.reason == ""
     assert 0.0 < result.mpc.solve_ms["median"] <= result.mpc.solve_ms["p95"] <= result.mpc.solve_ms["max"]
     assert all(np.isfinite(m.value) for m in result.metrics.values())
+    assert result.mpc.solves > 100
+    assert result.mpc.failed_share == 0.0
     for plot in result.plots:
         for series in plot.series:
             assert len(series.x) == len(series.y) > 0, plot.title
 
 
-def test_swerve_follows_its_path(track) -> None:  # type: ignore[no-untyped-def]
+def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     check_statistics(track)
+    check_track(track, tmp_path)
     m = {name: metric.value for name, metric in track.metrics.items()}
-    assert m["hand_error_mean_odometry"] < 0.005
-    assert m["hand_error_max_odometry"] < 0.03
-    assert m["odometry_drift_ratio"] < 0.02
+    assert 1e-4 < m["hand_error_mean_odometry"] < 0.005
+    assert m["hand_error_mean_odometry"] < m["hand_error_max_odometry"] < 0.03
+    assert 1e-4 < m["hand_error_mean_nearest"] < m["hand_error_mean_odometry"] + 1e-6
+    assert 1e-4 < m["hand_error_mean_world"] < 0.1
+    assert 1e-4 < m["odometry_drift_ratio"] < 0.02
+    assert 1e-4 < m["odometry_drift_ratio_wheels"] < 0.05
+    assert 1e-4 < m["wheel_slip_max"] < 0.5
     assert m["path_length"] == pytest.approx(20.53 / 6, rel=0.02)
     assert m["base_path_length"] == pytest.approx(15.96 / 6, rel=0.15)
-    assert m["hand_orientation_error_max"] < 0.1
+    assert 1e-3 < m["hand_orientation_error_max"] < 0.1
+    speeds = next(p for p in track.plots if p.title == "Joint speeds over their limits")
+    assert [s.name for s in speeds.series] == ["leg", "steer", "wheel", "arm"]
+    assert all(s.y.min() >= 0.0 and s.y.max() < 1.1 for s in speeds.series)
+    assert all(s.y.max() > 0.01 for s in speeds.series[1:])
     assert track.mpc.rate_hz == 50.0
 
 
-def test_rezero_takes_its_steps(steps) -> None:  # type: ignore[no-untyped-def]
+def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     check_statistics(steps)
+    check_steps(steps, tmp_path)
     m = {name: metric.value for name, metric in steps.metrics.items()}
     assert m["fell"] == 0.0
-    assert m["steady_position_error_max"] < 0.015
-    assert m["rise_time_max"] < 1.3
-    assert 0.0 < m["tilt_max"] < 0.35
-    assert m["wheel_torque_max"] <= 4.0 + 1e-9
+    assert 1e-4 < m["steady_position_error_max"] < 0.015
+    assert 0.3 < m["rise_time_max"] < 1.3
+    assert 0.05 < m["tilt_max"] < 0.35
+    assert 0.5 < m["wheel_torque_max"] <= 4.0 + 1e-9
+    assert 1e-3 < m["steady_orientation_error_max"] < 0.5
+    assert 0.1 < m["unreachable_rotation_error"] < np.pi / 6 + 0.1
 
 
 def same(a, b) -> None:  # type: ignore[no-untyped-def]

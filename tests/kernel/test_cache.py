@@ -57,6 +57,40 @@ def test_damaged_files_are_built_again(folder: Path, damage: str) -> None:
     assert build_kernel(transcription()).from_cache
 
 
+@pytest.mark.parametrize("description", [{}, {"nx": 3}, {"target": "other cpu", "sizes": {}}, {"sizes": {"nx": 1}}])
+def test_an_entry_of_another_format_or_machine_is_built_again(folder: Path, description: dict) -> None:
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    code, good = cache.load(file.stem)  # type: ignore[misc]
+    cache.save(file.stem, b"not machine code", description)
+    assert not build_kernel(transcription()).from_cache
+    assert cache.load(file.stem) == (code, good)
+    assert build_kernel(transcription()).from_cache
+
+
+RACE = """
+import sys
+from toys import LinearQuadratic
+from wbmpc.solver import SQP, Solver
+lq = LinearQuadratic(3, 2, 1)
+print(Solver(lq.problem(), SQP(iterations=20)).solve(lq.x0).u.tobytes().hex())
+"""
+
+
+def test_two_processes_that_start_at_once(tmp_path: Path) -> None:
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "WBMPC_CACHE_DIR": str(tmp_path / "new"), "PYTHONPATH": paths}
+    command = [sys.executable, "-W", "error", "-c", RACE]
+    both = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    done = [p.communicate(timeout=120) for p in both]
+    assert all(p.returncode == 0 for p in both), done
+    assert done[0][0] == done[1][0] != ""
+    assert len(list((tmp_path / "new").iterdir())) == 2  # the problem and the driver; nothing half-written
+
+
 def test_a_leftover_temporary_file_does_no_harm(folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "tmpabc").write_bytes(b"half")

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
+from wbmpc.ocp.residuals import FrameWrench, Symbols
 from wbmpc.robots import load_description, load_spec
 
 RADIUS, WHEEL_RADIUS = 0.125, 0.064
@@ -68,8 +69,10 @@ class FloatingRobot:
         self.ball = self.m.body("ball").id
         self.dof = self.m.joint("ball").dofadr[0]
 
-    def accelerations(self, x: np.ndarray, u: np.ndarray, hand_force: np.ndarray, seed: int) -> np.ndarray:
-        """v̇ (8) by the KKT system [H Jᵀ; J 0]."""
+    def accelerations(
+        self, x: np.ndarray, u: np.ndarray, hand_force: np.ndarray, seed: int, wrenches: dict | None = None
+    ) -> np.ndarray:
+        """v̇ (8) by the KKT system [H Jᵀ; J 0]. ``wrenches``: force and moment (6) by frame, world axes, at its origin."""
         m, d, q, v = self.m, self.d, x[:N], x[N:]
         base = Rotation.from_euler("ZYX", q[2:5]).as_matrix()
         omega = local_rates(q) @ v[2:5]
@@ -90,6 +93,8 @@ class FloatingRobot:
         jp, jr = np.zeros((3, nv)), np.zeros((3, nv))
         mujoco.mj_jacSite(m, d, jp, jr, m.site("tool").id)
         force += jp.T @ hand_force
+        for frame, wrench in (wrenches or {}).items():
+            mujoco.mj_applyFT(m, d, wrench[:3], wrench[3:], *self.place(frame), force)
         inertia = np.zeros((nv, nv))
         mujoco.mj_fullM(m, d, inertia)
         mujoco.mj_jacBody(m, d, jp, jr, self.ball)
@@ -104,6 +109,45 @@ class FloatingRobot:
         turned = np.imag(local_rates(q + 1e-30j * v)) / 1e-30 @ v[2:5]
         euler = np.linalg.solve(local_rates(q), a[3:6] - turned)
         return np.concatenate([a[:2], euler, a[9:]])
+
+    def place(self, frame: str) -> tuple[np.ndarray, int]:
+        """Where a site or body is in the world, and which body it belongs to."""
+        m, d = self.m, self.d
+        if frame in [m.site(i).name for i in range(m.nsite)]:
+            return d.site_xpos[m.site(frame).id], int(m.site(frame).bodyid[0])
+        return d.xpos[m.body(frame).id], m.body(frame).id
+
+
+CONTACTS = [("force", ["tool"]), ("wrench", ["tool"]), ("wrench", ["base"]), ("wrench", ["arm_forearm_link", "tool"])]
+
+
+@pytest.mark.parametrize(("kind", "frames"), CONTACTS)
+def test_contact_wrenches_equal_mujocos(kind: str, frames: list[str]) -> None:
+    """Truth: mj_applyFT at the frame's origin; the residual is the wrench that acts at its frame."""
+    robot = load_robot("rezero", contact=kind, contact_frame=frames)
+    x_, u_, w_, m_ = symbols(robot)
+    given = [Symbols(x_, u_, w_, m_, ca.SX.zeros(6 if kind == "wrench" else 3), x_, u_)] * len(frames)
+    residuals = [FrameWrench(robot, f)(s) for f, s in zip(frames, given, strict=True)]
+    evaluate = numeric([robot.dynamics()(x_, u_, w_, m_), *residuals], x_, u_, w_, m_)
+    rng = np.random.default_rng(4)
+    for seed in range(5):
+        x, u = random_state(rng), rng.uniform(-20, 20, robot.input.size)
+        split = robot.input.split(u)
+        groups = [robot.base.contacts[f] for f in frames]
+        parts = [np.concatenate([split[g] for g in by_kind.values()]) for by_kind in groups]
+        wrenches = {f: np.pad(p, (0, 6 - p.size)) for f, p in zip(frames, parts, strict=True)}
+        f, *rows = evaluate(x, u, np.zeros(N), [])
+        truth = FLOATING.accelerations(x, u[:6], np.zeros(3), seed, wrenches)
+        np.testing.assert_allclose(f.ravel()[N:], truth, atol=1e-8 * (1 + np.abs(truth).max()))
+        for row, part in zip(rows, parts, strict=True):
+            np.testing.assert_array_equal(row.ravel(), part)
+
+
+def test_layout_of_contacts() -> None:
+    groups = lambda **contact: load_robot("rezero", **contact).input.groups
+    assert [*groups(contact="wrench")] == ["wheel", "arm", "force", "moment"]
+    several = [*groups(contact="wrench", contact_frame=["arm_forearm_link", "tool"])]
+    assert several[2:] == ["force_arm_forearm_link", "moment_arm_forearm_link", "force_tool", "moment_tool"]
 
 
 @settings(max_examples=30, deadline=None)
@@ -164,7 +208,7 @@ def test_mass_matrix_and_inverse_dynamics_agree() -> None:
     np.testing.assert_allclose(ROBOT.mass_matrix(q) @ a, change, atol=1e-9)
 
 
-@pytest.mark.parametrize("contact", ["none", "force"])
+@pytest.mark.parametrize("contact", ["none", "force", "wrench"])
 def test_jacobian_equals_differences_and_automatic_differentiation(contact: str) -> None:
     robot = load_robot("rezero", contact=contact)
     d, (x, u, w, m) = robot.dynamics(), symbols(robot)
@@ -194,6 +238,8 @@ def test_jacobian_equals_differences_and_automatic_differentiation(contact: str)
 def test_equilibrium_rests_and_balances_moments(arm, force) -> None:
     """Truth: statics about the ball's contact point, with the centre of mass computed by MuJoCo."""
     x, u = ROBOT.equilibrium(arm, yaw=0.4, force=force)
+    elsewhere = load_robot("rezero", contact="wrench", contact_frame="base")
+    np.testing.assert_allclose(elsewhere.equilibrium(arm, yaw=0.4, force=force)[0], x, atol=1e-9)
     np.testing.assert_allclose(x[[0, 1, 2, 5, 6, 7]], [0, 0, 0.4, *arm], atol=0)
     (f,) = DERIVATIVE(x, u, ROBOT.parameters.vector({"force": force}), [])
     np.testing.assert_allclose(f, 0, atol=1e-8)

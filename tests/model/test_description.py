@@ -93,6 +93,8 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"base": {"type": "flying", "body": "base_link"}}, ("base", "fixed", "swerve", "ball")),
         ({"base": {"type": "fixed", "body": "base_lnk"}}, ("'base_lnk'", "did you mean 'base_link'")),
         ({"base": {"type": "fixed", "body": "base_link", "wheel_radius": 1}}, ("'base.wheel_radius'",)),
+        ({"base": {"type": "fixed", "bod": "base_link"}}, ("'base.bod'", "did you mean 'base.body'", "1 more")),
+        ({"base": {"type": "fixed", "body": "base_link", "contact": "wrench"}}, ("base.contact", "no effect", "ball")),
         ({"base": None}, ("'base'",)),
         ({"home": {"one": "far"}}, ("'home.one'", "'far'")),
         ({"home": {"one": float("nan")}}, ("'home.one'",)),
@@ -143,12 +145,29 @@ def test_unknown_robots_and_missing_files() -> None:
     [
         ({"orientation": "euler"}, ("base.orientation", "yaw", "quaternion")),
         ({"orientatoin": "yaw"}, ("base.orientatoin", "did you mean 'base.orientation'")),
-        ({"contact": "force"}, ("base.contact",)),
+        ({"contact": "force"}, ("base.contact", "inputs of a swerve base are speeds", "no effect on its motion")),
+        ({"contact_frame": "tool0"}, ("base.contact_frame", "no effect")),
     ],
 )
 def test_bad_overrides_of_the_base(overrides: dict[str, str], words: tuple[str, ...]) -> None:
     with pytest.raises(InputError) as error:
         load_robot("swerve-ur10", **overrides)
+    assert all(w in str(error.value) for w in words), str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"contact": "frce"}, ("base.contact", "'frce'", "wrench")),
+        ({"contact": "wrench", "contact_frame": "tol"}, ("'tol'", "base.contact_frame", "did you mean 'tool'")),
+        ({"contact": "wrench", "contact_frame": "ball"}, ("'ball'", "base.contact_frame", "tool")),
+        ({"contact": "wrench", "contact_frame": ["tool", "tool"]}, ("contact_frame: every frame once",)),
+        ({"contact_frame": "tool"}, ("contact_frame needs contact: force",)),
+    ],
+)
+def test_bad_contacts(overrides: dict[str, str], words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as error:
+        load_robot("rezero", **overrides)
     assert all(w in str(error.value) for w in words), str(error.value)
 
 

@@ -256,7 +256,7 @@ def test_home_is_in_x_and_the_hand_beside_the_robot(variant) -> None:
 
 def test_layouts_and_limits() -> None:
     sizes = {v: (r.state.size, r.input.size, r.parameters.size, r.mode.size) for v, r in ROBOTS.items()}
-    assert sizes == {VARIANTS[0]: (21, 21, 0, 4), VARIANTS[1]: (25, 21, 0, 4), VARIANTS[2]: (17, 17, 0, 0)}
+    assert sizes == {VARIANTS[0]: (21, 21, 3, 4), VARIANTS[1]: (25, 21, 3, 4), VARIANTS[2]: (17, 17, 3, 0)}
     robot = ROBOTS[VARIANTS[0]]
     assert robot.state.groups["leg"] == tuple(f"leg_{n}" for n in MODULES)
     lower, upper = (getattr(robot.limits, f"state_{s}") for s in ("lower", "upper"))

@@ -11,6 +11,8 @@ from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
 from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver
+from wbmpc.solver.driver import DIVERGED
+from wbmpc.solver.solution import COLUMNS
 
 REAL_TIME = SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
 START = np.array([0.1, 0.3, 0.0, 0.0])
@@ -77,8 +79,60 @@ def test_failed_solve_keeps_the_last_policy() -> None:
 
 def test_failing_from_the_start_is_an_abort() -> None:
     mpc = make(Poison(0.0))
-    with pytest.raises(RunAborted, match="first solve failed"):
+    with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(state 'x\.0' at node 0"):
         mpc.update(Observation(0.0, START))
+
+
+@pytest.mark.parametrize("part", ["gain", "x", "u"])
+def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the solver's status says, and wherever in the horizon it is."""
+    mpc = make()
+    last = mpc.update(Observation(0.0, START))
+    honest = mpc.solver.run
+
+    def spoilt(*arguments):  # type: ignore[no-untyped-def]
+        outcome = honest(*arguments)
+        {"gain": mpc.solver.ws.k, "x": mpc.solver.ws.x, "u": mpc.solver.ws.u}[part][-1] = np.nan
+        return outcome
+
+    monkeypatch.setattr(mpc.solver, "run", spoilt)
+    assert mpc.update(Observation(0.02, START)) is last
+    assert (mpc.statistics.solves, mpc.statistics.failures) == (2, 1)
+    assert (
+        mpc.fault
+        == f"failed: the { {'gain': 'feedback gain', 'x': 'planned state', 'u': 'planned input'}[part] } is not finite"
+    )
+    mpc.reset(START)
+    with pytest.raises(RunAborted, match=r"the first solve failed: .*not finite"):
+        mpc.update(Observation(0.04, START))
+
+
+def test_a_solve_that_diverged_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    mpc = make()
+    last = mpc.update(Observation(0.0, START))
+    honest = mpc.solver.run
+    monkeypatch.setattr(mpc.solver, "run", lambda *a: (DIVERGED, honest(*a)[1]))
+    assert mpc.update(Observation(0.02, START)) is last
+    assert mpc.statistics.failures == 1
+
+
+def test_solves_without_a_step_are_counted() -> None:
+    """A solver that may not force its step, from a guess where the line search cannot win."""
+    mpc = make()
+    for k in range(5):
+        mpc.update(Observation(0.02 * k, START))
+    assert (mpc.statistics.solves, mpc.statistics.no_step, mpc.statistics.failed_share) == (5, 0, 0.0)
+    honest = mpc.solver.run
+
+    def stuck(*arguments):  # type: ignore[no-untyped-def]
+        out = honest(*arguments)
+        mpc.solver.log[:, COLUMNS["alpha"]] = 0.0
+        return out
+
+    mpc.solver.run = stuck  # type: ignore[method-assign]
+    for k in range(5, 10):
+        mpc.update(Observation(0.02 * k, START))
+    assert (mpc.statistics.solves, mpc.statistics.no_step, mpc.statistics.failed_share) == (10, 5, 0.5)
 
 
 def test_reset_forgets() -> None:
@@ -96,12 +150,27 @@ def test_observations_are_checked() -> None:
     for observation, message in (
         (Observation(1.1, np.zeros(3)), "4 numbers are needed"),
         (Observation(1.1, np.array([0, 0, np.nan, 0])), "'x.2' is not finite"),
+        (Observation(1.1, [0, 0, np.nan, 0]), "'x.2' is not finite"),  # type: ignore[arg-type]
+        (Observation(np.nan, START), "time must be finite, got nan"),
+        (Observation(np.inf, START), "time must be finite, got inf"),
         (Observation(0.9, START), "time went back from 1.0000 to 0.9000"),
     ):
         with pytest.raises(InputError, match=message):
             mpc.update(observation)
     with pytest.raises(InputError, match=r"mpc\.rate"):
         MPC(mpc.ocp, REAL_TIME, 0.0)
+    with pytest.raises(InputError, match=r"mpc\.rate"):
+        MPC(mpc.ocp, REAL_TIME, np.inf)
+    with pytest.raises(InputError, match="a time and a vector of numbers"):
+        Observation(0.0, "abc")  # type: ignore[arg-type]
+    for x, u, message in (
+        (np.array([0, np.nan, 0, 0]), None, "reset: 'x.1' is not finite"),
+        (np.zeros(3), None, "reset: 4 numbers are needed"),
+        (np.zeros(4), np.array([np.inf, 0.0]), "reset: 'u.0' is not finite"),
+        ("abc", None, "reset: 4 numbers are needed"),
+    ):
+        with pytest.raises(InputError, match=message):
+            mpc.reset(x, u)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"did you mean 'state'\?"):
         mpc.reference["stat"] = Reference.constant(np.zeros(4))
     assert "state" in mpc.reference

@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from toys import Rows, ToyDynamics, pendulum, robot
+from toys import Rows, ToyDynamics, pendulum, robot, swerve_solver
 from wbmpc.errors import InputError
+from wbmpc.model import load_robot
 from wbmpc.ocp import (
     AugmentedLagrangian,
     Constraint,
@@ -26,6 +27,7 @@ from wbmpc.ocp import (
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.reference_solver import barrier
 from wbmpc.solver.workspace import box_table
+from wbmpc.trajectory import geometric_grid
 
 POINTS = np.array([-3.0, -0.5, -0.02, 0.0, 0.01, 0.05, 0.0999, 0.1001, 0.3, 2.0, 50.0])
 
@@ -155,7 +157,17 @@ def test_bad_constraints() -> None:
         (lambda: residuals.State(robot("rezero"), ["arn"]), r"did you mean 'arm'\?"),
         (lambda: residuals.FramePose(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
-        (lambda: residuals.HandForce(robot("rezero")), "unknown input group 'force'"),
+        (lambda: residuals.FrameWrench(robot("rezero"), "tool"), "loaded with contact='force' or contact='wrench'"),
+        (lambda: residuals.FrameWrench(robot("swerve-ur10"), "tool0"), "inputs are speeds it has no effect"),
+        (lambda: residuals.FrameWrench(load_robot("rezero", contact="force"), "tol"), r"did you mean 'tool'\?"),
+        (lambda: Cost("a", ROW, {"all": [1.0]}), r"weight of 'all': one number or 2 are needed, got 1"),
+        (lambda: Cost("a", ROW, {"all": [1.0, np.inf]}), r"weight of 'all': must be finite and not negative, got inf$"),
+        (lambda: Cost("a", ROW, "abc"), r"weight: one number or 2 are needed, got 'abc'"),
+        (lambda: Cost("a", ROW, [[1.0, 2.0]]), "one number or 2"),
+        (lambda: Cost("a", ROW, terminal_weight=-1.0), "terminal weight: must be finite and not negative, got -1$"),
+        (lambda: Cost("a", ROW, modes="open"), "modes must be a tuple of names"),
+        (lambda: Cost("a", ROW, modes=()), "at least one"),
+        (lambda: Constraint("a", ROW, compliance=np.nan), "compliance"),
         (lambda: problem(Cost("a", ROW), Cost("a", ROW)), "already there"),
         (lambda: problem(Cost("hand", ROW)).term("hnd"), r"did you mean 'hand'\?"),
         (lambda: Transcription(problem(Cost("a", Rows(3, lambda s: s.u)))).values, "its size says 3"),
@@ -174,7 +186,11 @@ def test_clear_errors(make, message: str) -> None:  # type: ignore[no-untyped-de
         {"horizon": 1.0, "intervals": 0}, {"horizon": -1.0, "intervals": 5}, {"horizon": np.nan, "intervals": 5},
         {"horizon": 1.0, "intervals": 5, "first_interval": 0.5}, {"horizon": 1.0, "intervals": 5, "first_interval": -0.1},
         {"horizon": 1.0, "intervals": 2, "grid": [0.0, 0.5, 0.5]}, {"horizon": 1.0, "intervals": 2, "grid": [0.1, 0.5]},
-        {"horizon": 1.0, "intervals": 2, "integrator": "rk3"},
+        {"horizon": 1.0, "intervals": 2, "integrator": "rk3"}, {"horizon": 1.0, "intervals": 2.5},
+        {"horizon": 1.0, "intervals": True}, {"horizon": "1", "intervals": 2},
+        {"horizon": 1.0, "intervals": 2, "grid": [0, np.nan, 1]}, {"horizon": 1.0, "intervals": 2, "grid": [0, 1, np.inf]},
+        {"horizon": 1e13, "intervals": 50, "first_interval": 0.017},
+        {"horizon": 10.0, "intervals": 50, "first_interval": 1e-30},
     ],
 )  # fmt: skip
 def test_bad_grids(arguments: dict) -> None:
@@ -189,6 +205,42 @@ def test_geometric_grid() -> None:
     assert grid[-1] == pytest.approx(10.0, rel=1e-12)
     assert steps[0] == pytest.approx(0.017, rel=1e-9)
     np.testing.assert_allclose(steps[1:] / steps[:-1], steps[1] / steps[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("horizon", "intervals", "first"), [(10.0, 50, 2e-5), (1e5, 3, 0.2), (1.0, 1000, 1e-6)])
+def test_geometric_grid_at_its_limits(horizon: float, intervals: int, first: float) -> None:
+    steps = np.diff(geometric_grid(horizon, intervals, first))
+    assert steps.sum() == pytest.approx(horizon, rel=1e-12)
+    assert steps[0] == pytest.approx(first, rel=1e-9)
+    np.testing.assert_allclose(steps[1:] / steps[:-1], steps[1] / steps[0], rtol=1e-6)
+
+
+def test_modes_are_checked() -> None:
+    for values in ([7.0, np.nan], ["x"], np.inf):
+        with pytest.raises(InputError, match="mode 'x': values of 'brake' must be finite numbers"):
+            Mode("x", {"brake": values})
+
+
+def test_terms_and_schedules_agree_on_the_modes() -> None:
+    """Checked when a schedule is set; before that there is none to compare with."""
+    ocp = problem(Cost("a", ROW), Cost("b", ROW, modes=("opn",)))
+    ocp.add(Cost("c", ROW, modes=("half", "open")))
+    solver = Solver(ocp, SQP(backend="interpreted"))
+    solver.solve(np.zeros(2))
+    closed, opened = Mode("closed"), Mode("open")
+    with pytest.raises(
+        InputError, match=r"term 'b', modes: unknown mode 'opn' \(did you mean 'open'\?\); valid: closed, open"
+    ):
+        solver.set_schedule(ModeSchedule((closed, opened, closed), (1.0, 2.0)))
+    del ocp.terms["b"]
+    Solver(ocp, SQP(backend="interpreted")).set_schedule(ModeSchedule((closed, opened), (1.0,)))
+
+
+def test_brakes_are_open_or_closed() -> None:
+    solver = swerve_solver(n=2, backend="interpreted")
+    solver.set_schedule(ModeSchedule((Mode("open", {"brake": [1, 0, 1, 0]}),)))
+    with pytest.raises(InputError, match="mode 'x': values of 'brake' must be from 0 to 1, got"):
+        solver.set_schedule(ModeSchedule((Mode("x", {"brake": [7, 0, 0, 0]}),)))
 
 
 def test_mode_schedule() -> None:

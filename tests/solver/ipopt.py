@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import RelaxedBarrier
+from wbmpc.ocp.rows import Kind, Place
 from wbmpc.solver import Solver
 
 
@@ -30,21 +31,51 @@ def _step(solver: Solver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
     return end
 
 
-def solve(solver: Solver, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Optimal x (N + 1, nx), u (N, nu) and cost, from the solver's present trajectories and parameters."""
+def _own_rows(place: Place, z: ca.SX, general: ca.SX, first: bool) -> tuple[list[ca.SX], list[float]]:
+    """Hard rows h >= 0 and equality rows h = 0 at one node, with their upper bounds (infinite, 0)."""
+    values = [r.sign * z[r.place] + r.offset for r in place.boxes] + ca.vertsplit(general)
+    kept = [(v, r) for v, r in zip(values, place.rows, strict=True) if not (first and r.state_only)]
+    return [v for v, _ in kept], [0.0 if r.kind == Kind.EQUAL else np.inf for _, r in kept]
+
+
+def solve(solver: Solver, x0: np.ndarray, plugin: str = "ipopt") -> tuple[np.ndarray, np.ndarray, float]:
+    """Optimal x (N + 1, nx), u (N, nu) and cost, from the solver's present trajectories and parameters.
+
+    ``plugin``: "ipopt" or "fatrop" (which gets the program stage by stage). Hard rows are inequalities without slack: both
+    fail where they cannot be met.
+    """
     t = solver.problem
     n, nx, nu, p, w = t.ocp.intervals, t.nx, t.nu, solver.ws.p, solver.ws.w
     path, end = _boxes(t.path_boxes, nx + nu), _boxes(t.terminal_boxes, nx + nu)
     x, u = [ca.SX.sym("x", nx) for _ in range(n + 1)], [ca.SX.sym("u", nu) for _ in range(n)]
     cost = t.values["terminal"](x[n], p[n], w) + end(ca.vertcat(x[n], ca.SX(nu, 1)))
-    rows = [x[0] - x0]
+    rows: list[ca.SX] = []
+    upper: list[np.ndarray] = []
     for k, h in enumerate(np.diff(t.ocp.grid)):
         cost += h * (t.values["cost"](x[k], u[k], p[k], w) + path(ca.vertcat(x[k], u[k])))
-        rows += [_step(solver, x[k], u[k], p[k], h) - x[k + 1], t.values["equality"](x[k], u[k], p[k], w)]
-    problem = {"x": ca.vertcat(*x, *u), "f": cost, "g": ca.vertcat(*rows)}
-    options = {"ipopt.tol": 1e-10, "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0, "ipopt.max_iter": 300}
-    ipopt = ca.nlpsol("s", "ipopt", problem, options)
-    found = ipopt(x0=np.concatenate([solver.ws.x.ravel(), solver.ws.u.ravel()]), lbg=0, ubg=0)
-    assert ipopt.stats()["return_status"] in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-    z, size = np.array(found["x"]).ravel(), (n + 1) * nx
-    return z[:size].reshape(n + 1, nx), z[size:].reshape(n, nu), float(found["f"])
+        start = [x[0] - x0] if k == 0 else []
+        rows += [x[k + 1] - _step(solver, x[k], u[k], p[k], h), *start, t.values["equality"](x[k], u[k], p[k], w)]
+        upper.append(np.zeros(nx + (nx if k == 0 else 0) + t.equality.shape[0]))
+        general = t.values["rows"](x[k], u[k], p[k], w)
+        own, bounds = _own_rows(t.path, ca.vertcat(x[k], u[k]), general, k == 0)
+        rows += own
+        upper.append(np.array(bounds))
+    own, bounds = _own_rows(t.end, x[n], t.values["end_rows"](x[n], p[n], w), False)
+    rows, upper = [*rows, *own], [*upper, np.array(bounds)]
+    stages = [v for k in range(n) for v in (x[k], u[k])]
+    problem = {"x": ca.vertcat(*stages, x[n]), "f": cost, "g": ca.vertcat(*rows)}
+    above = np.concatenate(upper)
+    guess = np.concatenate([np.hstack([solver.ws.x[:-1], solver.ws.u]).ravel(), solver.ws.x[-1]])
+    options: dict = {"print_time": 0}
+    if plugin == "fatrop":
+        options |= {"structure_detection": "auto", "equality": list(above == 0.0)}
+        options |= {"fatrop.print_level": 0, "fatrop.tolerance": 1e-9, "fatrop.max_iter": 500}
+    else:
+        options |= {"ipopt.tol": 1e-10, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300}
+        options |= {"ipopt.bound_relax_factor": 0.0}
+    other = ca.nlpsol("s", plugin, problem, options)
+    found = other(x0=guess, lbg=0, ubg=above)
+    assert other.stats()["success"], other.stats()["return_status"]
+    z = np.array(found["x"]).ravel()
+    table = z[: n * (nx + nu)].reshape(n, nx + nu)
+    return np.vstack([table[:, :nx], z[n * (nx + nu) :]]), table[:, nx:], float(found["f"])

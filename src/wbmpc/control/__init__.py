@@ -1,7 +1,7 @@
 """Controllers between MPC and plant: prediction over the delay, tracking, servos."""
 
-from wbmpc.control.plans import Plans
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.swerve import SwerveAgent
+from wbmpc.mpc import Plans
 
 __all__ = ["Plans", "RezeroAgent", "SwerveAgent"]

@@ -6,10 +6,10 @@ from collections import deque
 
 import numpy as np
 
-from wbmpc.control.plans import Plans
+from wbmpc.errors import NotFinite
 from wbmpc.estimation import DisturbanceObserver
 from wbmpc.model import RobotModel
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
 
@@ -17,6 +17,7 @@ class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
     ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
+    ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
@@ -31,6 +32,7 @@ class RezeroAgent:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
         self.measured: RezeroMeasurement | None = None
+        self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
@@ -42,6 +44,8 @@ class RezeroAgent:
         if self.observer is not None:
             past = self._torques[-1 - self._late()]
             self.disturbance = self.observer.update(measurement.time, measurement.state, past, self.period)
+            if not np.isfinite(self.disturbance).all():
+                raise NotFinite("the estimated disturbance is not finite")
             self.mpc.solver.set_parameters({"disturbance": self.disturbance})
 
     def _late(self) -> int:
@@ -68,10 +72,15 @@ class RezeroAgent:
             x = self._step(x, torque, self.period)
         return Observation(until, x)
 
+    def stop(self) -> RezeroCommand:
+        """No torque."""
+        return RezeroCommand(np.zeros(self.limit.size))
+
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
         self.wanted = plans.current(t, self.state())[: self.limit.size]
         torque = np.clip(self.wanted, -self.limit, self.limit)
+        self.clamped = bool(np.any(torque != self.wanted))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

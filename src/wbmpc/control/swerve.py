@@ -11,10 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control.plans import Plans
 from wbmpc.estimation import WheelOdometry
 from wbmpc.model import RobotModel
-from wbmpc.mpc import Observation
+from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
 
@@ -24,6 +23,7 @@ class SwerveAgent:
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
+    ``clamped``: whether the wheels of the last command were slowed down to their limits.
     """
 
     def __init__(
@@ -49,6 +49,7 @@ class SwerveAgent:
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
+        self.clamped = False
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
 
     def measure(self, measurement: SwerveMeasurement) -> None:
@@ -100,13 +101,20 @@ class SwerveAgent:
             if group in state:
                 x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
 
+    def stop(self) -> SwerveCommand:
+        """Everything at rest, brakes closed."""
+        return SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
+
     def command(self, t: float, plans: Plans) -> SwerveCommand:
-        """Drive speeds for this tick; a stop once the plan has run out."""
+        """Drive speeds for this tick; a stop once the plan has run out.
+
+        The plan's inputs and a steering servo: the gains of the policy are not used, since drives that follow speeds hold
+        a kinematic plan without them, and feedback on wheels from an estimated pose would break the rolling rows.
+        """
         policy, m, given = plans.current, self.measured, self.robot.input
         assert policy is not None and m is not None
         if t > policy.end:
-            n = len(m.steer)
-            return SwerveCommand(np.zeros(n), np.zeros(n), np.zeros(len(m.arm)), np.zeros(len(self.brakes(t))))
+            return self.stop()
         u = policy.feedforward(t + self.lag)
         planned = policy.state(t + self.lag)[self.robot.state["steer"]]
         self._rates += self._blend * (u - self._rates)
@@ -117,5 +125,6 @@ class SwerveAgent:
         self.wanted[given["steer"]] = steer
         wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
-        wheel = wheel / max(1.0, float(np.max(np.abs(wheel) / limit)))
+        excess = float(np.max(np.abs(wheel) / limit))
+        self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
         return SwerveCommand(wheel, steer, u[given["arm"]], self.brakes(t))

@@ -1,4 +1,4 @@
-"""Reference paths: a sine followed at constant speed, smooth ramps."""
+"""Reference paths: a sine followed at constant speed, smooth ramps, the way from a robot's home to a path's start."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from wbmpc import lie
+
+#: Largest speeds of an approach [m/s] and [rad/s], and how far apart [m, rad] poses may be without one.
+APPROACH_SPEED, APPROACH_RATE, CLOSE = 0.2, 0.4, 1e-3
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,33 @@ class SinePath:
     def curve(self) -> tuple[np.ndarray, np.ndarray]:
         """The path itself, finely sampled: along and across [m]."""
         return self._table[1], self._table[2]
+
+
+@dataclass(frozen=True)
+class Approach:
+    """From a hand pose (position (3) [m], quaternion (4)) to another along a straight line, smoothly, from time 0 on.
+
+    ``duration`` [s]: as long as the largest speeds ask for; 0 where the poses are the same.
+    """
+
+    start: tuple[np.ndarray, np.ndarray]
+    goal: tuple[np.ndarray, np.ndarray]
+
+    @cached_property
+    def duration(self) -> float:
+        """How long the approach takes [s]; a cosine's largest speed is π / 2 times its mean."""
+        way = float(np.linalg.norm(self.start[0] - self.goal[0]))
+        angle = 2.0 * float(np.arccos(min(abs(self.start[1] @ self.goal[1]), 1.0)))
+        if way < CLOSE and angle < CLOSE:
+            return 0.0
+        return 0.5 * np.pi * max(way / APPROACH_SPEED, angle / APPROACH_RATE)
+
+    def offset(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """What is left of the way at times t [s]: offsets (n, 3) [m] from the goal, quaternions (n, 4) there."""
+        t = np.atleast_1d(np.asarray(t, float))
+        left = 1.0 - _rise(t, self.duration) if self.duration > 0.0 else 0.0 * t
+        turns = [lie.slerp(self.goal[1], self.start[1], a) for a in left]
+        return left[:, None] * (self.start[0] - self.goal[0]), np.array(turns)
 
 
 def _rise(t: np.ndarray, length: float) -> np.ndarray:

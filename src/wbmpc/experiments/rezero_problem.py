@@ -38,11 +38,13 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights of wheel and arm torques against those of the equilibrium, and of the hand's force where it is an input."""
+    """Weights of wheel and arm torques against those of the equilibrium, and of force and moment of contacts that are
+    inputs."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
     force: Weight = 1.0
+    moment: Weight = 1.0
 
 
 class RezeroCost(Settings):
@@ -84,8 +86,8 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force}
-    ocp.add(Cost("torque", residuals.Input(robot), {g: v for g, v in inputs.items() if g in robot.input}))
+    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force, "moment": t.moment}
+    ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
     limits = robot.limits
     free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc import lie
 from wbmpc.control import RezeroAgent
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.settings import ExperimentSettings, MpcSettings
+from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant
-from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
+from wbmpc.result import Metric, Plot, RunResult, Series
 
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
@@ -59,6 +59,10 @@ EULER = ("yaw", "pitch", "roll")
 IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=True)
 
 
+#: The last second [s] of a step is judged as steady; a move takes at least half a second [s].
+STEADY, MOVING = 1.0, 0.5
+
+
 class RezeroStepsSettings(ExperimentSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
@@ -68,12 +72,29 @@ class RezeroStepsSettings(ExperimentSettings):
 
     mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
     cost: RezeroCost = RezeroCost()
-    hold: float = Field(5.0, ge=1.0)
-    settle: float = Field(5.0, ge=0.5)
-    rest: float = Field(10.0, ge=0.0)
+    hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
+    settle: float = Field(5.0, ge=0.5, le=600.0)
+    rest: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
     observer: bool = True
-    drive_lag: float = Field(0.020, ge=0)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+    @property
+    def lead(self) -> float:
+        """How long before a goal the robot may start towards it [s]."""
+        return self.mpc.horizon if self.preview else 0.0
+
+    @model_validator(mode="after")
+    def _windows(self) -> Self:
+        least = STEADY + max(self.lead, MOVING)
+        if self.hold < least - 1e-9:
+            raise ValueError(
+                f"hold={self.hold:g}: a step needs {least:g} s, {STEADY:g} s to be judged and before that the preview "
+                f"(mpc.horizon) or {MOVING:g} s to move"
+            )
+        if self.settle < self.lead - 1e-9:
+            raise ValueError(f"settle={self.settle:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed")
+        return self
 
 
 def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,11 +162,11 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
         log.add("torque", t, command.torque)
         log.add("disturbance", t, agent.disturbance)
 
-    reason = run_lockstep(plant, agent, mpc, timing, schedule.duration, record, progress)
-    statistics = MpcStatistics.of(settings.mpc.rate, mpc.statistics.solve_times)
-    return RunResult(
-        NAME, seed, not reason, reason, _metrics(log, schedule, settings, bool(reason)), statistics, log,
-        _plots(log, schedule, robot, mpc), IDEALISATIONS, settings.model_dump(mode="json"),
+    ending = run_lockstep(plant, agent, mpc, timing, schedule.duration, record, progress)
+    return finished(
+        NAME, seed, settings, ending, mpc, log,
+        metrics=lambda: _metrics(log, schedule, settings, ending.fell), plots=lambda: _plots(log, schedule, robot, mpc),
+        idealisations=IDEALISATIONS,
     )  # fmt: skip
 
 
@@ -188,7 +209,7 @@ def _rise(t: np.ndarray, done: np.ndarray) -> float:
 def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
     t, hand = log.times("hand"), log.array("hand")
     rises, steady, turned = [], [], []
-    lead = settings.mpc.horizon if settings.preview else 0.0
+    lead = settings.lead
     for k in range(len(STEPS)):
         start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
         if t[-1] < end - 0.1:
@@ -196,11 +217,11 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         window = (t >= start - lead) & (t < end - lead)
         rises.append(_rise(t[window], _progress_of(k, log, schedule, window)))
         # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
-        last = (t >= end - lead - 1.0) & (t < end - lead)
+        last = (t >= end - lead - STEADY) & (t < end - lead)
         steady.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
         turned.append(_orientation_error(log, schedule, k + 1, last))
     start = schedule.times[len(STEPS) + 1]
-    roll = (t >= start + settings.hold - lead - 1.0) & (t < start + settings.hold - lead)
+    roll = (t >= start + settings.hold - lead - STEADY) & (t < start + settings.hold - lead)
     unreachable = _orientation_error(log, schedule, len(STEPS) + 1, roll) if roll.any() else float("inf")
     worst = lambda values: max(values) if values else float("inf")
     return {

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from wbmpc.log import Log
+from wbmpc.loop import Ending
+from wbmpc.mpc import MPC
 from wbmpc.plant.perturbation import Perturbation
+from wbmpc.result import Metric, MpcStatistics, Plot, RunResult
 from wbmpc.solver import SQP, InteriorPoint
 
 Weight = Annotated[float, Field(ge=0)]
@@ -23,11 +28,11 @@ class MpcSettings(Settings):
     ``delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
     point (hard) or relaxed barriers (soft), both with ``barrier_mu``."""
 
-    rate: float = Field(50.0, gt=0)
+    rate: float = Field(50.0, gt=0, le=10_000)
     horizon: float = Field(10.0, gt=0)
     intervals: int = Field(50, ge=1, le=1000)
     first_interval: float = Field(0.017, ge=0)
-    delay: float = Field(0.010, ge=0)
+    delay: float = Field(0.010, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(3e-3, gt=0)
@@ -40,7 +45,7 @@ class MpcSettings(Settings):
 class ControlSettings(Settings):
     """``rate`` [Hz] of the tracking controller."""
 
-    rate: float = Field(400.0, gt=0)
+    rate: float = Field(400.0, gt=0, le=10_000)
 
 
 class ExperimentSettings(Settings):
@@ -49,3 +54,26 @@ class ExperimentSettings(Settings):
     mpc: MpcSettings = MpcSettings()
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
+
+
+def finished(
+    name: str,
+    seed: int,
+    settings: ExperimentSettings,
+    ending: Ending,
+    mpc: MPC,
+    log: Log,
+    *,
+    metrics: Callable[[], dict[str, Metric]],
+    plots: Callable[[], list[Plot]],
+    idealisations: list[str],
+) -> RunResult:
+    """The result of a run however it ended. A run that ended before its first record has neither figures nor plots."""
+    m = mpc.statistics
+    statistics = MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
+    reason = ending.reason or statistics.fault
+    figures, drawn = (metrics(), plots()) if log.channels else ({}, [])
+    return RunResult(
+        name, seed, not reason, reason, figures, statistics, log, drawn, idealisations,
+        settings.model_dump(mode="json"), ending.interrupted,
+    )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -12,12 +13,12 @@ import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache, dense
-from wbmpc.kernel.machine import compile_module, load_object, target_text
+from wbmpc.kernel.machine import compile_module, load_object, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_COMPLIANCE = 1e-9
+RELATIVE_COMPLIANCE = 1e-12
 
 _FUNCTIONS = (
     "dynamics",
@@ -34,6 +35,9 @@ _FUNCTIONS = (
     "terminal_quadratic",
     "end_rows_jacobian",
     "jump_jacobian",
+    "lagrangian",
+    "dynamics_hessian",
+    "end_lagrangian",
 )
 _KERNELS = ("riccati_node", "chain", "add_rows")
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -83,6 +87,7 @@ class Sizes:
             "T": self.nu * self.lx,
             "R": self.nu * self.lg,
             "Z": self.ng * self.lx,
+            "Y": self.ng * self.lx,
             "S": self.ng * self.lg,
             "I": self.lg,
         }
@@ -149,6 +154,9 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name in ("rows_jacobian", "end_rows_jacobian"):
         maps[name] = [maps[name][0], [[q * lz + place(c)] for q, c in entries(name, 1)]]
+    both = lambda r, c, ld: sorted({place(c) * ld + place(r), place(r) * ld + place(c)})
+    for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
+        maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
     return maps
 
@@ -157,7 +165,7 @@ def emit_riccati_node(s: Sizes) -> str:
     """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch)."""
     nx1, nu, ng, lx, lz, lg, first = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first
     xb, zb, gb = lx // 8, lz // 8, lg // 8
-    product = dense.matrix_product
+    product = partial(dense.matrix_product, budget=vector_budget())
     parts = [
         product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
         product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
@@ -175,6 +183,10 @@ def emit_riccati_node(s: Sizes) -> str:
             product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
             dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
+            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False),
+            dense.soften("k_soft", ng, lx),
+            dense.schur_forward("k_forth", ng, lg, lx),
+            product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
         ]
     o = s.scratch()
     body = dense.Body("riccati_node", "AB H E EPS P K X")
@@ -202,6 +214,14 @@ def emit_riccati_node(s: Sizes) -> str:
         call("k_back", sc, inverse, z)
         call("k_t", z, r, t, mu)
         call("k_gains", mu, d, t, "%K")
+        # once more for what the rows still lack: a saturated input makes the Schur complement ill-conditioned
+        left = at("X", o["Y"])
+        call("k_left", "%K", at("E", first), left, "%E")
+        call("k_soft", left, z, "%EPS")
+        call("k_forth", sc, inverse, left)
+        call("k_back", sc, inverse, left)
+        call("k_more", left, r, t, t)
+        call("k_gains", mu, d, t, "%K")
     else:
         call("k_gains", mu, d, mu, "%K")
     return "\n".join([*parts, body.text()])
@@ -211,7 +231,7 @@ def emit_add_rows(s: Sizes) -> str:
     """H += Aᵀ B for ``nr`` rows of the extended node vector; arguments A, B (rows times their weights), H."""
     if s.nr == 0:
         return "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\nret void\n}"
-    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False)
+    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False, vector_budget())
     body = "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\n"
     return f"{product}\n{body}call void @k_rows(ptr %A, ptr %B, ptr %H, ptr %H)\nret void\n}}"
 
@@ -246,9 +266,17 @@ def problem_key(transcription: Transcription) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    text = [target_text(), getattr(ca, "__version__", ""), cache.source_fingerprint()]
+    text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
     digest.update(json.dumps(text).encode())
     return digest.hexdigest()
+
+
+def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
+    """The sizes that a cache entry states; None for an entry of another format or target, which is built anew."""
+    try:
+        return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
+    except (KeyError, TypeError):
+        return None
 
 
 def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
@@ -258,14 +286,14 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     """
     key = problem_key(transcription)
     found = cache.load(key) if use_cache else None
-    if found is None:
+    sizes = _cached_sizes(found)
+    if found is None or sizes is None:
         ir, sizes = emit_problem(transcription)
-        code = compile_module(ir)
+        code, found = compile_module(ir), None
         if use_cache:
-            cache.save(key, code, asdict(sizes))
+            cache.save(key, code, {"target": target_text(), "sizes": asdict(sizes)})
     else:
-        code, description = found
-        sizes = Sizes(**description)
+        code = found[0]
     engine = load_object(code)
     names = [*(f"w_{n}" for n in _FUNCTIONS), *_KERNELS]
     addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)

@@ -7,7 +7,7 @@ Storage of a matrix: contiguous vectors ("columns") of padded length, one after 
 from __future__ import annotations
 
 V = "<8 x double>"
-FMA = f"declare {V} @llvm.fma.v8f64({V}, {V}, {V})"
+FMA = f"declare {V} @llvm.fmuladd.v8f64({V}, {V}, {V})"
 ALIGN = 64
 
 
@@ -52,7 +52,7 @@ class Body:
         return self.new(f"fneg double {scalar}")
 
     def fma(self, a: str, b: str, c: str) -> str:
-        return self.new(f"call {V} @llvm.fma.v8f64({V} {a}, {V} {b}, {V} {c})")
+        return self.new(f"call {V} @llvm.fmuladd.v8f64({V} {a}, {V} {b}, {V} {c})")
 
     def scale(self, a: str, b: str) -> str:
         return self.new(f"fmul {V} {a}, {b}")
@@ -69,57 +69,74 @@ class Body:
 
 
 def matrix_product(
-    name: str, blocks: int, n: int, inner: int, lda: int, bj: int, bk: int, ldc: int, ldi: int | None, negative: bool
-) -> str:
+    name: str, blocks: int, n: int, inner: int, lda: int, bj: int, bk: int, ldc: int, ldi: int | None, negative: bool,
+    budget: int = 24,
+) -> str:  # fmt: skip
     """C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk] for j < n, k < inner; arguments A, B, C, I.
 
-    ``blocks``: vectors of eight per column; ``ldi`` None: no I.
+    ``blocks``: vectors of eight per column; ``ldi`` None: no I; ``budget``: vectors of eight that the registers can add up.
     """
     if n == 0 or inner == 0:
         raise ValueError("empty product")
-    width = max(1, min(8, 24 // blocks))
+    tall = min(blocks, budget)
+    width = max(1, min(8, budget // tall))
     o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I) nounwind {{", "entry:", "br label %b0"]
-    starts = list(range(0, n, width))
-    for number, j in enumerate(starts):
+    tiles = [(row, j) for row in range(0, blocks, tall) for j in range(0, n, width)]
+    for number, (row, j) in enumerate(tiles):
+        rows = range(row, min(row + tall, blocks))
         columns = range(min(width, n - j))
-        p = f"b{number}"
-        cells = [(q, i) for q in columns for i in range(blocks)]
-        o.append(f"{p}:")
-        initial = {}
-        for q, i in cells:
-            if ldi is None:
-                initial[q, i] = "zeroinitializer"
-                continue
-            o.append(f"%{p}.pi{q}.{i} = getelementptr double, ptr %I, i64 {(j + q) * ldi + 8 * i}")
-            o.append(f"%{p}.i{q}.{i} = load {V}, ptr %{p}.pi{q}.{i}, align {ALIGN}")
-            initial[q, i] = f"%{p}.i{q}.{i}"
-        o += [f"br label %{p}l", f"{p}l:", f"%{p}.k = phi i64 [0, %{p}], [%{p}.k1, %{p}l]"]
-        o += [f"%{p}.a{q}.{i} = phi {V} [{initial[q, i]}, %{p}], [%{p}.n{q}.{i}, %{p}l]" for q, i in cells]
-        o.append(f"%{p}.ka = mul i64 %{p}.k, {lda}")
-        for i in range(blocks):
-            o.append(f"%{p}.oa{i} = add i64 %{p}.ka, {8 * i}")
-            o.append(f"%{p}.pa{i} = getelementptr double, ptr %A, i64 %{p}.oa{i}")
-            o.append(f"%{p}.av{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
-        o.append(f"%{p}.kb = mul i64 %{p}.k, {bk}")
-        for q in columns:
-            o.append(f"%{p}.ob{q} = add i64 %{p}.kb, {(j + q) * bj}")
-            o.append(f"%{p}.pb{q} = getelementptr double, ptr %B, i64 %{p}.ob{q}")
-            o.append(f"%{p}.s{q} = load double, ptr %{p}.pb{q}")
-            if negative:
-                o.append(f"%{p}.t{q} = fneg double %{p}.s{q}")
-            scalar = f"%{p}.{'t' if negative else 's'}{q}"
-            o.append(f"%{p}.e{q} = insertelement {V} poison, double {scalar}, i32 0")
-            o.append(f"%{p}.v{q} = shufflevector {V} %{p}.e{q}, {V} poison, <8 x i32> zeroinitializer")
-            for i in range(blocks):
-                given = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
-                o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fma.v8f64({given})")
-        o += [f"%{p}.k1 = add i64 %{p}.k, 1", f"%{p}.c = icmp eq i64 %{p}.k1, {inner}"]
-        o += [f"br i1 %{p}.c, label %{p}x, label %{p}l", f"{p}x:"]
-        for q, i in cells:
-            o.append(f"%{p}.po{q}.{i} = getelementptr double, ptr %C, i64 {(j + q) * ldc + 8 * i}")
-            o.append(f"store {V} %{p}.n{q}.{i}, ptr %{p}.po{q}.{i}, align {ALIGN}")
-        o.append(f"br label %b{number + 1}" if number + 1 < len(starts) else "ret void")
+        o += _tile(f"b{number}", rows, columns, j, inner, (lda, bj, bk, ldc, ldi), negative)
+        o.append(f"br label %b{number + 1}" if number + 1 < len(tiles) else "ret void")
     return "\n".join([*o, "}"])
+
+
+def _tile(
+    p: str,
+    rows: range,
+    columns: range,
+    j: int,
+    inner: int,
+    strides: tuple[int, int, int, int, int | None],
+    negative: bool,
+) -> list[str]:
+    """One tile of a product: all of its sums stay in registers."""
+    lda, bj, bk, ldc, ldi = strides
+    cells = [(q, i) for q in columns for i in rows]
+    o = [f"{p}:"]
+    initial = {}
+    for q, i in cells:
+        if ldi is None:
+            initial[q, i] = "zeroinitializer"
+            continue
+        o.append(f"%{p}.pi{q}.{i} = getelementptr double, ptr %I, i64 {(j + q) * ldi + 8 * i}")
+        o.append(f"%{p}.i{q}.{i} = load {V}, ptr %{p}.pi{q}.{i}, align {ALIGN}")
+        initial[q, i] = f"%{p}.i{q}.{i}"
+    o += [f"br label %{p}l", f"{p}l:", f"%{p}.k = phi i64 [0, %{p}], [%{p}.k1, %{p}l]"]
+    o += [f"%{p}.a{q}.{i} = phi {V} [{initial[q, i]}, %{p}], [%{p}.n{q}.{i}, %{p}l]" for q, i in cells]
+    o.append(f"%{p}.ka = mul i64 %{p}.k, {lda}")
+    for i in rows:
+        o.append(f"%{p}.oa{i} = add i64 %{p}.ka, {8 * i}")
+        o.append(f"%{p}.pa{i} = getelementptr double, ptr %A, i64 %{p}.oa{i}")
+        o.append(f"%{p}.av{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
+    o.append(f"%{p}.kb = mul i64 %{p}.k, {bk}")
+    for q in columns:
+        o.append(f"%{p}.ob{q} = add i64 %{p}.kb, {(j + q) * bj}")
+        o.append(f"%{p}.pb{q} = getelementptr double, ptr %B, i64 %{p}.ob{q}")
+        o.append(f"%{p}.s{q} = load double, ptr %{p}.pb{q}")
+        if negative:
+            o.append(f"%{p}.t{q} = fneg double %{p}.s{q}")
+        scalar = f"%{p}.{'t' if negative else 's'}{q}"
+        o.append(f"%{p}.e{q} = insertelement {V} poison, double {scalar}, i32 0")
+        o.append(f"%{p}.v{q} = shufflevector {V} %{p}.e{q}, {V} poison, <8 x i32> zeroinitializer")
+        for i in rows:
+            given = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
+            o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fmuladd.v8f64({given})")
+    o += [f"%{p}.k1 = add i64 %{p}.k, 1", f"%{p}.c = icmp eq i64 %{p}.k1, {inner}"]
+    o += [f"br i1 %{p}.c, label %{p}x, label %{p}l", f"{p}x:"]
+    for q, i in cells:
+        o.append(f"%{p}.po{q}.{i} = getelementptr double, ptr %C, i64 {(j + q) * ldc + 8 * i}")
+        o.append(f"store {V} %{p}.n{q}.{i}, ptr %{p}.po{q}.{i}, align {ALIGN}")
+    return o
 
 
 def reverse_cholesky(name: str, n: int, first: int, ld: int) -> str:
@@ -181,6 +198,31 @@ def schur_factor(name: str, n: int, lds: int, ldz: int, relative: float) -> str:
             b.store(b.scale(acc[i], spread), "S", j * lds + 8 * i)
         for i in range(zb):
             b.store(b.scale(rhs[i], spread), "Z", j * ldz + 8 * i)
+    return b.text()
+
+
+def schur_forward(name: str, n: int, lds: int, ldz: int) -> str:
+    """Z ← Z L⁻ᵀ column by column, from the first; arguments S (holds L), D, Z."""
+    b = Body(name, "S D Z")
+    zb = ldz // 8
+    for j in range(n):
+        acc = [b.load("Z", j * ldz + 8 * i) for i in range(zb)]
+        for q in range(j):
+            factor = b.splat(b.negate(b.load_scalar("S", q * lds + j)))
+            acc = [b.fma(b.load("Z", q * ldz + 8 * i), factor, acc[i]) for i in range(zb)]
+        spread = b.splat(b.load_scalar("D", j))
+        for i in range(zb):
+            b.store(b.scale(acc[i], spread), "Z", j * ldz + 8 * i)
+    return b.text()
+
+
+def soften(name: str, n: int, ld: int) -> str:
+    """Y[q] ← Y[q] − E_q Z[q]; arguments Y, Z (n vectors each), E (n)."""
+    b = Body(name, "Y Z E")
+    for q in range(n):
+        factor = b.splat(b.negate(b.load_scalar("E", q)))
+        for i in range(0, ld, 8):
+            b.store(b.fma(b.load("Z", q * ld + i), factor, b.load("Y", q * ld + i)), "Y", q * ld + i)
     return b.text()
 
 

@@ -120,17 +120,17 @@ class Library:
 
     def build(self) -> None:
         """Compile, or load from the cache."""
-        from wbmpc.kernel.machine import compile_module, load_object
+        from wbmpc.kernel.machine import compile_module, load_object, target_text
 
         with self._lock:
             if self._engine is not None:
                 return
             key = self._key() if self.rooms else ""
             found = cache.load(key) if key else None
-            if found is None:
+            if found is None or found[1].get("target") != target_text():
                 code = compile_module(self.source(), optimise=2)
                 if key:
-                    cache.save(key, code, {"library": self.name})
+                    cache.save(key, code, {"library": self.name, "target": target_text()})
             else:
                 code = found[0]
             self._engine = load_object(code)

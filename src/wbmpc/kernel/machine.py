@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 from functools import cache
 from typing import Any
 
@@ -27,6 +28,24 @@ def target() -> tuple[str, str]:
     if features.get("avx512f"):
         flags += ",-prefer-256-bit"
     return llvm.get_host_cpu_name(), flags
+
+
+def vector_budget() -> int:
+    """How many vectors of eight doubles a product may add up in the target's registers, a few left for its operands."""
+    name, flags = target()
+    features = set(flags.split(","))
+    wide = ("+avx512f" in features, "+avx2" in features or "+avx" in features)
+    if "WBMPC_TARGET" in os.environ:
+        wide = (wide[0] or name in _AVX512, wide[1] or name in _AVX2)
+    if wide[0]:
+        return 24  # 32 registers of 8
+    if wide[1] or platform.machine() in ("aarch64", "arm64"):
+        return 6  # 16 registers of 4, or 32 of 2
+    return 3  # 16 registers of 2
+
+
+_AVX512 = ("skylake-avx512", "icelake-server", "sapphirerapids", "znver4", "znver5", "x86-64-v4")
+_AVX2 = ("haswell", "broadwell", "skylake", "znver1", "znver2", "znver3", "x86-64-v3")
 
 
 def target_text() -> str:

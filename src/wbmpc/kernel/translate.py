@@ -122,6 +122,9 @@ class Translator:
     def convert(self, value: Value, kind: Type, node: ast.AST) -> Value:
         if value.kind == kind:
             return value
+        if isinstance(kind, tuple) and isinstance(value.kind, tuple) and len(kind) == len(value.kind):
+            parts = zip(self.unpack(value), kind, strict=True)
+            return self.pack([self.convert(part, k, node) for part, k in parts])
         how = {
             (INT, NUM): "sitofp i64 {} to double",
             (BOOL, NUM): "uitofp i1 {} to double",
@@ -170,11 +173,7 @@ class Translator:
         if node.value is None:
             self.lines.append("ret void")
         else:
-            value = self.value(node.value)
-            if isinstance(result, tuple) and isinstance(node.value, ast.Tuple):
-                parts = [self.convert(self.value(e), k, node) for e, k in zip(node.value.elts, result, strict=True)]
-                value = self.pack(parts)
-            value = self.convert(value, result, node)
+            value = self.convert(self.value(node.value), result, node)
             self.lines.append(f"ret {llvm_type(result)} {value.text}")
         self.start(self.label())
 
@@ -185,6 +184,10 @@ class Translator:
             given = f"{llvm_type(part.kind)} {part.text}"
             text = self.new(f"insertvalue {llvm_type(kind)} {text}, {given}, {i}")
         return Value(kind, text)
+
+    def unpack(self, whole: Value) -> list[Value]:
+        t = llvm_type(whole.kind)
+        return [Value(k, self.new(f"extractvalue {t} {whole.text}, {i}")) for i, k in enumerate(whole.kind)]
 
     def do_Assign(self, node: ast.Assign) -> None:
         if len(node.targets) != 1:
@@ -197,10 +200,7 @@ class Translator:
                 whole = self.value(node.value)
                 if not isinstance(whole.kind, tuple):
                     raise self.fail(node, "one value for several targets")
-                values = [
-                    Value(k, self.new(f"extractvalue {llvm_type(whole.kind)} {whole.text}, {i}"))
-                    for i, k in enumerate(whole.kind)
-                ]
+                values = self.unpack(whole)
             if len(values) != len(target.elts):
                 raise self.fail(node, "another number of values than targets")
             for one, value in zip(target.elts, values, strict=True):

@@ -28,6 +28,7 @@ class _Augmented:
         self.input = Layout({(f"{g}{renamed}" if g in groups else g): n for g, n in names.items()})
         self.parameters, self.mode = dynamics.parameters, dynamics.mode
         self.unit_quaternions = dynamics.unit_quaternions
+        self.mode_bounds = getattr(dynamics, "mode_bounds", {})
         self._inner = dynamics.state.size
 
     def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:

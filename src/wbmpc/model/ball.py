@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.errors import unknown_name
 from wbmpc.model.symbolic import Chain, solve_spd
 from wbmpc.model.tree import Frame, Link, Tree
 from wbmpc.robots import BallBaseDescription, RobotDescription
@@ -19,7 +20,11 @@ _EULER = (("yaw", (0, 0, 1)), ("pitch", (0, 1, 0)), ("roll", (1, 0, 0)))
 
 
 class BallBase:
-    """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) the force on the hand."""
+    """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) forces or wrenches of the world.
+
+    ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
+    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``.
+    """
 
     def __init__(self, description: RobotDescription, tree: Tree, ball: Link) -> None:
         assert isinstance(description.base, BallBaseDescription)
@@ -38,12 +43,23 @@ class BallBase:
         self.nq = 5 + len(arm)
         self.state = {"base": pose, "arm": arm, "base_velocity": pose, "arm_velocity": arm}
         wheels = [f"wheel_{i}" for i in range(len(self.base.wheels.azimuths))]
-        self.contact = self.base.contact == "force"
-        force = {"force": ["x", "y", "z"]}
-        self.input = {"wheel": wheels, "arm": arm, **(force if self.contact else {})}
+        axes = ["x", "y", "z"]
+        self.contacts = self._contacts(description.arm.tool)
+        given = {group: axes for groups in self.contacts.values() for group in groups.values()}
+        self.input = {"wheel": wheels, "arm": arm, **given}
         self.mode: dict[str, list[str]] = {}
-        self.parameters = {"disturbance": [*pose, *arm], **({} if self.contact else force)}
+        self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
         self.unit_quaternions: tuple[int, ...] = ()
+
+    def _contacts(self, tool: str) -> dict[str, dict[str, str]]:
+        """By frame the input groups of what acts there."""
+        kinds = {"none": (), "force": ("force",), "wrench": ("force", "moment")}[self.base.contact]
+        frames = (self.base.contact_frame or (tool,)) if kinds else ()
+        for frame in frames:
+            if frame not in self.tree.frames:
+                raise unknown_name("frame of the base or arm (key 'base.contact_frame')", frame, self.tree.frames)
+        name = lambda kind, frame: kind if len(frames) == 1 else f"{kind}_{frame}"
+        return {frame: {kind: name(kind, frame) for kind in kinds} for frame in frames}
 
     def _virtual(self, root: Link, ball: Link) -> tuple[list[Link], int]:
         """x, y (carrying the ball), yaw, pitch, roll (carrying the base body)."""
@@ -101,15 +117,30 @@ class BallBase:
         return self.chain(q).inverse_dynamics(rates, accelerations) + spin
 
     def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
-        """S(q)ᵀ τ + Jᵀ F + disturbance, by virtual power."""
+        """S(q)ᵀ τ + Jᵀ (F, M) + disturbance, by virtual power."""
         v = ca.SX.sym("v", self.nq)
-        rates = {link: v[k] for k, link in enumerate(self._moving)}
-        hand, _ = self.chain(q).frame_velocity(self.tool, rates, ca.SX(3, 1), ca.SX(3, 1))
-        n = len(self.base.wheels.azimuths)
-        arm = self.nq - 5
-        force = u[n + arm : n + arm + 3] if self.contact else w[self.nq : self.nq + 3]
-        power = ca.dot(u[0:n], self.wheel_speeds(q, v)) + ca.dot(u[n : n + arm], v[5:]) + ca.dot(force, hand)
+        n, arm = len(self.base.wheels.azimuths), self.nq - 5
+        power = ca.dot(u[0:n], self.wheel_speeds(q, v)) + ca.dot(u[n : n + arm], v[5:])
+        if not self.contacts:
+            power += ca.dot(w[self.nq : self.nq + 3], self._velocities(q, v, self.tool)["force"])
+        start = n + arm
+        for frame, groups in self.contacts.items():
+            speeds = self._velocities(q, v, self.tree.frames[frame])
+            for kind in groups:
+                power += ca.dot(u[start : start + 3], speeds[kind])
+                start += 3
         return ca.jacobian(power, v).T + w[0 : self.nq]
+
+    def _velocities(self, q: ca.SX, v: ca.SX, frame: Frame) -> dict[str, ca.SX]:
+        """What a force and a moment at a frame do work on: its linear and angular velocity, world axes."""
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        linear, angular = self.chain(q).frame_velocity(frame, rates, ca.SX(3, 1), ca.SX(3, 1))
+        return {"force": linear, "moment": angular}
+
+    def tool_force(self, q: ca.SX, force: ca.SX) -> ca.SX:
+        """Generalised forces (nq) of a force (3) [N] on the tool, world axes."""
+        v = ca.SX.sym("v", self.nq)
+        return ca.jacobian(ca.dot(force, self._velocities(q, v, self.tool)["force"]), v).T
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ = (v, M⁻¹ (forces − h))."""

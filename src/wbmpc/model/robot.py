@@ -48,6 +48,8 @@ class Dynamics:
         self.state, self.input = Layout(base.state), Layout(base.input)
         self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
         self.unit_quaternions: tuple[int, ...] = base.unit_quaternions
+        #: Lowest and highest value of a group of mode values; any number where there is none.
+        self.mode_bounds: dict[str, tuple[float, float]] = getattr(base, "mode_bounds", {})
 
     def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The robot's own state and input; wrappers that add states override this."""
@@ -213,9 +215,9 @@ class RobotModel:
         n = base.nq
         if "rest" not in self._functions:
             q, u, f = ca.SX.sym("q", n), ca.SX.sym("u", len(base.input["wheel"]) + n - 5), ca.SX.sym("f", 3)
-            given = ca.vertcat(u, f) if base.contact else u
-            w = ca.SX.zeros(n) if base.contact else ca.vertcat(ca.SX.zeros(n), f)
-            rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.generalised_force(q, given, w)
+            given = ca.vertcat(u, ca.SX.zeros(self.input.size - u.shape[0]))
+            rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.tool_force(q, f)
+            rest -= base.generalised_force(q, given, ca.SX.zeros(self.parameters.size))
             self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
         rest_of, angles, push = self._functions["rest"], np.asarray(arm, float), np.asarray(force, float)
         if angles.shape != (n - 5,) or push.shape != (3,):
@@ -238,5 +240,9 @@ class RobotModel:
 
 
 def load_robot(name_or_path: str | Path, **base: Any) -> RobotModel:
-    """A built-in robot by name, or one's own YAML. ``base`` replaces keys of the base section (e.g. contact="force")."""
+    """A built-in robot by name, or one's own YAML. ``base`` replaces keys of the base section.
+
+    ``load_robot("rezero", contact="wrench", contact_frame="tool")``: the wrench of the world at that frame is an input.
+    Raises :class:`InputError` naming file and key.
+    """
     return RobotModel(load_description(name_or_path, **base))

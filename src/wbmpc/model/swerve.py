@@ -131,7 +131,7 @@ def rolling_inverse_kinematics(
 
 
 class SwerveBase:
-    """Kinematic model: the input is the body twist and all joint rates; rolling is a constraint."""
+    """Kinematic model: the input is the wheels' body twist and all joint rates; rolling is a constraint."""
 
     def __init__(self, description: RobotDescription, tree: Tree) -> None:
         assert isinstance(description.base, SwerveBaseDescription)
@@ -147,7 +147,8 @@ class SwerveBase:
         self.state: dict[str, list[str]] = {"base": pose, **joints}
         self.input: dict[str, list[str]] = {"base": ["vx", "vy", "wz"], **joints}
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
-        self.parameters: dict[str, list[str]] = {}
+        self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
+        self.parameters: dict[str, list[str]] = {"drift": ["vx", "vy", "wz"]}
         self.unit_quaternions = (3,) if self.quaternion else ()
         self._start = len(pose)
         self._joints = [tree.joint(n) for group in joints.values() for n in group]
@@ -180,8 +181,11 @@ class SwerveBase:
         return rates, ca.vertcat(u[0], u[1], ca.SX(1, 1)), ca.vertcat(ca.SX(2, 1), u[2])
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
-        """ẋ = f(x, u): ṗ = R (vx, vy), joint rates = inputs, leg rates times the brake state."""
-        rates = u[3:]
+        """ẋ = f(x, u): ṗ = R (vx, vy), joint rates = inputs, leg rates times the brake state.
+
+        The body moves by the twist of its wheels and the parameter ``drift`` (body axes): what slip on a slope adds.
+        """
+        rates, u = u[3:], ca.vertcat(u[:3] + w[:3], u[3:])
         if self.geometry.has_hinge:
             n = self.geometry.modules
             rates = ca.vertcat(m[0:n] * u[3 : 3 + n], u[3 + n :])

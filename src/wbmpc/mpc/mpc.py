@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from wbmpc.errors import InputError, RunAborted
+from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
-from wbmpc.solver import SQP, Solution, Solver, Status
+from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.certificate import not_finite
+from wbmpc.solver.solution import COLUMNS
 
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
 Guess = Callable[[Solver, float, np.ndarray], None]
@@ -23,6 +25,13 @@ class Observation:
 
     t: float
     x: np.ndarray
+
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "t", float(self.t))
+            object.__setattr__(self, "x", np.asarray(self.x, float))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"observation: a time and a vector of numbers are needed ({error})") from error
 
 
 class References:
@@ -43,10 +52,21 @@ class References:
 
 @dataclass
 class Statistics:
-    """Solve times [s], failed solves, and the last solution's status."""
+    """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
+
+    ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
+    was accepted, so that the plan is the last one moved on.
+    """
 
     solve_times: list[float] = field(default_factory=list)
+    solves: int = 0
     failures: int = 0
+    no_step: int = 0
+
+    @property
+    def failed_share(self) -> float:
+        """Solves without a new plan over all solves (0 before the first)."""
+        return (self.failures + self.no_step) / max(self.solves, 1)
 
 
 class MPC:
@@ -65,7 +85,7 @@ class MPC:
         first_iterations: int = 30,
         guess: Guess | None = None,
     ) -> None:
-        if not rate > 0.0:
+        if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         settings = solver or SQP.real_time()
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
@@ -75,6 +95,9 @@ class MPC:
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
+        self._outcome = (0, 0, 0.0)
+        #: why the last pass gave no plan; empty when it did
+        self.fault = ""
 
     @property
     def period(self) -> float:
@@ -86,13 +109,44 @@ class MPC:
         self.solver.set_schedule(schedule)
 
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
-        """Forget the last plan; start from the state ``x`` (nx) and the input ``u`` (nu) held."""
+        """Forget the last plan; start from ``x`` (nx) and ``u`` (nu) held, or from trajectories (N + 1, nx), (N, nu).
+
+        Raises :class:`InputError` naming the entry that is not finite.
+        """
+        d = self.ocp.dynamics
+        for names, value in ((d.state.names, x), (d.input.names, u)):
+            if value is not None:
+                for row in np.atleast_2d(value):
+                    _check_vector("reset", names, row)
         self.solver.guess(x, u)
         self.solver.forget()
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
         """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one."""
+        started = self._t is not None
+        usable = self.advance(observation)
+        self.statistics.solves += 1
+        if started:
+            self.statistics.solve_times.append(self.solve_time)
+        if not usable:
+            return self._fall_back()
+        solution = self.solver.solution(*self._outcome)
+        stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
+        self.statistics.no_step += int(stuck)
+        self._policy = Policy.of(solution, observation.t)
+        return self._policy
+
+    @property
+    def solve_time(self) -> float:
+        """Duration [s] of the last pass of the solver."""
+        return self._outcome[2]
+
+    def advance(self, observation: Observation) -> bool:
+        """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
+
+        If not: ``fault`` says why; :meth:`resume` from the last good plan.
+        """
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
@@ -104,30 +158,49 @@ class MPC:
                 self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             elapsed = time.perf_counter() - start
-        if self._t is not None:
-            self.statistics.solve_times.append(elapsed)
-        self._t = observation.t
-        solution: Solution = self.solver.solution(status, count, elapsed)
-        if solution.status is Status.NOT_FINITE or not np.isfinite(solution.u).all():
-            return self._fall_back(solution)
-        self._policy = Policy.of(solution, observation.t)
-        return self._policy
+        self._t, self._outcome = observation.t, (status, count, elapsed)
+        self.fault = self._find_fault()
+        return not self.fault
+
+    def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
+        self.solver.guess(x, u)
+        self.solver.forget()
+        self._t = t
+
+    def _find_fault(self) -> str:
+        """Why what stands in the solver's memory cannot become a policy; empty if it can."""
+        status, ws = self.solver.status(self._outcome[0]), self.solver.ws
+        if status in (Status.NOT_FINITE, Status.DIVERGED):
+            return status.value
+        parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
+        bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
+        return f"failed: the {bad[0]} is not finite" if bad else ""
 
     def _check(self, observation: Observation) -> None:
-        names = self.ocp.dynamics.state.names
-        if observation.x.shape != (len(names),):
-            raise InputError(f"observation: {len(names)} numbers are needed, got shape {observation.x.shape}")
-        if not np.isfinite(observation.x).all():
-            raise InputError(f"observation: '{names[int(np.argmax(~np.isfinite(observation.x)))]}' is not finite")
+        if not np.isfinite(observation.t):
+            raise NotFinite(f"observation: the time must be finite, got {observation.t}")
+        _check_vector("observation", self.ocp.dynamics.state.names, observation.x)
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
 
-    def _fall_back(self, solution: Solution) -> Policy:
+    def _fall_back(self) -> Policy:
         """Keep the last policy, valid for its horizon, and restart from its plan."""
         self.statistics.failures += 1
         if self._policy is None:
-            raise RunAborted(f"the first solve failed: {solution}")
-        self.solver.guess(self._policy.x, self._policy.u)
-        self.solver.forget()
-        self._t = float(self._policy.times[0])  # the next update shifts that plan from where it starts
+            detail = not_finite(self.solver.problem, self.solver.ws)
+            raise RunAborted(f"the first solve {self.fault}" + (f" ({detail})" if detail else ""))
+        self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
         return self._policy
+
+
+def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
+    """Raise :class:`InputError` unless ``value`` has one finite number for each name."""
+    try:
+        vector = np.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {len(names)} numbers are needed ({error})") from error
+    if vector.shape != (len(names),):
+        raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
+    if not np.isfinite(vector).all():
+        raise NotFinite(f"{where}: '{names[int(np.argmax(~np.isfinite(vector)))]}' is not finite")

@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
+import casadi as ca
 import numpy as np
 
 from wbmpc import trajectory
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import Dynamics
+from wbmpc.model import Layout
 from wbmpc.ocp.terms import Constraint, Cost
 
 Term = Cost | Constraint
+
+
+class SystemDynamics(Protocol):
+    """What a problem needs of a system ẋ = f(x, u; w, m); ``model.Dynamics`` is one, a wrapper or your own another.
+
+    A system that also has ``jump(x, w, m)`` maps its state at every event of the mode schedule; m: the mode after it.
+    """
+
+    state: Layout
+    input: Layout
+    parameters: Layout
+    mode: Layout
+    unit_quaternions: tuple[int, ...]
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ (nx)."""
+        ...
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian (nx, nx + nu) by [x; u]."""
+        ...
 
 
 class OptimalControlProblem:
@@ -25,7 +47,7 @@ class OptimalControlProblem:
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: SystemDynamics,
         horizon: float,
         intervals: int,
         *,
@@ -91,8 +113,9 @@ class OptimalControlProblem:
 def _grid(horizon: float, intervals: int, first: float | None, grid: Sequence[float] | None) -> np.ndarray:
     if grid is not None:
         times = np.asarray(grid, float)
-        if times.ndim != 1 or times.size < 2 or times[0] != 0.0 or np.any(np.diff(times) <= 0):
-            raise InputError("grid: needs at least two increasing times that start at 0")
+        shaped = times.ndim == 1 and times.size >= 2 and times[0] == 0.0
+        if not (shaped and np.isfinite(times).all() and np.all(np.diff(times) > 0)):
+            raise InputError("grid: needs at least two finite, increasing times that start at 0")
         return times
     if first is not None:
         return trajectory.geometric_grid(horizon, intervals, first)

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import unknown_name
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import Layout, RobotModel
 
 
@@ -160,21 +160,41 @@ class FrameTwist:
 
 
 @dataclass(frozen=True)
-class HandForce:
-    """Force of the world on the hand (3) [N], world axes, minus its reference; for robots with a contact input."""
+class FrameWrench:
+    """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
+    with ``contact="wrench"``, moment (3) [N m] about the frame's origin.
+
+    The frame is one of the robot's contact frames. Raises :class:`InputError` for another one, and for robots without.
+    """
 
     robot: RobotModel
-
-    size = 3
-    reference = 3
-    groups = {"force": slice(0, 3)}  # noqa: RUF012
+    frame: str
+    groups: Mapping[str, slice] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if "force" not in self.robot.input.groups:
-            raise unknown_name("input group", "force", self.robot.input.groups, where=self.robot.description.name)
+        contacts, name = getattr(self.robot.base, "contacts", {}), self.robot.description.name
+        if not contacts:
+            raise InputError(
+                f"{name}: there is no contact at '{self.frame}'; a robot with torques as inputs has one when it is loaded "
+                "with contact='force' or contact='wrench' (and contact_frame=...); on one whose inputs are speeds it has "
+                "no effect"
+            )
+        if self.frame not in contacts:
+            raise unknown_name("contact frame", self.frame, contacts, where=name)
+        kinds = contacts[self.frame]
+        object.__setattr__(self, "groups", {kind: slice(3 * k, 3 * k + 3) for k, kind in enumerate(kinds)})
+
+    @property
+    def size(self) -> int:
+        return 3 * len(self.groups)
+
+    @property
+    def reference(self) -> int:
+        return self.size
 
     def __call__(self, s: Symbols) -> ca.SX:
-        return s.u[self.robot.input["force"]] - s.reference
+        groups = self.robot.base.contacts[self.frame].values()
+        return ca.vertcat(*[s.u[self.robot.input[g]] for g in groups]) - s.reference
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from wbmpc.errors import InputError
 
 @dataclass(frozen=True)
 class Mode:
-    """A named set of the model's discrete values.
+    """A named set of the model's discrete values, all finite.
 
     ``values`` gives, by group of the model's mode layout, the numbers of that mode (e.g. ``{"brake": (0, 0, 0, 0)}``,
     1 = open); a group that is not named is zero. ``name`` is what terms refer to with ``modes=``.
@@ -20,6 +20,15 @@ class Mode:
 
     name: str
     values: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for group, numbers in self.values.items():
+            try:
+                finite = bool(np.isfinite(np.asarray(numbers, float)).all())
+            except (TypeError, ValueError):
+                finite = False
+            if not finite:
+                raise InputError(f"mode '{self.name}': values of '{group}' must be finite numbers, got {numbers}")
 
 
 @dataclass(frozen=True)

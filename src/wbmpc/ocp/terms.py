@@ -18,9 +18,11 @@ At = Literal["path", "terminal", "all"]
 _PLACES = ("path", "terminal", "all")
 
 
-def _check_place(name: str, at: str) -> None:
+def _check_place(name: str, at: str, modes: tuple[str, ...] | None) -> None:
     if at not in _PLACES:
         raise unknown_name("place", at, _PLACES, where=f"term '{name}', at")
+    if modes is not None and (isinstance(modes, str) or not modes or not all(isinstance(m, str) for m in modes)):
+        raise InputError(f"term '{name}': modes must be a tuple of names, at least one, got {modes!r}")
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,14 @@ class Cost:
     terminal_weight: Weight | None = None
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at)
+        _check_place(self.name, self.at, self.modes)
         self.expand(self.weight)
         if self.terminal_weight is not None:
-            self.expand(self.terminal_weight)
+            self.expand(self.terminal_weight, "terminal weight")
 
-    def expand(self, weight: Weight) -> np.ndarray:
+    def expand(self, weight: Weight, kind: str = "weight") -> np.ndarray:
         """A weight as one number per row of the residual."""
-        return expand_rows(weight, self.residual, f"cost '{self.name}', weight")
+        return expand_rows(weight, self.residual, f"cost '{self.name}', {kind}")
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,8 @@ class Constraint:
     compliance: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at)
-        if self.compliance < 0.0:
+        _check_place(self.name, self.at, self.modes)
+        if not 0.0 <= self.compliance < np.inf:
             raise InputError(f"constraint '{self.name}': compliance must not be negative, got {self.compliance}")
         if not self.slack > 0.0:
             raise InputError(f"constraint '{self.name}': slack must be positive (math.inf: none), got {self.slack}")
@@ -92,17 +94,26 @@ class Constraint:
 
 def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:
     """One non-negative number per row from a number, a sequence or a mapping by the residual's groups."""
-    if isinstance(value, Mapping):
-        rows = np.zeros(residual.size)
-        for group, entry in value.items():
-            if group not in residual.groups:
-                raise unknown_name("group", group, residual.groups, where=where)
-            rows[residual.groups[group]] = entry
-    else:
-        given = np.asarray(value, float)
-        if given.ndim and given.shape != (residual.size,):
-            raise InputError(f"{where}: one number or {residual.size} are needed, got {given.shape[0]}")
-        rows = np.broadcast_to(given, residual.size).copy()
-    if not np.isfinite(rows).all() or np.any(rows < 0.0):
-        raise InputError(f"{where}: must be finite and not negative, got {value}")
+    if not isinstance(value, Mapping):
+        return _expand(value, residual.size, where)
+    rows = np.zeros(residual.size)
+    for group, entry in value.items():
+        if group not in residual.groups:
+            raise unknown_name("group", group, residual.groups, where=where)
+        part = residual.groups[group]
+        rows[part] = _expand(entry, part.stop - part.start, f"{where} of '{group}'")
     return rows
+
+
+def _expand(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
+    """``size`` finite numbers that are not negative from one or ``size``."""
+    try:
+        given = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: one number or {size} are needed, got {value!r}") from None
+    if given.ndim and given.shape != (size,):
+        raise InputError(f"{where}: one number or {size} are needed, got {given.size}")
+    if not np.isfinite(given).all() or np.any(given < 0.0):
+        bad = given[~(np.isfinite(given) & (given >= 0.0))].flat[0] if given.ndim else given
+        raise InputError(f"{where}: must be finite and not negative, got {float(bad):g}")
+    return np.broadcast_to(given, size).copy()

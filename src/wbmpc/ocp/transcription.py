@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
@@ -44,8 +45,9 @@ class _Slots:
 class Transcription:
     """Stage functions of a problem and the meaning of their parameter vectors."""
 
-    def __init__(self, ocp: OptimalControlProblem) -> None:
-        self.ocp = ocp
+    def __init__(self, ocp: OptimalControlProblem, exact: bool = False) -> None:
+        """``exact``: second derivatives too, for an exact Hessian of the Lagrangian."""
+        self.ocp, self.exact = ocp, exact
         d = ocp.dynamics
         self.nx, self.nu = d.state.size, d.input.size
         self.references = _Slots.of({t.name: t.residual.reference for t in ocp.terms.values() if t.residual.reference})
@@ -93,6 +95,20 @@ class Transcription:
             names = [self.ocp.terms[t].modes or () for t in self.switched]
             rows.append(np.concatenate([values, [float(mode.name in n) for n in names]]))
         return np.array(rows).reshape(len(schedule.modes), -1)
+
+    def check_schedule(self, schedule: ModeSchedule) -> None:
+        """Raise :class:`InputError` for mode values out of range, or a term of which no mode is in the schedule."""
+        names = list(dict.fromkeys(mode.name for mode in schedule.modes))
+        for term in (self.ocp.terms[t] for t in self.switched):
+            if term.modes and not set(term.modes) & set(names):
+                raise unknown_name("mode", term.modes[0], names, where=f"term '{term.name}', modes")
+        bounds = getattr(self.ocp.dynamics, "mode_bounds", {})
+        for mode, (group, (low, high)) in product(schedule.modes, bounds.items()):
+            values = np.atleast_1d(np.asarray(mode.values.get(group, low), float))
+            if np.any((values < low) | (values > high)):
+                raise InputError(
+                    f"mode '{mode.name}': values of '{group}' must be from {low:g} to {high:g}, got {values}"
+                )
 
     def symbols(self, name: str) -> Symbols:
         d = self.ocp.dynamics
@@ -255,4 +271,32 @@ class Transcription:
             "terminal_quadratic": make("terminal_quadratic", at_end, list(end)),
             "end_rows_jacobian": make("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
             "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self._jump, self.x)),
+            **self._second_derivatives(make),
+        }
+
+    def _second_derivatives(self, make: Any) -> dict[str, ca.Function]:
+        """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
+
+        ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
+        """
+        args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
+        nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
+        last, adjoint = ca.SX.sym("kappa", self.end.expression().shape[0]), ca.SX.sym("a", self.nx)
+        if not self.exact:
+            nothing = [ca.SX(1, 1)]
+            return {
+                "lagrangian": make("lagrangian", [*args, nu, kappa], nothing),
+                "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], nothing),
+                "end_lagrangian": make("end_lagrangian", [*at_end, last], nothing),
+            }
+        path = self.h * (self._value("path") + ca.dot(kappa, self.path.expression())) + ca.dot(nu, self.equality)
+        end = self._value("terminal") + ca.dot(last, self.end.expression())
+        more = lambda f, z, gauss_newton: ca.triu(ca.hessian(f, z)[0]) - gauss_newton
+        path_more = more(path, self.z, self.h * self._quadratic("path", self.z)[2])
+        end_more = more(end, self.x, self._quadratic("terminal", self.x)[2])
+        curvature = ca.triu(ca.hessian(ca.dot(adjoint, self.rates), self.z)[0])
+        return {
+            "lagrangian": make("lagrangian", [*args, nu, kappa], [path_more]),
+            "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], [curvature]),
+            "end_lagrangian": make("end_lagrangian", [*at_end, last], [end_more]),
         }

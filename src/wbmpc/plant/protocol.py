@@ -8,16 +8,18 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 
 Array = NDArray[np.float64]
 
 
 def finite(name: str, values: ArrayLike, size: int) -> Array:
-    """``values`` as an array of ``size`` finite numbers, or :class:`InputError`."""
+    """``values`` as an array of ``size`` finite numbers, or :class:`InputError` (:class:`NotFinite`)."""
     array = np.asarray(values, float)
-    if array.shape != (size,) or not np.isfinite(array).all():
+    if array.shape != (size,):
         raise InputError(f"command: '{name}' needs {size} finite numbers, got {array}")
+    if not np.isfinite(array).all():
+        raise NotFinite(f"command: '{name}' needs {size} finite numbers, got {array}")
     return array
 
 
@@ -87,7 +89,7 @@ class Truth:
     ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
     layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
     ``slip_along`` (n, 2) its parts along the wheel and along its axle; ``wheel_force`` (n) [N], vertical forces of
-    the ground in the last physics step.
+    the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
     """
 
     time: float
@@ -102,6 +104,7 @@ class Truth:
     slip: Array = field(default_factory=lambda: np.zeros(0))
     slip_along: Array = field(default_factory=lambda: np.zeros((0, 2)))
     wheel_force: Array = field(default_factory=lambda: np.zeros(0))
+    joint_speeds: dict[str, float] = field(default_factory=dict)
 
 
 CommandT = TypeVar("CommandT", contravariant=True)
@@ -118,6 +121,9 @@ class Plant(Protocol[CommandT, MeasurementT]):
 
     @property
     def fell(self) -> bool: ...
+
+    @property
+    def diverged(self) -> bool: ...
 
     def measure(self) -> MeasurementT: ...
 

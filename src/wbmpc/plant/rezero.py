@@ -221,4 +221,5 @@ class RezeroPlant(InWorld):
             tilt=self.world.tilt,
             state=self.state(),
             joints=self.world.joints(),
+            joint_speeds=self.world.joint_speeds(),
         )

@@ -277,6 +277,7 @@ class SwervePlant(InWorld):
             tilt=self.world.tilt,
             state=np.concatenate([pose, d.qpos[self._all]]),
             joints=self.world.joints(),
+            joint_speeds=self.world.joint_speeds(),
             slip=np.hypot(along[:, 0], along[:, 1]),
             slip_along=along,
             wheel_force=np.abs(d.sensordata[self._forces]),

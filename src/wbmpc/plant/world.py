@@ -105,7 +105,7 @@ class World:
         self.external: Hook | None = None
         m = self.model
         self.body, self.site = m.body(body).id, self._tool(tool)
-        self._joints = {name: int(m.joint(name).qposadr[0]) for name in joints}
+        self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
 
@@ -201,9 +201,14 @@ class World:
         return float(np.arccos(np.clip(1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2) / float(q @ q), -1.0, 1.0)))
 
     @property
+    def diverged(self) -> bool:
+        """Whether positions are not finite: the physics cannot go on."""
+        return self._lost or not bool(np.isfinite(self.data.qpos).all())
+
+    @property
     def fell(self) -> bool:
         """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
-        return self._lost or not bool(np.isfinite(self.data.qpos).all()) or self.tilt > FALL_TILT
+        return self.diverged or self.tilt > FALL_TILT
 
     def frames(self, height: float) -> dict[str, Array]:
         """Base and tool as :class:`Truth` wants them; ``height`` [m] of the planner's z = 0 above the floor."""
@@ -223,7 +228,11 @@ class World:
 
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""
-        return {name: float(self.data.qpos[i]) for name, i in self._joints.items()}
+        return {name: float(self.data.qpos[q]) for name, (q, _) in self._joints.items()}
+
+    def joint_speeds(self) -> dict[str, float]:
+        """True joint speeds [rad/s] by name."""
+        return {name: float(self.data.qvel[v]) for name, (_, v) in self._joints.items()}
 
 
 class InWorld:
@@ -240,6 +249,11 @@ class InWorld:
     def fell(self) -> bool:
         """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
         return self.world.fell
+
+    @property
+    def diverged(self) -> bool:
+        """Whether positions are not finite: the physics cannot go on."""
+        return self.world.diverged
 
     @property
     def external(self) -> Hook | None:

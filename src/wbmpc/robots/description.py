@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
@@ -48,14 +48,32 @@ class OmniWheelsDescription(_Model):
 
 
 class BallBaseDescription(_Model):
-    """A base that balances on a ball. ``contact``: a force at the hand as an input, or as a parameter ("none")."""
+    """A base that balances on a ball.
+
+    ``contact``: what the world does to the robot as an input: a force, or a wrench (force and moment), at each frame of
+    ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
+    """
 
     type: Literal["ball"]
     body: str
     ball: str
     ball_radius: float = Field(gt=0)
     wheels: OmniWheelsDescription
-    contact: Literal["none", "force"] = "none"
+    contact: Literal["none", "force", "wrench"] = "none"
+    contact_frame: tuple[str, ...] = ()
+
+    @field_validator("contact_frame", mode="before")
+    @classmethod
+    def _several(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _contacts(self) -> Self:
+        if self.contact_frame and self.contact == "none":
+            raise ValueError("contact_frame needs contact: force or contact: wrench")
+        if len(set(self.contact_frame)) < len(self.contact_frame):
+            raise ValueError(f"contact_frame: every frame once, got {', '.join(self.contact_frame)}")
+        return self
 
 
 class FixedBaseDescription(_Model):
@@ -131,6 +149,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         raise InputError(f"{path}: a mapping of keys is needed")
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
+        _refuse_contact(data["base"], path)
     try:
         description = RobotDescription(**data)
     except ValidationError as error:
@@ -141,10 +160,24 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     return description
 
 
+def _refuse_contact(base: dict[str, Any], path: Path) -> None:
+    """What the world pushes changes the motion of forces' robots only, not of those whose inputs are speeds."""
+    kind = base.get("type")
+    for key in ("contact", "contact_frame"):
+        if kind in ("swerve", "fixed") and key in base:
+            raise InputError(
+                f"{path}: key 'base.{key}': the inputs of a {kind} base are speeds, so that a contact force or wrench has "
+                "no effect on its motion; valid: with a base of type ball"
+            )
+
+
 def _first_fault(error: ValidationError) -> str:
-    """The first fault of a validation in plain words, without web links, and how many more there are."""
+    """The first fault of a validation in plain words, without web links, and how many more there are.
+
+    A key that is not known comes before one that is missing: it is usually that key, mistyped.
+    """
     faults = error.errors(include_url=False)
-    fault = faults[0]
+    fault = min(faults, key=lambda f: f["type"] != "extra_forbidden")
     path = [str(k) for k in fault["loc"] if k not in ("swerve", "ball", "fixed")] or ["?"]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     key = ".".join(path)
@@ -152,8 +185,9 @@ def _first_fault(error: ValidationError) -> str:
         return str(unknown_name("key", key, _sibling_keys(fault["loc"], ".".join(path[:-1])))) + more
     if fault["type"].startswith("union_tag"):
         return f"key '{key}.type': valid: ball, fixed, swerve{more}"
-    given = "" if fault["type"] == "missing" else f", got {fault['input']!r}"
-    return f"key '{key}': {fault['msg'][0].lower()}{fault['msg'][1:]}{given}{more}"
+    given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
+    text = fault["msg"].removeprefix("Value error, ")
+    return f"key '{key}': {text[0].lower()}{text[1:]}{given}{more}"
 
 
 def _sibling_keys(location: tuple[int | str, ...], prefix: str) -> list[str]:
@@ -192,8 +226,10 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             if name not in joints:
                 raise unknown_name(f"joint (key '{key}')", name, joints, where=description.source)
     frames = [s.name for s in spec.sites] + [b.name for b in spec.bodies]
-    if description.arm.tool not in frames:
-        raise unknown_name("frame (key 'arm.tool')", description.arm.tool, frames, where=description.source)
+    contacts = {n: "base.contact_frame" for n in getattr(description.base, "contact_frame", ())}
+    for name, key in {**contacts, description.arm.tool: "arm.tool"}.items():
+        if name not in frames:
+            raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
     bodies = [b.name for b in spec.bodies]
     for key in ("body", "ball"):
         body = getattr(description.base, key, None)

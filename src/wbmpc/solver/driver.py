@@ -13,6 +13,7 @@ from wbmpc.solver.places import (
     END_BOXES,
     END_COST,
     EQUALITY,
+    EXACT,
     FILTER,
     FILTERED,
     GRID,
@@ -29,11 +30,14 @@ from wbmpc.solver.places import (
     PRODUCT,
     QUATERNIONS,
     RESIDUAL,
+    RHO,
+    ROW_COST,
     ROW_SLOPE,
     SHIFT,
     SLOPES,
     SMALL,
     STATE,
+    THETA,
     UT,
     XT,
     K,
@@ -74,7 +78,7 @@ SETTINGS = (
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
 #: A plan that has grown beyond this [units of the states] has diverged.
-HUGE = 1e12
+HUGE = 1e10
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
@@ -187,11 +191,15 @@ def take(m, o):  # type: ignore[no-untyped-def]
 
 @compiled(NONE, NUMS, INTS, NUMS)
 def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
-    """The present policy from ``x0``: what single shooting starts from."""
+    """A motion from ``x0``, what single shooting starts from: by the last policy, or by feedback around the guess (without it
+    an unstable model would leave the guess at once), or open loop where that is not finite."""
     if o[POLICY] == 0:
+        backward(m, o, False)
+    cost, violation = trial(m, o, x0, 0.0, True)
+    if not (np.isfinite(cost) and np.isfinite(violation)):
         for i in range(o[N] * o[NU] * o[LX]):
             m[o[K] + i] = 0.0
-    trial(m, o, x0, 0.0, True)
+        trial(m, o, x0, 0.0, True)
     take(m, o)
 
 
@@ -230,13 +238,16 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
     penalty, first, last_kkt, shift, certify = 0.0, 1.0, np.inf, 0.0, s[CERTIFY] > 0.0
     rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
-    m[state + MU], m[state + FILTERED] = s[MU_START], 0.0
+    m[state + MU], m[state + FILTERED], m[state + SHIFT] = s[MU_START], 0.0, 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
-    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = 0.0, 0.0, 0.0
-    if s[SINGLE] > 0.0:
-        roll_out(m, o, x0)
+    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
+    m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
+    if s[SINGLE] > 0.0:
+        roll_out(m, o, x0)
+        if rows:
+            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     it = 0
     while it < limit:
         row = it * LOG_COLUMNS
@@ -251,7 +262,13 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         slope += m[state + ROW_SLOPE]
         dual, product, residual = m[state + DUAL], m[state + PRODUCT], m[state + RESIDUAL]
         kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
-        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = cost, violation, kkt, largest, 0.0
+        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = (
+            cost - m[state + ROW_COST],
+            violation,
+            kkt,
+            largest,
+            0.0,
+        )
         log[row + 5], log[row + 6], log[row + 7], log[row + 8], log[row + 9] = (
             gaps,
             equalities,
@@ -262,8 +279,12 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         log[row + 10], log[row + 11] = shift, dual
         it += 1
         if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
-            if s[LARGEST_SHIFT] > 0.0 and it < limit and np.isfinite(cost) and np.isfinite(violation):
-                shift = max(10.0 * shift, 1e-6)  # the subproblem is not convex
+            if it < limit and np.isfinite(cost) and np.isfinite(violation) and s[LARGEST_SHIFT] > 0.0:
+                # the subproblem is not convex: fewer second derivatives, then a larger shift
+                if o[EXACT] > 0 and m[state + THETA] > 0.0:
+                    m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
+                    continue
+                shift = max(10.0 * shift, 1e-6)
                 if shift <= s[LARGEST_SHIFT]:
                     continue
             return NOT_FINITE, it
@@ -280,7 +301,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if drop > 1e-10:
             penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
-        first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
+        invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+        first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:
@@ -288,13 +310,21 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             if shift > s[LARGEST_SHIFT]:
                 return NO_STEP, it
             continue
-        shift = 0.2 * shift if shift > 1e-6 else 0.0
+        shift, m[state + THETA] = 0.2 * shift if shift > 1e-6 else 0.0, min(1.0, 2.0 * m[state + THETA] + 0.01)
         take(m, o)
         if rows:
-            take_rows(m, o, alpha, dual)
+            # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
+            solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
+            take_rows(m, o, alpha, dual, solved)
             error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
             after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
-            if after < mu:
+            if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
+                after = min(s[MU_START], 10.0 * mu)
+            if certify and (solved or alpha > 0.9):
+                if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
+                    m[state + RHO], last_kkt = min(4.0 * m[state + RHO], 1e6), np.inf
+                last_residual = residual
+            if after != mu:
                 m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
         log[row + 4] = alpha
         o[POLICY] = 1

@@ -9,7 +9,9 @@ from __future__ import annotations
 from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
-(ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, JUMPS, ALIGN, POLICY) = range(13, len(_w.DIMENSIONS))
+(ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, JUMPS, ALIGN, EXACT, POLICY) = range(
+    13, len(_w.DIMENSIONS)
+)
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial"))
@@ -20,17 +22,21 @@ ROW_H, ROW_T, ROW_L, ROW_S = (_place[n] for n in ("rows_h", "rows_t", "rows_l", 
 ROW_C, ROW_E, ROW_D, ROW_N = (_place[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
 ROW_DT, ROW_DS, ROW_Y = (_place[n] for n in ("rows_dt", "rows_ds", "rows_y"))
 ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
+ADJOINT, NU_ROWS, SIGNED = (_place[n] for n in ("adjoint", "multiplier", "signed"))
+NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
 GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old", "state", "filter"))
 
 #: Places in the block ``state``: μ of the interior point, shift of the Hessian, entries in the filter; then what the rows'
 #: step found: largest primal and dual step length, slope of the rows' cost, largest complementarity product, largest primal
-#: residual, and the violation that the full step leaves (of multiplier rows).
-MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT = range(9)
+#: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;
+#: last the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts.
+MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
 DYNAMICS, COST, EQUALITY, ROW_VALUES = (_call[n] for n in ("dynamics", "cost", "equality", "rows"))
 END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("terminal", "end_rows", "jump"))
 DYNAMICS_J, COST_Q, EQUALITY_J = (_call[n] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian"))
 ROWS_J, END_ROWS_J, JUMP_J = (_call[n] for n in ("rows_jacobian", "end_rows_jacobian", "jump_jacobian"))
+LAGRANGIAN, DYNAMICS_H, END_LAGRANGIAN = (_call[n] for n in ("lagrangian", "dynamics_hessian", "end_lagrangian"))
 END_Q, RICCATI, CHAIN, ADD_ROWS = (_call[n] for n in ("terminal_quadratic", "riccati_node", "chain", "add_rows"))
 ARG, RES, INDEX = _w.POINTERS, _w.POINTERS + 8, _w.INDICES

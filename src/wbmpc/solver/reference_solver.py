@@ -15,7 +15,7 @@ from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import Kind, Place
 from wbmpc.solver.workspace import BoxTable, box_table
 
-RELATIVE_COMPLIANCE = 1e-9
+RELATIVE_COMPLIANCE = 1e-12
 
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -40,21 +40,27 @@ def riccati_step(
     ab = np.hstack([a, b])
     m = h + ab.T @ value @ ab
     s = g + ab.T @ (slope + value @ gap)
-    inverse = np.linalg.inv(m[nx:, nx:])
-    gain, feed = -inverse @ m[nx:, :nx], -inverse @ s[nx:]
+    lower = np.linalg.cholesky(m[nx:, nx:])
+    apply = lambda right: np.linalg.solve(lower.T, np.linalg.solve(lower, right))
+    both = -apply(np.column_stack([m[nx:, :nx], s[nx:]]))
     if d.size:
-        dm = d @ inverse @ d.T
-        schur = np.linalg.inv(dm + np.diag(RELATIVE_COMPLIANCE * np.diag(dm) + eps))
-        correction = inverse @ d.T @ schur
-        gain, feed = gain - correction @ (c + d @ gain), feed - correction @ (e + d @ feed)
+        half = np.linalg.solve(lower, d.T)
+        schur = half.T @ half
+        root = np.linalg.cholesky(schur + np.diag(RELATIVE_COMPLIANCE * np.diag(schur) + eps))
+        multipliers = lambda left: np.linalg.solve(root.T, np.linalg.solve(root, left))
+        rows = np.column_stack([c, e])
+        nu = multipliers(rows + d @ both)
+        both = both - apply(d.T @ nu)
+        # once more for what an ill-conditioned Schur complement has left
+        both = both - apply(d.T @ multipliers(rows + d @ both - eps[:, None] * nu))
+    gain, feed = both[:, :-1], both[:, -1]
     # The value of the step is the quadratic along the constrained input, plus what the compliance pays.
     full = np.vstack([np.eye(nx), gain])
     p = full.T @ m @ full
     q = full.T @ (s + m @ np.concatenate([np.zeros(nx), feed]))
     if d.size:
-        rows, rest = c + d @ gain, e + d @ feed
-        weight = np.diag(1.0 / (RELATIVE_COMPLIANCE * np.diag(dm) + eps))
-        p, q = p + rows.T @ weight @ rows, q + rows.T @ weight @ rest
+        # eps ν² / 2 is what the compliance pays
+        p, q = p + nu[:, :-1].T @ (eps[:, None] * nu[:, :-1]), q + nu[:, :-1].T @ (eps * nu[:, -1])
     return gain, feed, 0.5 * (p + p.T), q
 
 
@@ -66,7 +72,8 @@ class RowState:
         table = np.array([(r.kind, r.place, r.sign, r.offset, r.penalty, r.state_only) for r in rows], float).reshape(
             -1, 6
         )
-        self.kind, self.place, self.sign, self.offset, self.penalty, state_only = table.T
+        self.kind, self.place, self.sign, self.offset, self.given, state_only = table.T
+        self.rho = 1.0
         self.counts = ~(state_only.astype(bool) & measured)
         self.boxes = len(place.boxes)
         self.hard, self.multiplier, self.equal = (self.kind == k for k in Kind)
@@ -75,6 +82,11 @@ class RowState:
         self.h, self.t, self.l, self.s = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
         self.jacobian = np.zeros((n, 0))
         self.started = False
+
+    @property
+    def penalty(self) -> np.ndarray:
+        """Weight of a hard row's L1 slack, or ρ of a multiplier row."""
+        return np.where(self.hard, self.given, self.rho * self.given)
 
     def values(self, z: np.ndarray, general: Any) -> np.ndarray:
         """h at z = [x; u]; ``general``: values of the rows that are not of one variable."""
@@ -146,10 +158,10 @@ class RowState:
         primal = min(longest(self.t, self.dt, self.hard), longest(self.s, self.ds, self.soft))
         return primal, min(longest(self.l, self.dl, self.hard), longest(self.penalty - self.l, -self.dl, self.soft))
 
-    def take(self, primal: float, dual: float) -> None:
-        """Move."""
+    def take(self, primal: float, dual: float, solved: bool) -> None:
+        """Move; multipliers of MULTIPLIER rows only when their subproblem is ``solved``."""
         self.t, self.s = self.t + primal * self.dt, self.s + primal * self.ds
-        self.l = self.l + np.where(self.hard, dual, primal) * self.dl
+        self.l = self.l + np.where(self.hard, dual, np.where(self.multiplier & (not solved), 0.0, primal)) * self.dl
 
     def merit(self, h: np.ndarray, alpha: float, mu: float) -> tuple[float, float]:
         """Cost and violation at values h with slacks ``alpha`` of the step further."""
@@ -167,7 +179,8 @@ class RowState:
         with np.errstate(invalid="ignore"):
             product = np.where(self.hard, self.l * self.t, 0.0)
             product = np.maximum(product, np.where(self.soft, (self.penalty - self.l) * self.s, 0.0))
-        primal = np.where(self.hard, np.abs(self.h + self.s - self.t), np.where(self.equal, np.abs(self.h), -self.h))
+        other = np.where(self.equal, np.abs(self.h), np.abs(np.minimum(self.h, self.l / self.penalty)))
+        primal = np.where(self.hard, np.abs(self.h + self.s - self.t), other)
         return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))
 
 
@@ -343,15 +356,21 @@ class InterpretedSolver:
         if delta > 0.0:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
-        self.mu = c.mu_start
+        self.mu, self.shift = c.mu_start, 0.0
+        start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
+        self._start_rows(*start)
         if c.single_shooting:
             if not self.policy:
-                ws.k[:] = 0.0
+                self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
-        for k, rows in enumerate(self.own):
-            rows.h = self._rows(k, ws.x[k], ws.u[min(k, len(ws.u) - 1)])
-            rows.start(self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
+            self._start_rows(*start)
         return self._iterate_to_the_end(x0, c, log)
+
+    def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+        for k, rows in enumerate(self.own):
+            rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
+            rows.rho = 1.0
+            rows.start(mu, least, keep, keep_slacks)
 
     def forget(self) -> None:
         """Slacks and multipliers start anew."""
@@ -362,6 +381,7 @@ class InterpretedSolver:
         from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
+        last_residual = np.inf
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
@@ -370,7 +390,20 @@ class InterpretedSolver:
             size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
             product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
             kkt = s["kkt"] if c.certify else np.nan
-            log[it] = (cost, violation, kkt, size, 0.0, violation, 0.0, residual, product, self.mu, shift, 1.0)
+            log[it] = (
+                cost - self._row_cost(),
+                violation,
+                kkt,
+                size,
+                0.0,
+                violation,
+                0.0,
+                residual,
+                product,
+                self.mu,
+                shift,
+                1.0,
+            )
             it += 1
             if not np.isfinite([cost, violation, s["slope"]]).all():
                 return NOT_FINITE, it
@@ -389,7 +422,8 @@ class InterpretedSolver:
             if drop > 1e-10:
                 curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
                 penalty = max(penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
-            first = max(0.5 * first, 0.1) if kkt > last_kkt else min(1.3 * first, 1.0)
+            invisible = abs(s["slope"]) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+            first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
             last_kkt = kkt
             reaches = [r.reach(c.tau) for r in self.own]
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
@@ -400,18 +434,31 @@ class InterpretedSolver:
                     return NO_STEP, it
                 continue
             shift = 0.2 * shift if shift > 1e-6 else 0.0
+            solved = not c.certify or kkt <= max(c.tolerance, 0.1 * residual)
             for rows in self.own:
-                rows.take(alpha, dual)
+                rows.take(alpha, dual, solved)
             if has_rows:
                 error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
                 after = next_mu.python(self.mu, c.mu_end, error, product)
-                if after < self.mu:
+                after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
+                if c.certify and (solved or alpha > 0.9):
+                    if residual > c.feasibility and residual > 0.25 * last_residual:
+                        last_kkt = np.inf
+                        for r in self.own:
+                            r.rho = min(4.0 * r.rho, 1e6)
+                    last_residual = residual
+                if after != self.mu:
                     self.mu, last_kkt = after, np.inf
             self.policy = True
             log[it - 1, 4] = alpha
             if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
         return 1, it
+
+    def _row_cost(self) -> float:
+        """What the rows add to the cost at the iterate."""
+        h = np.append(np.diff(self.ws.grid), 1.0)
+        return float(sum(w * r.merit(r.h, 0.0, self.mu)[0] for w, r in zip(h, self.own, strict=True)))
 
     def _search(
         self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.exact import exact_end, exact_node
 from wbmpc.solver.places import (
     AB,
     BASE,
@@ -15,6 +16,7 @@ from wbmpc.solver.places import (
     END_ROW_GENERAL,
     EPS,
     EQUALITY_J,
+    EXACT,
     GRID,
     LX,
     LZ,
@@ -25,6 +27,7 @@ from wbmpc.solver.places import (
     PATH_BOXES,
     RICCATI,
     ROW_C,
+    ROW_COST,
     ROW_D,
     ROW_GENERAL,
     ROW_J,
@@ -51,14 +54,17 @@ from wbmpc.solver.stages import linearise_dynamics, row_index, stage, stage_end
 
 @compiled(NUM4, NUMS, INTS, INT, INT)
 def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
-    """All of node k, its Hessian into buffer ``slot``: (cost, gap, violation of equalities, of rows)."""
+    """All of node k, its Hessian into buffer ``slot``: (cost, gap, violation of equalities, of rows).
+
+    The rows' part of the cost is also added up in ``state``.
+    """
     nx, nu, ng, lz = o[NX], o[NU], o[NG], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
     matrix, small, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[SMALL], o[G] + k * lz
     gap = linearise_dynamics(m, o, k)
     m[small + 2] = h
-    if o[ROW_GENERAL] > 0:  # the rows add where the cost's functions write nothing
+    if o[ROW_GENERAL] + o[EXACT] > 0:  # rows and second derivatives add where the cost's functions write nothing
         for i in range((nx + 1 + nu) * lz):
             m[matrix + i] = 0.0
     stage(o, COST_Q, x, u, p, small + 3, matrix, matrix)
@@ -78,6 +84,9 @@ def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
         stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
         for q in range(ng):
             violation += abs(m[o[E] + q * lz + nx])
+    if o[EXACT] > 0:
+        exact_node(m, o, k, matrix)
+    m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
 
@@ -86,7 +95,7 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     """Terminal cost and rows' violation; Hessian and gradient into ``terminal`` and the value function."""
     n, nx, lx = o[N], o[NX], o[LX]
     x, end = o[X] + n * nx, o[TERMINAL]
-    if o[END_ROW_GENERAL] > 0:
+    if o[END_ROW_GENERAL] + o[EXACT] > 0:
         for i in range((nx + 1) * lx):
             m[end + i] = 0.0
     stage_end(o, END_Q, x, o[P] + n * o[NP], o[SMALL], end)
@@ -95,6 +104,9 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
     row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
+    m[o[STATE] + ROW_COST] = row_cost
+    if o[EXACT] > 0:
+        exact_end(m, o, end)
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):

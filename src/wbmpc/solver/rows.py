@@ -40,6 +40,7 @@ from wbmpc.solver.places import (
     PRIMAL,
     PRODUCT,
     RESIDUAL,
+    RHO,
     ROW_BOXES,
     ROW_C,
     ROW_D,
@@ -173,6 +174,13 @@ def node_rows(o, k):  # type: ignore[no-untyped-def]
     return o[ROW_BOXES] + o[ROW_GENERAL], o[END_ROW_BOXES], o[END_ROW_GENERAL]
 
 
+@compiled(NUM, NUMS, INTS, INT)
+def row_penalty(m, o, r):  # type: ignore[no-untyped-def]
+    """Weight of a hard row's L1 slack, or ρ of a multiplier row (which grows while its residual does not shrink)."""
+    penalty = m[o[ROW_TABLE] + 3 * r + 2]
+    return penalty if o[row_index(o) + row_count(o) + r] == HARD else penalty * m[o[STATE] + RHO]
+
+
 @compiled(BOOL, INTS, INT, INT)
 def counts(o, r, k):  # type: ignore[no-untyped-def]
     """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
@@ -212,7 +220,7 @@ def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
         if not counts(o, r, k):
             continue
         h = box_value(m, o, r, x, u) if j < boxes else m[o[SMALL] + 16 + j - boxes]
-        kind, penalty = o[kinds + r], m[o[ROW_TABLE] + 3 * r + 2]
+        kind, penalty = o[kinds + r], row_penalty(m, o, r)
         t, s = m[o[ROW_T] + q] + alpha * m[o[ROW_DT] + q], m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
         if kind == HARD:
             product *= t if np.isinf(penalty) else t * s
@@ -265,7 +273,7 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
         m[o[ROW_H] + q] = h
         sigma, e = 0.0, 0.0
         if counts(o, r, k):
-            kind, penalty = o[kinds + r], m[o[ROW_TABLE] + 3 * r + 2]
+            kind, penalty = o[kinds + r], row_penalty(m, o, r)
             t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
             sigma, e = weight(kind, h, t, l, s, m[o[ROW_Y] + q], penalty, mu)
             if kind == HARD:
@@ -324,7 +332,7 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
             change = row_change(m, o, k, j)
             m[o[ROW_D] + q] = change
             t, l, s = m[o[ROW_T] + q], m[o[ROW_L] + q], m[o[ROW_S] + q]  # noqa: E741
-            penalty, reach = m[o[ROW_TABLE] + 3 * r + 2], change + m[o[ROW_E] + q]
+            penalty, reach = row_penalty(m, o, r), change + m[o[ROW_E] + q]
             if o[kinds + r] == EQUAL:
                 m[o[ROW_N] + q] = penalty * reach
                 residual = max(residual, abs(m[o[ROW_H] + q]))
@@ -333,7 +341,7 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
                 pull = max(0.0, l - penalty * m[o[ROW_H] + q])
                 m[o[ROW_N] + q] = max(0.0, l - penalty * (m[o[ROW_H] + q] + change))
                 slope -= w * pull * change
-                residual = max(residual, -m[o[ROW_H] + q])
+                residual = max(residual, abs(min(m[o[ROW_H] + q], l / penalty)))
             else:
                 following = -m[o[ROW_C] + q] * reach
                 y, ahead = m[o[ROW_Y] + q], m[o[ROW_H] + q] + change
@@ -347,15 +355,17 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
     m[state + ROW_SLOPE], m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT] = slope, product, residual, left
 
 
-@compiled(NONE, NUMS, INTS, NUM, NUM)
-def take_rows(m, o, primal, dual):  # type: ignore[no-untyped-def]
-    """Slacks and multipliers move by their steps."""
+@compiled(NONE, NUMS, INTS, NUM, NUM, BOOL)
+def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
+    """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``."""
     kinds = row_index(o) + row_count(o)
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(boxes + general):
             r, q = first + j, k * o[ROWS] + j
             if not counts(o, r, k):
+                continue
+            if o[kinds + r] == MULTIPLIER and not solved:
                 continue
             change = (dual if o[kinds + r] == HARD else primal) * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
             m[o[ROW_L] + q] += change
@@ -387,7 +397,7 @@ def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
                 continue
             if keep_slacks and kept and m[o[ROW_T] + q] > 0.0:
                 continue
-            penalty = m[o[ROW_TABLE] + 3 * r + 2]
+            penalty = row_penalty(m, o, r)
             t = h if h > least else least  # also for a NaN
             l = l if kept and l > 0.0 else mu / t  # noqa: E741
             l = min(max(l, 1e-12), 0.99 * penalty)  # noqa: E741

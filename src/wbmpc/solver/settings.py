@@ -16,7 +16,8 @@ class InteriorPoint:
 
     ``mode``: "converge" drives μ from ``mu_start`` to ``mu``; "real_time" keeps it at ``mu`` and starts every solve from
     slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration per solve is enough. Rows are in units
-    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many more iterations while the step is cut below 0.9.
+    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so
+    many more iterations while the step is cut below 0.9.
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
     """
 
@@ -61,7 +62,9 @@ class SQP:
     ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
     ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
     ``force_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``largest_shift``: of the Hessian's diagonal
-    (Levenberg-Marquardt), grown when a step fails; ``backend``: machine code, or the interpreted twin.
+    (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
+    derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only);
+    ``backend``: machine code, or the interpreted twin.
     """
 
     iterations: int = 100
@@ -72,6 +75,7 @@ class SQP:
     force_step: bool = False
     line_search: Literal["merit", "filter"] = "merit"
     largest_shift: float = 1e6
+    hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     interior_point: InteriorPoint = field(default_factory=InteriorPoint)
     backend: Literal["compiled", "interpreted"] = "compiled"
 
@@ -85,6 +89,8 @@ class SQP:
             raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
         if self.line_search not in ("merit", "filter"):
             raise unknown_name("line search", self.line_search, ("merit", "filter"))
+        if self.hessian not in ("gauss_newton", "exact"):
+            raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
         for key in ("tolerance", "feasibility", "smallest_step"):
             if not getattr(self, key) > 0.0:
                 raise InputError(f"{name}: {key} must be positive, got {getattr(self, key)}")

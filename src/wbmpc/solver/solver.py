@@ -37,7 +37,7 @@ class Solver:
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem = Transcription(self.ocp)
+        self.problem = Transcription(self.ocp, self._exact())
         self.kernel = None
         if self.settings.backend == "compiled":
             from wbmpc.kernel import build_kernel
@@ -56,6 +56,21 @@ class Solver:
         if self.kernel is not None:
             self._bind()
 
+    def _exact(self) -> bool:
+        if self.settings.hessian != "exact":
+            return False
+        jumps = getattr(self.ocp.dynamics, "jump", None) is not None
+        bad = {
+            f"integrator='{self.ocp.integrator}'": self.ocp.integrator != "rk2",
+            "a state that jumps at events": jumps,
+            "quaternions": bool(self.ocp.dynamics.unit_quaternions),
+            "backend='interpreted'": self.settings.backend != "compiled",
+        }
+        for name, given in bad.items():
+            if given:
+                raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
+        return True
+
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
         """What the term ``name`` compares with from now on."""
@@ -73,6 +88,7 @@ class Solver:
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
+        self.problem.check_schedule(schedule)
         self.schedule = schedule
         self._tables = None
 
@@ -209,11 +225,16 @@ class Solver:
     def _checks(self) -> Checks:
         return Checks(self.problem)
 
+    @staticmethod
+    def status(code: int) -> Status:
+        """What a status code of :meth:`run` means."""
+        return _STATUS[code]
+
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory."""
         row = self.log[count - 1]
         return Solution(
-            status=_STATUS[status],
+            status=self.status(status),
             times=self.ws.grid.copy(),
             x=self.ws.x.copy(),
             u=self.ws.u.copy(),

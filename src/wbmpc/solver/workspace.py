@@ -54,6 +54,7 @@ DIMENSIONS = (
     "rows",  # their places per node
     "jumps",
     "align",
+    "exact",  # whether the Hessian is the exact one
     "policy",  # whether the gains belong to the present trajectory
 )
 BLOCKS = (
@@ -101,6 +102,12 @@ BLOCKS = (
     "grid_old",
     "state",  # (16,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
+    "adjoint",  # (4, lx): costate, its two multiples, spare
+    "multiplier",  # (equalities,)
+    "signed",  # (general rows,): their multipliers with the sign of the Lagrangian
+    "normal",  # (equalities, equalities)
+    "second",  # (nz, lz): second derivatives
+    "chained",  # (nz, lz)
 )
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
 OFFSETS = len(DIMENSIONS)
@@ -195,6 +202,12 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "grid_old": (n + 1,),
         "state": (16,),
         "filter": (64, 2),
+        "adjoint": (4, s.lx),
+        "multiplier": (max(s.ng, 1),),
+        "signed": (max(s.nr, s.ne, 1),),
+        "normal": (max(s.ng, 1), max(s.ng, 1)),
+        "second": (s.nz, s.lz) if problem.exact else (1,),
+        "chained": (s.nz, s.lz) if problem.exact else (1,),
     }
     return shapes | {name: (n + 1, rows) for name in _ROWS}
 
@@ -235,7 +248,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
-        shapes["rows_h"][1], problem.jumps, problem.ocp.align_events, 0,
+        shapes["rows_h"][1], problem.jumps, problem.ocp.align_events, problem.exact, 0,
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),

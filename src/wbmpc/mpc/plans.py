@@ -1,10 +1,12 @@
-"""Policies in force and on their way."""
+"""Policies in force and on their way, and who uses them."""
 
 from __future__ import annotations
 
 from collections import deque
+from typing import Any, Protocol
 
-from wbmpc.mpc import Policy
+from wbmpc.mpc.mpc import Observation
+from wbmpc.mpc.policy import Policy
 
 
 class Plans:
@@ -33,3 +35,12 @@ class Plans:
             if start <= t + 1e-9:
                 found = policy
         return found
+
+
+class Agent(Protocol):
+    """What stands between measurements, MPC and commands of one robot. Times in s; see :mod:`wbmpc.control`."""
+
+    def measure(self, measurement: Any) -> None: ...
+    def predict(self, t: float, until: float, plans: Plans) -> Observation: ...
+    def command(self, t: float, plans: Plans) -> Any: ...
+    def stop(self) -> Any: ...

@@ -1,0 +1,148 @@
+"""A simulated robot that runs in real time in a process of its own, behind the runner's robot interface."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import RunAborted
+from wbmpc.mpc import WallClock
+from wbmpc.mpc.buffer import Board, Mailbox
+
+#: What the physics tells: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
+NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
+#: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
+LOOK, EVERY = 1e-3, 10
+#: Physics that is later than this [s] lets the time go, and counts it.
+PATIENCE = 0.05
+
+
+def shapes(message: Any) -> dict[str, tuple[int, ...]]:
+    """Fields of a dataclass of numbers and arrays, for a mailbox."""
+    return {f.name: np.shape(getattr(message, f.name)) for f in fields(message)}
+
+
+def values(message: Any) -> dict[str, Any]:
+    """A dataclass as fields of a message."""
+    return {f.name: getattr(message, f.name) for f in fields(message)}
+
+
+def build(kind: type, message: dict[str, np.ndarray]) -> Any:
+    """The dataclass of a message."""
+    given = {f.name: message[f.name] for f in fields(kind)}
+    return kind(**{name: v if v.ndim else float(v) for name, v in given.items()})
+
+
+class Simulated:
+    """The runner's side of it. ``make`` makes the plant, in the other process; the robot stands until the first command.
+
+    ``stop``: the command of a safe stop; ``core``: where the process runs (None: anywhere), ``fifo``: before all
+    other processes. Times are the clock's.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], Any],
+        measurement: Any,
+        stop: Any,
+        clock: WallClock,
+        core: int | None,
+        fifo: bool = False,
+        record: int = 20_000,
+    ) -> None:
+        self.clock, self._stop, self._kind = clock, stop, type(measurement)
+        self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
+        self.board, self._started, self._measured = Board.shared(NUMBERS, RECORDS, record), False, measurement
+        arguments = (make, type(stop), self.measurements, self.commands, self.board, core, fifo)
+        self.process = multiprocessing.get_context("spawn").Process(target=simulate, args=arguments, daemon=True)
+        self.process.start()
+        while not self.board["ready"]:
+            if not self.process.is_alive():
+                raise RunAborted("the physics did not start")
+            time.sleep(0.01)
+
+    def read(self) -> Any:
+        """The newest measurement, its time on the runner's clock; a state that was late is later by its way here."""
+        message = self.measurements.read()
+        if message is not None:
+            self._measured = build(self._kind, message.values)
+        stamp = self._measured.time - self.clock.origin
+        if not hasattr(self._measured, "age"):
+            return replace(self._measured, time=stamp)
+        return replace(self._measured, time=stamp, age=self._measured.age + max(self.clock.now() - stamp, 0.0))
+
+    def write(self, command: Any) -> None:
+        """The command that holds from now on; the first one lets the physics go."""
+        if self.board["fell"]:
+            raise RunAborted("the robot fell")
+        self._started = True
+        self.commands.write(**values(command))
+
+    def stop(self) -> None:
+        """The command of a safe stop; nothing before the first command."""
+        if self._started:
+            self.commands.write(**values(self._stop))
+
+    def close(self) -> None:
+        """End the process."""
+        self.board["end"] = 1.0
+        self.process.join(5.0)
+
+    def hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n) [s] on the runner's clock and true positions (n, 3) [m] of the hand."""
+        records = [self.board.samples(name) for name in RECORDS]
+        return records[0] - self.clock.origin, np.stack(records[1:], axis=1)
+
+
+def simulate(
+    make: Callable[[], Any],
+    kind: type,
+    measurements: Mailbox,
+    commands: Mailbox,
+    board: Board,
+    core: int | None,
+    fifo: bool,
+) -> None:
+    """The process: physics as fast as the wall clock, a measurement at every look."""
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+    if fifo:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))  # after controller and MPC
+    plant, clock, command, offset, looks = make(), WallClock(origin=0.0, spin=0.0), None, 0.0, 0
+    due = clock.now()
+    while not board["end"]:
+        message = commands.read()
+        if message is not None:
+            offset = clock.now() - plant.time if command is None else offset
+            command = build(kind, message.values)
+        now = clock.now()
+        if command is not None and not plant.fell:
+            late = now - offset - plant.time
+            if late > PATIENCE:
+                board.count("behind")
+                offset, late = offset + late, 0.0
+            steps = int(late / plant.timestep)
+            if steps > 0:
+                plant.step(command, steps)
+        measured = values(plant.measure())
+        # the physics is behind the clock by less than a step; while the robot stands time goes on for it too
+        measured["time"] = now if command is None else plant.time + offset
+        measurements.write(**measured)
+        if command is not None and looks % EVERY == 0:
+            _record(plant, board, measured["time"])
+        board["ready"] = 1.0
+        looks, due = looks + 1, max(due + LOOK, clock.now())
+        clock.wait(due)
+
+
+def _record(plant: Any, board: Board, time: float) -> None:
+    truth = plant.truth()
+    for name, value in zip(RECORDS, (time, *truth.tool), strict=True):
+        board.sample(name, value)
+    board["tilt"], board["fell"] = max(board["tilt"], truth.tilt), float(plant.fell)

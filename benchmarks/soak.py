@@ -1,0 +1,123 @@
+"""100 000 solves in receding horizon: growth of the memory, drift of the solve time.
+
+Usage: python benchmarks/soak.py [--robot rezero swerve] [--solves 100000] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.experiments.paths import SinePath
+from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.rezero_steps import set_home_references
+from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
+from wbmpc.model import load_robot
+from wbmpc.mpc import MPC, Observation
+from wbmpc.ocp import Reference
+
+#: Between two solves [s]; the spread of what the state is off its plan.
+PERIOD, NOISE = 0.005, 1e-3
+
+
+def rezero(seconds: float) -> MPC:
+    """The ball robot's hand goes to and fro by 0.1 m every three seconds; 20 intervals over 1 s."""
+    robot = load_robot("rezero")
+    mpc = rezero_mpc(robot, MpcSettings(horizon=1.0, intervals=20, first_interval=0.0, barrier_mu=1e-2), RezeroCost())
+    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    set_home_references(mpc, robot, torque)
+    position, quaternion = robot.pose(home)
+    times = np.arange(0.0, seconds, 3.0)
+    steps = np.outer(np.arange(times.size) % 2, [0.1, 0.0, 0.0])
+    mpc.reference["hand"] = Reference.poses(times, position + steps, quaternion, hold=True)
+    mpc.reset(home, torque)
+    return mpc
+
+
+def swerve(seconds: float) -> MPC:
+    """The swerve robot along a sine that goes on; 20 intervals over 5 s."""
+    robot = load_robot("swerve-ur10")
+    mpc = swerve_mpc(robot, MpcSettings(horizon=5.0, intervals=20, first_interval=0.05), SwerveCost())
+    path = SinePath(0.3, 2.66 * seconds / 10.0, seconds / 10.0, 0.25, start=0.5, ramp=2.0)
+    t = np.arange(0.0, seconds, 0.1)
+    along, across = path.point(t)
+    position, quaternion = robot.pose(robot.home)
+    mpc.reference["hand"] = Reference.poses(t, position + np.stack([along, across, 0.0 * t], axis=1), quaternion)
+    states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
+    arc, rate = path.arc(t)
+    share = path.length / path.arc_length
+    states[:, 0], inputs[:, 0] = arc * share, rate * share
+    mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
+    mpc.reset(robot.home)
+    return mpc
+
+
+MAKE = {"rezero": rezero, "swerve": swerve}
+
+
+def resident() -> int:
+    """Memory of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def run(name: str, solves: int) -> dict[str, Any]:
+    """Solves from the state that the plan of the last one comes to, with noise; figures by name."""
+    mpc = MAKE[name](solves * PERIOD + 10.0)
+    rng, ws = np.random.default_rng(0), mpc.solver.ws
+    times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
+    x, start = ws.x[0].copy(), time.perf_counter()
+    for i in range(solves):
+        failures += not mpc.advance(Observation(i * PERIOD, x))
+        times[i] = mpc.solve_time
+        share = PERIOD / (ws.grid[1] - ws.grid[0])
+        x = (1.0 - share) * ws.x[0] + share * ws.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
+        if i % (solves // 100) == 0:
+            memory[i // (solves // 100)] = resident()
+    tenth = solves // 10
+    # the first hundredth is left out of the growth: buffers and caches come into being
+    return {
+        "robot": name, "solves": solves, "intervals": mpc.ocp.intervals, "failures": failures,
+        "seconds": time.perf_counter() - start, "memory_first": memory[1], "memory_last": memory[-1],
+        "growth": memory[-1] - memory[1], "median_first": float(np.median(times[:tenth])),
+        "median_last": float(np.median(times[-tenth:])), "median": float(np.median(times)),
+        "p99": float(np.percentile(times, 99)), "max": float(times[1:].max()),
+        "quickest_first": float(np.percentile(times[:tenth], 10)), "quickest_last": float(np.percentile(times[-tenth:], 10)),
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robot", nargs="*", default=list(MAKE), choices=list(MAKE))
+    parser.add_argument("--solves", type=int, default=100_000)
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    given = parser.parse_args()
+    gc.freeze()
+    print(f"{platform.processor() or platform.machine()}, load {os.getloadavg()[0]:.2f} before")
+    results = []
+    for name in given.robot:
+        r = run(name, given.solves)
+        results.append(r)
+        first, last = 1e3 * r["median_first"], 1e3 * r["median_last"]
+        print(
+            f"\n{name}, N = {r['intervals']}: {r['solves']} solves in {r['seconds']:.0f} s, {r['failures']} failed\n"
+            f"  resident memory          {r['memory_first'] / 2**20:.1f} MiB, grown by {r['growth'] / 1024:.0f} KiB\n"
+            f"  median solve             first tenth {first:.4f} ms, last tenth {last:.4f} ms: {100 * (last / first - 1):+.1f} %\n"
+            f"  quickest tenth below     {1e3 * r['quickest_first']:.4f} ms, {1e3 * r['quickest_last']:.4f} ms\n"
+            f"  median, p99, largest     {1e3 * r['median']:.4f}, {1e3 * r['p99']:.4f}, {1e3 * r['max']:.4f} ms",
+            flush=True,
+        )
+    if given.json is not None:
+        given.json.write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""The real-time runner: a control thread at a fixed rate beside an MPC in a thread or a process of its own.
+
+A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
+MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
+at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
+runner is shut down, and a sentence that says why.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
+from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
+from wbmpc.mpc.figures import Report, Spread
+from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.plans import Agent, Plans
+from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
+from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
+
+_LOG = logging.getLogger("wbmpc")
+#: Differences of times [s] below this are none.
+_ROUNDING = 1e-9
+
+
+class RobotInterface(Protocol):
+    """A robot. None of the calls may block for long; ``stop`` may come from another thread while ``read`` hangs.
+
+    ``read`` returns a measurement with its ``time`` [s] on the runner's clock: numbers, arrays or a dataclass of them.
+    """
+
+    def read(self) -> Any: ...
+    def write(self, command: Any) -> None: ...
+    def stop(self) -> None: ...
+
+
+class Runner:
+    """``robot`` and ``agent`` run in the control thread; ``mpc`` in a thread, or in a process if it is a function that makes
+    one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
+
+    ``parameters``: model parameters (as of the solver) that the agent estimates, sent with every observation. The agent must not
+    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``state`` says in
+    a sentence what the runner does, or why it stopped; ``error`` is the exception behind it. In virtual time use :meth:`run`.
+    """
+
+    def __init__(
+        self,
+        robot: RobotInterface,
+        agent: Agent,
+        mpc: MPC | Callable[[], MPC],
+        settings: RealTime | None = None,
+        clock: Clock | None = None,
+        *,
+        sizes: Sizes | None = None,
+        parameters: Callable[[], np.ndarray] | None = None,
+        setup: Callable[[], None] | None = None,
+    ) -> None:
+        self.robot, self.agent, self.mpc, self.parameters = robot, agent, mpc, parameters
+        self.settings, self.clock = settings or RealTime(), clock or WallClock()
+        self.remote, self.setup = not hasattr(mpc, "solver"), setup
+        if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
+            raise InputError("runner: an MPC in another process needs 'sizes' and the wall clock")
+        size = sizes or Sizes.of(mpc.solver.ocp)  # type: ignore[union-attr]
+        mailbox, board = (Mailbox.shared, Board.shared) if self.remote else (Mailbox, Board)
+        self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
+        self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
+        own = ("latency", "ready", "jitter", "tick")
+        self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
+        self.plans, self.latency = Plans(), Latency(self.settings)
+        self.ticker = Ticker(self.settings.period)
+        self.state, self.error = "not started", None  # type: str, BaseException | None
+        self._no_parameters = np.zeros(size.parameters)
+        self._stopped, self._ended = threading.Event(), threading.Event()
+        self._stop_error: Exception | None = None
+        self._halt_lock = threading.Lock()
+        self._answered, self._until, self._beat = 0, 0.0, 0.0
+        self._current: TimedPolicy | None = None
+        self._worker: Worker | None = None
+        self._process: Any = None
+        self._threads: list[threading.Thread] = []
+
+    # ------------------------------------------------------------------ life
+    def start(self) -> None:
+        """Begin by the wall clock; returns when all threads run. The MPC's process is ready before time 0."""
+        if self.state != "not started":
+            raise InputError(f"runner: can be started once; it is: {self.state}")
+        if self.remote:
+            self._start_process()
+        loops = self._begin()
+        self._threads = [threading.Thread(target=follow, args=(self.clock, loop), daemon=True) for loop in loops]
+        self._threads.append(threading.Thread(target=self._watch, daemon=True))
+        for thread in self._threads:
+            thread.start()
+
+    def run(self, seconds: float) -> Report:
+        """Run for ``seconds`` or until it has stopped, then shut down. In virtual time the stop's ticks go on to the end."""
+        if isinstance(self.clock, VirtualClock):
+            interleave(self.clock, self._begin(), seconds)
+        else:
+            self.start()
+            self._stopped.wait(seconds)
+        self.shutdown()
+        return self.report()
+
+    def shutdown(self) -> None:
+        """End all loops; the robot is stopped a last time."""
+        self.orders["end"] = 1.0
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(5.0)
+        if self._process is not None:
+            self._process.join(5.0)
+            if self._process.is_alive():
+                self._process.kill()
+        self._stop_robot()
+        if not self._stopped.is_set():
+            self.state = f"shut down after {self.clock.now():.1f} s"
+
+    def __enter__(self) -> Runner:
+        self.start()
+        return self
+
+    def __exit__(self, *ignored: object) -> None:
+        self.shutdown()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether there was a safe stop."""
+        return self._stopped.is_set()
+
+    @property
+    def process_id(self) -> int:
+        """Of the process in which the MPC runs."""
+        return os.getpid() if self._process is None else int(self._process.pid)
+
+    def _begin(self) -> list[Loop]:
+        self.clock.restart()
+        self.state = "standing by for the first policy"
+        self.orders["origin"] = getattr(self.clock, "origin", 0.0)
+        self.orders["begin"] = 1.0
+        if self.remote:
+            return [self._control()]
+        s = self.settings
+        self._worker = Worker(
+            self.mpc, self.observations, self.policies, self.board, self.orders, self.clock, s.mpc_offset  # type: ignore[arg-type]
+        )  # fmt: skip
+        return [self._control(), self._worker.loop()]
+
+    def _start_process(self) -> None:
+        arguments = (self.mpc, self.observations, self.policies, self.board, self.orders, self.settings.mpc_offset)
+        context = multiprocessing.get_context("spawn")
+        self._process = context.Process(target=serve, args=(*arguments, self.setup), daemon=True)
+        self._process.start()
+        waiting = WallClock()
+        while not self.board["ready"] and self._process.is_alive() and waiting.now() < 60.0:
+            waiting.wait(waiting.now() + 5e-3)
+        if not self.board["ready"]:
+            self._process.kill()
+            raise InputError(f"runner: the MPC's process did not come up: {self.board.text or 'no answer within 60 s'}")
+
+    # ------------------------------------------------------------------ control
+    def _control(self) -> Loop:
+        """The controller's loop: a tick, or the stop, at every deadline."""
+        own, clock = self.own, self.clock
+        while not self.orders["end"]:
+            due = self.ticker.due
+            yield due
+            start = clock.now()
+            own.sample("jitter", start - due)
+            self._beat = start
+            if not self._stopped.is_set():
+                try:
+                    self._tick(due)
+                except SafeStop as reason:
+                    self.halt(str(reason))
+                except Exception as error:
+                    self.halt(f"the controller raised {type(error).__name__}: {error}", error)
+            if self._stopped.is_set():
+                self._stop_robot()
+            end = clock.now()
+            own.sample("tick", end - start)
+            own.count("ticks")
+            own.count("misses", self.ticker.over(end))
+
+    def _tick(self, due: float) -> None:
+        measurement = self.robot.read()
+        self._check_measurement(measurement)
+        self._check_worker()
+        self.agent.measure(measurement)
+        self._collect()
+        self._activate(due)
+        self._observe(due)
+        if not self._in_force(due):
+            self._stop_robot()
+            return
+        command = self.agent.command(due, self.plans)
+        bad = not_finite("command", command)
+        if bad is not None:
+            raise SafeStop(f"{bad} is not finite")
+        if self._stopped.is_set():  # by the watchdog, while this tick hung
+            return
+        self.robot.write(command)
+        self.own.count("clamped", int(getattr(self.agent, "clamped", False)))
+
+    def _check_measurement(self, measurement: Any) -> None:
+        bad = not_finite("measurement", measurement)
+        if bad is not None:
+            raise SafeStop(f"{bad} is not finite")
+        age, limit = self.clock.now() - float(measurement.time), self.settings.max_observation_age
+        if age > limit + _ROUNDING:
+            raise SafeStop(f"the measurement is {age:.3f} s old, the limit is {limit:g} s")
+        if age < -limit:
+            raise SafeStop(f"the measurement is from {-age:.3f} s ahead: its time is not the runner's")
+
+    def _check_worker(self) -> None:
+        if self.board["failed"]:
+            self.error = self._worker.error if self._worker is not None else None
+            raise SafeStop(f"the MPC raised {self.board.text}")
+        if self._process is not None and self.own["ticks"] % 20 == 0 and not self._process.is_alive():
+            raise SafeStop(f"the MPC's process has ended with exit code {self._process.exitcode}")
+
+    def _collect(self) -> None:
+        """Queue the newest policy; the delay of the first answer to an observation counts for the latency."""
+        policy = TimedPolicy.take(self.policies)
+        if policy is None:
+            return
+        if policy.observation != self._answered:
+            self._answered = policy.observation
+            delay = policy.ready - policy.observed
+            self.own.sample("ready", delay)
+            self.latency.add(delay)
+        self.plans.add(policy.valid_from, policy)
+
+    def _activate(self, due: float) -> None:
+        self.plans.activate(due)
+        before, policy = self._current, self.plans.current
+        if policy is None or policy is before:
+            return
+        assert isinstance(policy, TimedPolicy)
+        self.own.count("policies")
+        self.own.count("late", int(due > policy.valid_from + 1e-6))
+        self.own.sample("latency", self.clock.now() - policy.observed)
+        self._current = policy
+        if before is None:
+            self.state = "running"
+
+    def _observe(self, due: float) -> None:
+        """Hand over the state predicted for when the policy can be there; that time never goes back."""
+        self._until = max(self._until, due + self.latency.ticks * self.settings.period)
+        seen = self.agent.predict(due, self._until, self.plans)
+        parameters = self._no_parameters if self.parameters is None else self.parameters()
+        for name, value in (("predicted state", seen.x), ("vector of model parameters", parameters)):
+            if not_finite(name, value) is not None:
+                raise SafeStop(f"the {name} is not finite")
+        self.observations.write(observed=due, valid_from=self._until, t=seen.t, x=seen.x, parameters=parameters)
+
+    def _in_force(self, due: float) -> bool:
+        """Whether there is a policy, young enough; a stop if not."""
+        policy, s = self.plans.current, self.settings
+        if policy is None:
+            if due > s.patience + _ROUNDING:
+                failed = int(self.board["failures"])
+                raise SafeStop(f"no policy within {s.patience:g} s ({failed} solves failed)")
+            return False
+        assert isinstance(policy, TimedPolicy)
+        limit = s.max_policy_age or policy.end - float(policy.times[0])
+        age = due - policy.valid_from
+        if age > limit + _ROUNDING:
+            failed = int(self.board["failures"])
+            raise SafeStop(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
+        return True
+
+    # ------------------------------------------------------------------ stop
+    def halt(self, reason: str, error: BaseException | None = None) -> None:
+        """Stop the robot for good; the first reason stays. May be called from any thread."""
+        with self._halt_lock:
+            if self._stopped.is_set():
+                return
+            self.state = f"stopped at {self.clock.now():.3f} s: {reason}"
+            self.error = error or self.error
+            self._stopped.set()
+        _LOG.error("%s", self.state, exc_info=self.error)
+
+    def _stop_robot(self) -> None:
+        try:
+            self.robot.stop()
+        except Exception as error:
+            if self._stop_error is not None:
+                return
+            self._stop_error = error
+            sentence = f"the robot's stop() raised {type(error).__name__}: {error}"
+            if self._stopped.is_set():
+                self.state += f"; {sentence}"
+                _LOG.error("%s", sentence, exc_info=error)
+            else:
+                self.halt(sentence, error)
+
+    def _watch(self) -> None:
+        """Stop the robot from here while a tick hangs."""
+        limit = self.settings.watchdog
+        self._beat = self.clock.now()
+        while not self._ended.wait(0.2 * limit):
+            silent = self.clock.now() - self._beat
+            if silent > limit:
+                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s")
+                self._stop_robot()
+
+    # ------------------------------------------------------------------ figures
+    def report(self) -> Report:
+        """What was counted up to now."""
+        own, board = self.own, self.board
+        count = lambda name: int(own[name])
+        spread = lambda name: Spread.of(own.samples(name))
+        return Report(
+            state=self.state,
+            seconds=self.clock.now(),
+            updates=int(board["updates"]),
+            mpc_misses=int(board["misses"]),
+            failures=int(board["failures"]),
+            repeated=int(board["repeated"]),
+            solve=Spread.of(board.samples("solve_time")),
+            update=Spread.of(board.samples("update_time")),
+            ticks=count("ticks"),
+            misses=count("misses"),
+            policies=count("policies"),
+            late=count("late"),
+            clamped=count("clamped"),
+            latency=spread("latency"),
+            ready=spread("ready"),
+            jitter=spread("jitter"),
+            tick=spread("tick"),
+        )

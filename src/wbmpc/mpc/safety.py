@@ -1,0 +1,94 @@
+"""What the runner checks: finite numbers, ages; and the horizon of the latency compensation."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import InputError, RunAborted
+
+
+class SafeStop(RunAborted):
+    """The robot has to stop, and why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RealTime:
+    """Settings of the real-time runner; times in s, rates in Hz.
+
+    ``control_rate``; ``max_policy_age`` after a policy came into force (left out: its horizon), ``max_observation_age`` of what
+    the robot measured, ``patience``: for the first policy; beyond any of them the robot is stopped. ``watchdog``: a tick that
+    hangs longer than this stops the robot from another thread. Latency: the ``percentile`` of the last ``window`` delays from
+    observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's
+    ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
+    """
+
+    control_rate: float = 400.0
+    max_policy_age: float | None = None
+    max_observation_age: float = 0.05
+    patience: float = 10.0
+    watchdog: float = 0.1
+    percentile: float = 95.0
+    window: int = 200
+    margin: float = 2e-4
+    max_latency: float = 0.1
+    offset: float | None = None
+    records: int = 100_000
+
+    def __post_init__(self) -> None:
+        for name in ("control_rate", "max_observation_age", "patience", "watchdog", "max_latency", "window", "records"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"real time: {name} must be positive, got {getattr(self, name)}")
+        if self.max_policy_age is not None and not self.max_policy_age > 0.0:
+            raise InputError(f"real time: max_policy_age must be positive, got {self.max_policy_age}")
+        if not 0.0 < self.percentile <= 100.0:
+            raise InputError(f"real time: percentile must be above 0 and at most 100, got {self.percentile}")
+
+    @property
+    def period(self) -> float:
+        """Of the controller [s]."""
+        return 1.0 / self.control_rate
+
+    @property
+    def mpc_offset(self) -> float:
+        """``offset`` or its default [s]."""
+        return 0.2 * self.period if self.offset is None else self.offset
+
+
+class Latency:
+    """How many control ticks ahead an observation has to be predicted so that its policy is ready in time."""
+
+    def __init__(self, settings: RealTime) -> None:
+        self.settings = settings
+        self._ring = np.zeros(settings.window)
+        self._count = 0
+        self.ticks = 1
+
+    def add(self, delay: float) -> None:
+        """One measured delay [s] from observation to finished policy."""
+        s = self.settings
+        self._ring[self._count % s.window] = delay
+        self._count += 1
+        if self._count < 20 or self._count % 10 == 0:
+            wait = np.sort(self._ring[: min(self._count, s.window)])
+            high = float(wait[math.ceil(s.percentile / 100.0 * wait.size) - 1])
+            ticks = math.ceil((min(high + s.margin, s.max_latency)) / s.period - 1e-9)
+            self.ticks = max(ticks, 1)
+
+
+def not_finite(name: str, value: Any) -> str | None:
+    """Which part of a number, an array or a dataclass of them is not finite; None if all are."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            found = not_finite(f"{name}.{field.name}", getattr(value, field.name))
+            if found is not None:
+                return found
+        return None
+    if isinstance(value, np.ndarray) and value.dtype == np.float64:
+        return None if np.isfinite(value).all() else name
+    if isinstance(value, (float, int)):
+        return None if math.isfinite(value) else name
+    return None if np.isfinite(np.asarray(value, float)).all() else name

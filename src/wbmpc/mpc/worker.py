@@ -1,0 +1,147 @@
+"""The MPC's side of the real-time runner: newest observation, one solve, policy straight from the solver's memory."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+
+import numpy as np
+
+from wbmpc.mpc.buffer import Board, Mailbox, Message
+from wbmpc.mpc.clock import Clock, Loop, Ticker, WallClock, follow
+from wbmpc.mpc.mpc import MPC, Observation
+
+#: What the worker counts, and its records [s].
+NUMBERS = ("ready", "updates", "misses", "failures", "repeated", "failed")
+RECORDS = ("solve_time", "update_time")
+#: What the runner tells the worker: when 0 is, whether to begin and to end.
+ORDERS = ("origin", "begin", "end")
+
+
+class Worker:
+    """One MPC between two mailboxes at its own rate.
+
+    ``offset`` [s]: by how much its ticks follow the controller's, so that the observation of the same tick is there.
+    A solve that fails is counted and publishes nothing; the next one starts from the last good plan.
+    """
+
+    def __init__(
+        self,
+        mpc: MPC,
+        observations: Mailbox,
+        policies: Mailbox,
+        board: Board,
+        orders: Board,
+        clock: Clock,
+        offset: float,
+    ) -> None:
+        self.mpc, self.observations, self.policies = mpc, observations, policies
+        self.board, self.orders, self.clock = board, orders, clock
+        self.ticker = Ticker(mpc.period, offset)
+        self._message: Message | None = None
+        self.error: Exception | None = None
+        self._answered, self._ready = 0, 0.0
+        ws = mpc.solver.ws
+        self._start = ws.x.copy(), ws.u.copy()
+
+    def loop(self) -> Loop:
+        """Tick until the runner says that it is the end, or something is raised: then the board has the reason."""
+        board, clock = self.board, self.clock
+        while not self.orders["end"]:
+            yield self.ticker.due
+            try:
+                if self._look():
+                    start = clock.now()
+                    usable = self._solve()
+                    computing = clock.computing()
+                    if computing > 0.0:
+                        yield start + computing
+                    if usable:
+                        self._publish()
+                    board.sample("update_time", clock.now() - start)
+            except Exception as error:
+                self.error = error
+                report(board, error)
+                return
+            missed = self.ticker.over(clock.now())
+            if missed and board["updates"] > 1:  # the first solve iterates to convergence
+                board.count("misses", missed)
+
+    def _look(self) -> bool:
+        """Take the newest observation; whether there has been one."""
+        message = self.observations.read()
+        if message is not None:
+            self._message = message
+        elif self._message is not None:
+            self.board.count("repeated")
+        return self._message is not None
+
+    def _solve(self) -> bool:
+        assert self._message is not None
+        values = self._message.values
+        if values["parameters"].size:
+            self.mpc.solver.set_parameters(values["parameters"])
+        usable = self.mpc.advance(Observation(float(values["t"]), values["x"]))
+        self.board.count("updates")
+        self.board.sample("solve_time", self.mpc.solve_time)
+        if not usable:
+            self.board.count("failures")
+            self._recover()
+        return usable
+
+    def _recover(self) -> None:
+        last = self.policies.last
+        if last is None:
+            self.mpc.reset(*self._start)
+        else:
+            self.mpc.resume(last["x"], last["u"], float(last["times"][0]))
+
+    def _publish(self) -> None:
+        assert self._message is not None
+        values, ws, slot = self._message.values, self.mpc.solver.ws, self.policies.begin()
+        np.add(ws.grid, values["t"], out=slot["times"])
+        slot["x"][...], slot["u"][...] = ws.x, ws.u
+        slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
+        slot["observation"][...] = self._message.number
+        for name in ("observed", "valid_from"):
+            slot[name][...] = values[name]
+        if self._answered != self._message.number:
+            self._answered, self._ready = self._message.number, self.clock.now()
+        slot["ready"][...] = self._ready
+        self.policies.commit()
+
+
+def report(board: Board, error: Exception) -> None:
+    """Put on the board that and why the worker has ended."""
+    board.text = f"{type(error).__name__}: {error}"
+    board["failed"] = 1.0
+
+
+def serve(
+    make: Callable[[], MPC],
+    observations: Mailbox,
+    policies: Mailbox,
+    board: Board,
+    orders: Board,
+    offset: float,
+    setup: Callable[[], None] | None,
+) -> None:
+    """A worker in a process of its own, by the wall clock."""
+    clock = WallClock()
+    try:
+        if setup is not None:
+            setup()
+        worker = Worker(make(), observations, policies, board, orders, clock, offset)
+    except Exception as error:
+        report(board, error)
+        raise
+    board["ready"] = 1.0
+    while not (orders["begin"] or orders["end"]):
+        clock.wait(clock.now() + 1e-3)
+    clock.origin = orders["origin"]
+    # nothing below makes reference cycles: collections would only delay a solve
+    gc.collect()
+    gc.disable()
+    follow(clock, worker.loop())
+    if worker.error is not None:
+        raise worker.error

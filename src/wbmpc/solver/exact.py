@@ -1,0 +1,238 @@
+"""Compiled code of the exact Hessian of the Lagrangian: what the Gauss-Newton Hessian leaves out.
+
+With the midpoint rule x⁺ = x + h f(x₂, u), x₂ = x + h/2 f(x, u), costate λ of x⁺ and M = ∂(x₂, u)/∂(x, u):
+∇²(λᵀ x⁺) = Mᵀ ∇²(h λᵀ f)(x₂, u) M + ∇²(aᵀ f)(x, u), a = h²/2 f_xᵀ(x₂) λ. Costates and equality multipliers are those of
+least squares at the iterate: Dᵀ ν = −(∇_u cost + Bᵀ λ) (Nocedal and Wright 2006, section 18.3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.ocp.rows import Kind
+from wbmpc.solver.compilation import INT, INTS, NONE, NUM, NUMS, call2, compiled
+from wbmpc.solver.places import (
+    AB,
+    ADJOINT,
+    ARG,
+    BASE,
+    CHAINED,
+    DYNAMICS_H,
+    END_J,
+    END_LAGRANGIAN,
+    GRID,
+    J1,
+    J2,
+    LAGRANGIAN,
+    LX,
+    LZ,
+    NG,
+    NORMAL,
+    NP,
+    NU,
+    NU_ROWS,
+    NX,
+    RES,
+    ROW_H,
+    ROW_J,
+    ROW_L,
+    ROW_TABLE,
+    ROWS,
+    SECOND,
+    SIGNED,
+    SLOPES,
+    SMALL,
+    STATE,
+    THETA,
+    E,
+    G,
+    N,
+    P,
+    U,
+    W,
+    X,
+)  # fmt: skip
+from wbmpc.solver.rows import counts, node_rows, row_penalty
+from wbmpc.solver.stages import row_count, row_index
+
+HARD, MULTIPLIER = int(Kind.HARD), int(Kind.MULTIPLIER)
+
+
+@compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)
+def stage_with(o, function, x, u, p, first, second, result):  # type: ignore[no-untyped-def]
+    """Call a stage function of (x, u, p, w, h, first, second)."""
+    base = o[BASE]
+    o[ARG], o[ARG + 1], o[ARG + 2], o[ARG + 3] = base + 8 * x, base + 8 * u, base + 8 * p, base + 8 * o[W]
+    o[ARG + 4], o[ARG + 5], o[ARG + 6] = base + 8 * (o[SMALL] + 2), base + 8 * first, base + 8 * second
+    o[RES] = base + 8 * result
+    call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
+
+
+@compiled(NUM, NUMS, INTS, INT, INT)
+def signed_multiplier(m, o, k, j):  # type: ignore[no-untyped-def]
+    """Multiplier of row j of node k as it stands before the row's value in the Lagrangian."""
+    first, _, _ = node_rows(o, k)
+    r, q = first + j, k * o[ROWS] + j
+    if not counts(o, r, k):
+        return 0.0
+    kind, l, h = o[row_index(o) + row_count(o) + r], m[o[ROW_L] + q], m[o[ROW_H] + q]  # noqa: E741
+    if kind == HARD:
+        return -l
+    if kind == MULTIPLIER:
+        return -max(0.0, l - row_penalty(m, o, r) * h)
+    return l
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
+def add_row_gradient(m, o, k, jacobian, gradient, w):  # type: ignore[no-untyped-def]
+    """w κᵀ J of the node's rows onto a gradient by [x, 1, u]; ``w`` is an offset into the memory. Fills ``signed``."""
+    first, boxes, general = node_rows(o, k)
+    for j in range(boxes + general):
+        value = m[w] * signed_multiplier(m, o, k, j)
+        if j < boxes:
+            m[gradient + o[row_index(o) + first + j]] += value * m[o[ROW_TABLE] + 3 * (first + j)]
+            continue
+        m[o[SIGNED] + j - boxes] = signed_multiplier(m, o, k, j)
+        row = jacobian + (j - boxes) * o[LZ]
+        for i in range(o[NX]):
+            m[gradient + i] += value * m[row + i]
+        if k < o[N]:
+            for i in range(o[NX] + 1, o[NX] + 1 + o[NU]):
+                m[gradient + i] += value * m[row + i]
+
+
+@compiled(NONE, NUMS, INTS)
+def least_squares_multipliers(m, o):  # type: ignore[no-untyped-def]
+    """ν of the equality rows [C e D] in ``e`` from the gradient by u in ``chained``: (D Dᵀ + ε) ν = −D g."""
+    ng, nu, lz, first = o[NG], o[NU], o[LZ], o[NX] + 1
+    normal, nu_rows, gradient = o[NORMAL], o[NU_ROWS], o[CHAINED]
+    for a in range(ng):
+        right = 0.0
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(nu):
+                total += m[o[E] + a * lz + first + i] * m[o[E] + b * lz + first + i]
+            m[normal + a * ng + b] = total
+        for i in range(nu):
+            right -= m[o[E] + a * lz + first + i] * m[gradient + first + i]
+        m[nu_rows + a] = right
+        m[normal + a * ng + a] += 1e-10 * m[normal + a * ng + a] + 1e-12
+    for a in range(ng):  # Cholesky, then both triangular solves
+        for b in range(a + 1):
+            total = m[normal + a * ng + b]
+            for c in range(b):
+                total -= m[normal + a * ng + c] * m[normal + b * ng + c]
+            m[normal + a * ng + b] = np.sqrt(max(total, 1e-300)) if a == b else total / m[normal + b * ng + b]
+    for a in range(ng):
+        for b in range(a):
+            m[nu_rows + a] -= m[normal + a * ng + b] * m[nu_rows + b]
+        m[nu_rows + a] /= m[normal + a * ng + a]
+    for a in range(ng - 1, -1, -1):
+        for b in range(a + 1, ng):
+            m[nu_rows + a] -= m[normal + b * ng + a] * m[nu_rows + b]
+        m[nu_rows + a] /= m[normal + a * ng + a]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT)
+def add_second(m, o, matrix, ld):  # type: ignore[no-untyped-def]
+    """``second`` onto a matrix of the extended node vector (or its part by [x, 1])."""
+    size, theta = o[NX] + 1 + (o[NU] if ld == o[LZ] else 0), m[o[STATE] + THETA]
+    for i in range(size):
+        for j in range(size):
+            if i != o[NX] and j != o[NX]:
+                m[matrix + i * ld + j] += theta * m[o[SECOND] + i * ld + j]
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def add_chained(m, o, matrix, c):  # type: ignore[no-untyped-def]
+    """Mᵀ S M onto the matrix: S in ``second``, M = [I + c J1; I by u]."""
+    nx, nz, lz = o[NX], o[NX] + 1 + o[NU], o[LZ]
+    s, t, j1, theta = o[SECOND], o[CHAINED], o[J1], m[o[STATE] + THETA]
+    for i in range(nz):  # T = S M, row by row
+        for j in range(nz):
+            m[t + i * lz + j] = theta * m[s + i * lz + j]
+        for q in range(nx):
+            factor = theta * c * m[s + i * lz + q]
+            for j in range(nz):
+                m[t + i * lz + j] += factor * m[j1 + q * lz + j]
+    for i in range(nz):
+        for j in range(nz):
+            if i != nx and j != nx:
+                m[matrix + i * lz + j] += m[t + i * lz + j]
+    for q in range(nx):
+        for i in range(nz):
+            factor = c * m[j1 + q * lz + i]
+            if i != nx and factor != 0.0:
+                for j in range(nz):
+                    if j != nx:
+                        m[matrix + i * lz + j] += factor * m[t + q * lz + j]
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def exact_end(m, o, end):  # type: ignore[no-untyped-def]
+    """Second derivatives of the end of the horizon, and its costate."""
+    n, nx, lx, base = o[N], o[NX], o[LX], o[BASE]
+    gradient, one = o[G] + n * o[LZ], o[SMALL] + 2
+    for i in range(nx):
+        m[o[ADJOINT] + i] = m[gradient + i]
+    m[one] = 1.0
+    add_row_gradient(m, o, n, o[END_J], o[ADJOINT], one)
+    x, p = o[X] + n * nx, o[P] + n * o[NP]
+    o[ARG], o[ARG + 1], o[ARG + 2], o[ARG + 3] = base + 8 * x, base + 8 * p, base + 8 * o[W], base + 8 * o[SIGNED]
+    o[RES] = base + 8 * o[SECOND]
+    clear_second(m, o)
+    call2(o[END_LAGRANGIAN], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
+    add_second(m, o, end, lx)
+
+
+@compiled(NONE, NUMS, INTS)
+def clear_second(m, o):  # type: ignore[no-untyped-def]
+    """Zeros: the functions write their own non-zeros only, and share the buffer."""
+    for i in range((o[NX] + 1 + o[NU]) * o[LZ]):
+        m[o[SECOND] + i] = 0.0
+
+
+@compiled(NONE, NUMS, INTS, INT, INT)
+def exact_node(m, o, k, matrix):  # type: ignore[no-untyped-def]
+    """Second derivatives of node k onto its Hessian, after its linearisation; the costate moves to node k."""
+    nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
+    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
+    x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
+    costate, scaled, before = o[ADJOINT], o[ADJOINT] + lx, o[ADJOINT] + 2 * lx
+    for i in range(nx):
+        m[scaled + i] = h * m[costate + i]
+    for i in range(nx):
+        m[before + i] = 0.0
+    for r in range(nx):
+        for i in range(nx):
+            m[before + i] += 0.5 * h * m[o[J2] + r * lz + i] * m[scaled + r]
+    m[o[SMALL] + 2] = h
+    clear_second(m, o)
+    stage_with(o, DYNAMICS_H, o[SLOPES] + 4 * lx, u, p, scaled, scaled, o[SECOND])
+    add_chained(m, o, matrix, 0.5 * h)
+    clear_second(m, o)
+    stage_with(o, DYNAMICS_H, x, u, p, before, before, o[SECOND])
+    add_second(m, o, matrix, lz)
+    gradient, ab = o[CHAINED], o[AB] + k * (nx + 1) * lz
+    for i in range(lz):
+        m[gradient + i] = m[o[G] + k * lz + i]
+    for r in range(nx):
+        for i in range(nx + 1 + nu):
+            m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
+    add_row_gradient(m, o, k, o[ROW_J] + k * node_general(o, k) * lz, gradient, o[SMALL] + 2)
+    least_squares_multipliers(m, o)
+    for i in range(nx):
+        total = m[gradient + i]
+        for q in range(o[NG]):
+            total += m[o[E] + q * lz + i] * m[o[NU_ROWS] + q]
+        m[costate + i] = total
+    clear_second(m, o)
+    stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
+    add_second(m, o, matrix, lz)
+
+
+@compiled(INT, INTS, INT)
+def node_general(o, k):  # type: ignore[no-untyped-def]
+    """General rows of node k."""
+    _, _, general = node_rows(o, k)
+    return general

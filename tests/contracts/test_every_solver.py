@@ -1,0 +1,132 @@
+"""Every solver on every problem of the zoo. Truth: IPOPT, and Fatrop where it converges, on the same discretisation."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
+
+import ipopt
+
+from toys import rezero_solver, robot
+from wbmpc.ocp import Constraint, Reference
+from wbmpc.solver import ILQR, SQP, InteriorPoint, Solver, Status
+from wbmpc.zoo import MAKERS, ZooProblem
+
+#: A small last μ: beside a row that is only just active the solution moves by the square root of it.
+FINE = InteriorPoint(mu=1e-11)
+SOLVERS = {
+    "sqp-merit": SQP(iterations=400, interior_point=FINE),
+    "sqp-filter": SQP(iterations=400, interior_point=FINE, line_search="filter"),
+    "sqp-exact": SQP(iterations=400, interior_point=FINE, hessian="exact"),
+    "ilqr": ILQR(iterations=400, interior_point=FINE),
+}
+
+
+def hardened(problem: ZooProblem) -> ZooProblem:
+    """All inequalities hard."""
+    for name, term in problem.ocp.terms.items():
+        if isinstance(term, Constraint) and not term.equality:
+            problem.ocp.terms[name] = replace(term, hard=True)
+    return problem
+
+
+def rezero_with_a_force() -> ZooProblem:
+    """The ball robot pushes with 5 N while its hand stays."""
+    base = rezero_solver(10)
+    model = robot("rezero", contact="force")
+    from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
+    from wbmpc.experiments.settings import MpcSettings
+
+    settings = MpcSettings(horizon=0.5, intervals=10, first_interval=0.0, barrier_mu=1e-2)
+    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    u = np.concatenate([torque, np.zeros(3)])
+    references = {
+        **base.references, "body": Reference.constant(home),
+        "torque": Reference.constant(u + np.concatenate([0 * torque, [5.0, 0.0, 0.0]])),
+    }  # fmt: skip
+    return ZooProblem(
+        "ball robot with a force", rezero_problem(model, settings, RezeroCost()), home, home, u, references
+    )
+
+
+#: Problem, and whether IPOPT needs a start near the solution (dependent rows, indefinite Hessians far from it).
+PROBLEMS = {
+    "double-integrator": (partial(MAKERS["double-integrator"], hard=True), False),
+    "cartpole": (partial(MAKERS["cartpole"], intervals=30, hard=True), False),
+    "ballbot": (partial(MAKERS["ballbot"], intervals=20, goal=(0.3, 0.15, 0.2)), False),
+    "differential-manipulator": (lambda: hardened(MAKERS["differential-manipulator"](intervals=12)), False),
+    "torque-arm": (partial(MAKERS["torque-arm"], intervals=10), False),
+    "swerve-base": (lambda: hardened(MAKERS["swerve-base"](intervals=8)), True),
+    "swerve-brakes": (lambda: hardened(MAKERS["swerve-brakes"](intervals=10)), True),
+    "ball-robot-force": (rezero_with_a_force, False),
+}
+
+
+def goes_with(name: str, solver: str) -> bool:
+    """The exact Hessian is for rk2 without quaternions."""
+    return not (solver == "sqp-exact" and (name == "cartpole" or name.startswith("swerve")))
+
+
+@cache
+def truth(name: str) -> tuple[np.ndarray, np.ndarray]:
+    maker, near = PROBLEMS[name]
+    problem = maker()
+    solver = problem.solver(SQP(iterations=400))
+    solver.run(problem.x0)  # samples the references
+    if near:
+        noise = np.random.default_rng(0)
+        solver.guess(*(v + 0.01 * noise.normal(size=v.shape) for v in (solver.ws.x.copy(), solver.ws.u.copy())))
+    else:
+        solver.guess(problem.x, problem.u)
+    return ipopt.solve(solver, problem.x0)[:2]
+
+
+@pytest.mark.parametrize(
+    ("name", "solver"), [(n, s) for n in PROBLEMS for s in SOLVERS if goes_with(n, s)], ids=lambda v: str(v)
+)
+def test_optimum(name: str, solver: str) -> None:
+    problem = PROBLEMS[name][0]()
+    made = problem.solver(SOLVERS[solver])
+    found = made.solve(problem.x0)
+    assert found.status is Status.CONVERGED, found
+    assert found.iterations > 2  # the guess is not the optimum
+    x, u = truth(name)
+    assert np.abs(found.x - x).max() < 2e-6 * (1.0 + np.abs(x).max()), name
+    assert np.abs(found.u - u).max() < 1e-5 * (1.0 + np.abs(u).max()), name
+    check_certificate(made, found.x, found.u, problem)
+
+
+def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: ZooProblem) -> None:
+    """Gaps, start and hard limits, evaluated anew."""
+    np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
+    for k, h in enumerate(np.diff(made.ws.grid)):
+        step = ipopt._step(made, made.problem.x, made.problem.u, made.ws.p[k], h)
+        end = evaluate(step, made, x[k], u[k])
+        np.testing.assert_allclose(end, x[k + 1], atol=1e-6)
+    for row in made.problem.path.boxes:
+        values = np.hstack([x[:-1], u])[1:, row.place]
+        assert np.min(row.sign * values + row.offset) > -1e-7, row.name
+
+
+def evaluate(expression, made: Solver, x: np.ndarray, u: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    import casadi as ca
+
+    return np.array(ca.Function("f", [made.problem.x, made.problem.u], [expression])(x, u)).ravel()
+
+
+@pytest.mark.parametrize("name", ["double-integrator", "cartpole", "ballbot", "differential-manipulator", "torque-arm"])
+def test_fatrop_agrees(name: str) -> None:
+    problem = PROBLEMS[name][0]()
+    made = problem.solver(SOLVERS["sqp-merit"])
+    found = made.solve(problem.x0)
+    made.guess(problem.x, problem.u)
+    x, u, _ = ipopt.solve(made, problem.x0, "fatrop")
+    assert np.abs(found.x - x).max() < 5e-6 * (1.0 + np.abs(x).max())
+    assert np.abs(found.u - u).max() < 5e-5 * (1.0 + np.abs(u).max())  # Fatrop stops at 1e-9

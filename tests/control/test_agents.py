@@ -1,0 +1,236 @@
+"""The agents between MPC and drives. Truth: matrix exponentials, drives integrated by themselves, a plant that is stepped
+on and compared with what was predicted for it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from toys import robot
+from wbmpc.control import Plans, RezeroAgent, SwerveAgent
+from wbmpc.errors import NotFinite
+from wbmpc.mpc import Policy
+from wbmpc.plant import RezeroMeasurement, SwerveMeasurement
+
+PERIOD = 0.0025
+SWERVE = robot("swerve-ur10")
+BALL = robot("rezero")
+
+
+# ---------------------------------------------------------------------- swerve
+def constant_policy(u: np.ndarray, start: float = 0.0, steer: float = 0.0) -> Policy:
+    """An input that holds, and a plan whose steering angles rise by 1 rad/s from ``steer``."""
+    times = start + np.linspace(0.0, 10.0, 11)
+    x = np.zeros((11, SWERVE.state.size))
+    x[:, SWERVE.state["steer"]] = steer + (times - start)[:, None]
+    return Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size)))
+
+
+def swerve_input(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, SWERVE.input.size)
+
+
+def message(t: float = 0.0, **values: np.ndarray) -> SwerveMeasurement:
+    parts = {"leg": np.zeros(4), "steer": np.zeros(4), "wheel": np.zeros(4), "arm": np.zeros(6), **values}
+    return SwerveMeasurement(t, **parts)
+
+
+def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
+    """A pose after a constant body twist, by the matrix exponential."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    at = np.array([[c, -s, pose[0]], [s, c, pose[1]], [0, 0, 1]])
+    vx, vy, w = twist * seconds
+    end = at @ expm(np.array([[0, -w, vx], [w, 0, vy], [0, 0, 0]]))
+    return np.array([end[0, 2], end[1, 2], pose[2] + w])
+
+
+@pytest.mark.parametrize("open_brakes", [False, True])
+def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) -> None:
+    """Over the delay the policy in force counts, and from its time on the queued one."""
+    pose = np.array([1.0, -2.0, 0.7])
+    agent = SwerveAgent(SWERVE, pose, PERIOD, brakes=lambda t: np.full(4, float(open_brakes)))
+    first, second, plans = swerve_input(1), swerve_input(2), Plans()
+    plans.add(0.0, constant_policy(first, steer=0.3))
+    plans.add(0.0150, constant_policy(second))
+    agent.measure(message())
+    observation = agent.predict(0.010, 0.020, plans)
+    assert observation.t == pytest.approx(0.020)
+    given, got = SWERVE.input, SWERVE.state.split(observation.x)
+    halfway = moved(pose, first[given["base"]], 0.005)
+    np.testing.assert_allclose(got["base"], moved(halfway, second[given["base"]], 0.005), atol=1e-12)
+    change = 0.005 * (first + second)
+    np.testing.assert_allclose(got["wheel"], change[given["wheel"]], atol=1e-12)
+    np.testing.assert_allclose(got["arm"], change[given["arm"]], atol=1e-12)
+    np.testing.assert_allclose(got["leg"], change[given["leg"]] * open_brakes, atol=1e-12)
+    # the steering is the plan's, not the measured one
+    np.testing.assert_allclose(got["steer"], 0.3 + 0.010 + change[given["steer"]], atol=1e-12)
+
+
+def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
+    """A drive with a lag of T stops T · speed after its last command: the observation is where that is.
+
+    Truth: arm joints behind first-order drives, integrated by themselves until they stand.
+    """
+    lag, u, plans = 0.030, swerve_input(3), Plans()
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag)
+    plans.add(0.0, constant_policy(u))
+    arm, position, speed = SWERVE.input["arm"], np.zeros(6), np.zeros(6)
+
+    def drive(command: np.ndarray, seconds: float) -> None:
+        nonlocal position, speed
+        decay = np.exp(-seconds / lag)
+        position = position + command * seconds + (speed - command) * lag * (1.0 - decay)
+        speed = command + (speed - command) * decay
+
+    for k in range(8):  # still far from steady
+        agent.measure(message(k * PERIOD, arm=position.copy()))
+        drive(agent.command(k * PERIOD, plans).arm, PERIOD)
+    t = 8 * PERIOD
+    agent.measure(message(t, arm=position.copy()))
+    observation = agent.predict(t, t + 0.010, plans)
+    assert observation.t == pytest.approx(t + 0.010 + lag)
+    drive(u[arm], 0.010)
+    drive(np.zeros(6), 50 * lag)
+    np.testing.assert_allclose(observation.x[SWERVE.state["arm"]], position, atol=1e-12)
+
+
+def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
+    lag, times = 0.5, np.linspace(0.0, 10.0, 11)
+    inputs = np.arange(10.0)[:, None] * np.full(SWERVE.input.size, 0.1)
+    x = np.zeros((11, SWERVE.state.size))
+    x[:, SWERVE.state["steer"]] = 0.2 * times[:, None]
+    plans = Plans()
+    plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
+    agent.measure(message(steer=np.full(4, 0.1)))
+    command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
+    np.testing.assert_allclose(command.wheel, 0.3)
+    np.testing.assert_allclose(command.arm, 0.3)
+    np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.1))
+
+
+def test_swerve_wheels_are_slowed_together() -> None:
+    u, plans = np.zeros(SWERVE.input.size), Plans()
+    limit = SWERVE.limits.input_upper[SWERVE.input["wheel"]]
+    u[SWERVE.input["wheel"]] = limit * [0.5, 2.0, -1.0, 0.1]
+    plans.add(0.0, constant_policy(u))
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent.measure(message())
+    np.testing.assert_allclose(agent.command(0.0, plans).wheel, limit * [0.25, 1.0, -0.5, 0.05])
+
+
+def test_swerve_stops_when_its_plan_has_run_out() -> None:
+    plans, agent = Plans(), SwerveAgent(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4))
+    plans.add(0.0, constant_policy(swerve_input(4)))
+    agent.measure(message())
+    for command in (agent.command(10.1, plans), agent.stop()):
+        for part in (command.wheel, command.steer, command.arm, command.brake):
+            np.testing.assert_array_equal(part, 0.0)
+    assert np.abs(agent.command(9.9, plans).arm).max() > 0.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_share_of_the_gyro_in_the_yaw(share: float) -> None:
+    """Wheels at rest, gyro turning: the odometry's yaw is the gyro's share of (reading − bias at rest)."""
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, gyro_share=share)
+    for k, reading in enumerate((0.01, 0.03)):
+        agent.rest(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([0.5, 0.5, reading])))
+    gyro = np.array([9.0, 9.0, 0.52])
+    for k in range(101):
+        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), gyro))
+    turned = agent.odometry.pose[2]
+    # the first message has nothing before it: 100 or 101 periods of turning
+    assert turned == pytest.approx(share * 0.5 * 100.5 * PERIOD, abs=share * 0.5 * PERIOD)
+    assert agent.wheels_alone.pose[2] == 0.0
+
+
+# ---------------------------------------------------------------------- ball robot
+N, TORQUES = 8, 6
+_RNG = np.random.default_rng(7)
+#: A stable linear stand-in for the robot: ẋ = A x + B u.
+A = np.block([[np.zeros((N, N)), np.eye(N)], [-2.0 * np.eye(N), -0.5 * np.eye(N)]])
+B = np.vstack([np.zeros((N, TORQUES)), _RNG.normal(size=(N, TORQUES))])
+
+
+def linear_step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    whole = expm(h * np.block([[A, B], [np.zeros((TORQUES, 2 * N + TORQUES))]]))
+    return (whole @ np.concatenate([x, u]))[: 2 * N]
+
+
+class LinearMpc:
+    """What the agent uses of an MPC."""
+
+    def __init__(self) -> None:
+        self.parameters: list[dict[str, np.ndarray]] = []
+        self.solver = SimpleNamespace(simulate=linear_step, set_parameters=self.parameters.append)
+
+
+def feedback_policy(seed: int) -> Policy:
+    rng = np.random.default_rng(seed)
+    times = np.linspace(0.0, 1.0, 51)
+    gain = rng.normal(size=(50, TORQUES, 2 * N))
+    return Policy(times, rng.normal(size=(51, 2 * N)) * 0.1, rng.normal(size=(50, TORQUES)), gain)
+
+
+def ball_agent(lag: float = 0.0, observer: bool = False) -> RezeroAgent:
+    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer)  # type: ignore[arg-type]
+
+
+def run_ball(agent: RezeroAgent, late: int, lag: float, ticks: int = 40) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
+    """A plant with drives of a first-order lag (held over a tick) under the agent: its states, and what was predicted.
+
+    Predictions are (tick they are for, state); a new policy comes into force every tenth tick, four ticks late.
+    """
+    x, torque, states, predictions, plans = 0.1 * np.ones(2 * N), np.zeros(TORQUES), [], [], Plans()
+    blend = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
+    for k in range(ticks):
+        states.append(x)
+        age = min(late, k)
+        agent.measure(RezeroMeasurement(k * PERIOD, states[k - age], age * PERIOD))
+        t = k * PERIOD
+        plans.activate(t)
+        if k % 10 == 0:
+            if plans.current is not None:
+                predictions.append((k + 4, agent.predict(t, t + 4 * PERIOD, plans)))
+            plans.add(t + 4 * PERIOD, feedback_policy(k))
+        np.testing.assert_allclose(agent.state(), x, atol=1e-10)
+        command = agent.command(t, plans).torque
+        torque = torque + blend * (command - torque)
+        x = linear_step(x, torque, PERIOD)
+    return states, predictions
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+@pytest.mark.parametrize("late", [0, 2, 5])
+def test_ball_robot_prediction_is_what_happens(late: int, lag: float) -> None:
+    """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true."""
+    states, predictions = run_ball(ball_agent(lag), late, lag)
+    assert len(predictions) == 3
+    for tick, observation in predictions:
+        assert observation.t == pytest.approx(tick * PERIOD)
+        np.testing.assert_allclose(observation.x, states[tick], atol=1e-10)
+        assert np.abs(states[tick] - states[tick - 4]).max() > 1e-3  # the delay mattered
+
+
+def test_ball_robot_clips_torques_and_stops_without() -> None:
+    agent, plans = ball_agent(), Plans()
+    agent.measure(RezeroMeasurement(0.0, np.zeros(2 * N), 0.0))
+    wild = feedback_policy(0)
+    plans.add(0.0, Policy(wild.times, wild.x, 1e3 * np.sign(wild.u), wild.gain))
+    np.testing.assert_allclose(np.abs(agent.command(0.0, plans).torque), [4, 4, 4, 20, 20, 20])
+    np.testing.assert_array_equal(agent.stop().torque, np.zeros(TORQUES))
+
+
+def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
+    agent = ball_agent(observer=True)
+    state = np.zeros(2 * N)
+    for k in range(3):
+        state[N] = 0.01 * k  # it moves without a torque
+        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+    given = agent.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
+    assert given is agent.disturbance and given[0] > 0.0
+    with pytest.raises(NotFinite, match="disturbance is not finite"):
+        agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))

@@ -1,0 +1,70 @@
+"""The disturbance observer. Truth: a mass moved by a known force besides the one that is commanded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.estimation import DisturbanceObserver
+
+N, H = 5, 0.0025
+MASS = np.diag([20.0, 22.0, 2.0, 3.0, 3.0]) + 0.1
+CONSTANT = np.array([4.0, -6.0, 0.2, 0.3, -0.3])
+
+
+def step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    """The model: the commanded force alone, exact for a constant one."""
+    a = np.linalg.solve(MASS, u)
+    return np.concatenate([x[:N] + h * x[N:] + 0.5 * h * h * a, x[N:] + h * a])
+
+
+def observed(seconds: float, force, **settings) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Estimates (n, N) while ``force(t)`` acts that the observer does not know, and a command that it knows.
+
+    As in the loop, the observer's model has the present estimate as a parameter.
+    """
+    observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, **settings)
+    x, out = np.zeros(2 * N), []
+    for k in range(round(seconds / H)):
+        t = k * H
+        u = np.sin(5.0 * t) * np.array([10.0, 5.0, 1.0, 1.0, 2.0])
+        out.append(observer.update(t, x, u, H))
+        x = step(x, u + force(t), H)
+    return np.array(out)
+
+
+def test_constant_disturbance_is_found() -> None:
+    estimates = observed(6.0, lambda t: CONSTANT)
+    np.testing.assert_allclose(estimates[-1], CONSTANT, atol=1e-6 * np.abs(CONSTANT).max())
+    half = np.abs(estimates[round(0.3 / H)] / CONSTANT)
+    assert np.all((half > 0.3) & (half < 0.9))  # slowly, as the gains say: L2 / L1 = 3 / s
+
+
+def test_nothing_is_found_where_nothing_is() -> None:
+    np.testing.assert_allclose(observed(1.0, lambda t: 0.0 * CONSTANT), 0.0, atol=1e-10)
+
+
+def push(t: float) -> np.ndarray:
+    hit = np.array([800.0, 0.0, 0.0, 0.0, 0.0]) if 3.0 <= t < 3.2 else np.zeros(N)
+    return CONSTANT + hit
+
+
+def test_a_push_is_not_taken_for_a_constant_disturbance() -> None:
+    """From the moment the innovation shows the push, and for the hold after its last sign, the estimate stays."""
+    estimates = observed(8.0, push)
+    before, after = estimates[round(3.0 / H) - 1], estimates[round(3.0 / H) :]
+    assert np.abs(after - before).max() < 20.0  # one or two samples of the onset
+    held = estimates[round(3.1 / H) : round(4.1 / H)]
+    np.testing.assert_array_equal(held, np.tile(held[0], (len(held), 1)))
+    np.testing.assert_allclose(estimates[-1], CONSTANT, atol=1e-3)  # and then it looks again
+    fooled = observed(8.0, push, gate=np.full(N, np.inf))
+    assert np.abs(fooled - before).max() > 100.0
+
+
+@pytest.mark.parametrize("hold", [0.5, 2.0])
+def test_hold_is_as_long_as_asked(hold: float) -> None:
+    estimates = observed(7.0, push, hold=hold)
+    changed = np.abs(np.diff(estimates[:, 0])) > 0.0
+    times = np.arange(1, len(estimates)) * H
+    quiet = times[(times > 3.15) & changed][0] - 3.2
+    assert quiet == pytest.approx(hold, abs=0.02)

@@ -1,0 +1,120 @@
+"""The figures of a run. Truth: logs written by formula, whose rise times, steady errors and drifts are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from toys import robot
+from wbmpc.experiments import rezero_steps, swerve_track
+from wbmpc.experiments.rezero_steps import STEPS, RezeroStepsSettings
+from wbmpc.experiments.swerve_track import SwerveTrackSettings
+from wbmpc.log import Log
+
+BALL = robot("rezero")
+
+
+def rotations(quaternions: np.ndarray) -> Rotation:
+    return Rotation.from_quat(np.roll(np.atleast_2d(quaternions), -1, axis=1))
+
+
+# ---------------------------------------------------------------------- rezero-steps
+def stepping(settings: RezeroStepsSettings, constants, offsets, turns) -> dict[str, float]:  # type: ignore[no-untyped-def]
+    """Metrics of a hand that goes to pose i exponentially with ``constants[i]`` [s], and comes to rest ``offsets[i]`` [m]
+    beside it, turned by the vector ``turns[i]`` [rad]."""
+    schedule, log, lead = rezero_steps._Schedule.of(settings, BALL), Log(), settings.lead
+    times = np.arange(0.0, schedule.duration, 0.005)
+    index = np.maximum(np.searchsorted(schedule.times - lead, times + 1e-9, side="right") - 1, 0)
+    for i in range(index.max() + 1):
+        now, old = times[index == i], max(i - 1, 0)
+        share = (
+            np.clip(1.0 - np.exp(-(now - schedule.times[i] + lead) / constants[i]), 0.0, 1.0) if i else 1.0 + 0.0 * now
+        )
+        places = (
+            schedule.positions[old] + share[:, None] * (schedule.positions[i] - schedule.positions[old]) + offsets[i]
+        )
+        between = Slerp([0.0, 1.0], rotations(schedule.quaternions[[old, i]]))(share)
+        spins = np.roll((Rotation.from_rotvec(turns[i]) * between).as_quat(), 1, axis=1)
+        for t, place, spin in zip(now, places, spins, strict=True):
+            log.add("hand", t, place)
+            log.add("hand_quaternion", t, spin)
+    for t in times:
+        log.add("tilt", t, 0.1 * np.sin(t))
+        log.add("torque", t, [1.0, -2.5 if t > 3.0 else 0.0, 0.5, 9.0, 9.0, 9.0])
+    assert len(schedule.times) == len(STEPS) + 3
+    return {n: m.value for n, m in rezero_steps._metrics(log, schedule, settings, fell=False).items()}
+
+
+@pytest.mark.parametrize("preview", [True, False])
+def test_metrics_of_steps_with_known_errors(preview: bool) -> None:
+    settings = RezeroStepsSettings(preview=preview)
+    poses = len(STEPS) + 3
+    constants, offsets, turns = np.full(poses, 0.1), np.zeros((poses, 3)), np.zeros((poses, 3))
+    constants[4], offsets[6], turns[7] = 0.4, [0.003, 0.0, -0.004], [0.0, 0.02, 0.0]
+    turns[len(STEPS) + 1] = [0.0, 0.0, -0.3]
+    m = stepping(settings, constants, offsets, turns)
+    assert m["rise_time_max"] == pytest.approx(0.4 * np.log(9.0), abs=0.006)  # 10 to 90 % of an exponential
+    assert m["steady_position_error_max"] == pytest.approx(0.005, rel=2e-3)
+    assert m["steady_position_error_world_max"] == m["steady_position_error_max"]
+    assert m["steady_orientation_error_max"] == pytest.approx(0.02, rel=2e-3)
+    assert m["unreachable_rotation_error"] == pytest.approx(0.3, rel=1e-3)
+    assert m["tilt_max"] == pytest.approx(0.1, rel=1e-4)
+    assert m["wheel_torque_max"] == 2.5  # of the wheels, not of the arm
+    assert m["fell"] == 0.0
+
+
+def test_a_step_that_stays_short_has_no_rise_time() -> None:
+    poses = len(STEPS) + 3
+    constants = np.full(poses, 0.1)
+    constants[2] = 10.0  # 40 % after 5 s
+    m = stepping(RezeroStepsSettings(), constants, np.zeros((poses, 3)), np.zeros((poses, 3)))
+    assert m["rise_time_max"] == np.inf
+    assert m["steady_position_error_max"] > 0.1
+
+
+# ---------------------------------------------------------------------- swerve-track
+TRACK = SwerveTrackSettings(periods=1)
+
+
+def tracking(estimated: np.ndarray, world: np.ndarray, drift: float) -> dict[str, float]:
+    """Metrics of a hand beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
+    and odometries that end ``drift``, 2 drift and 3 drift [m] off."""
+    references, log = swerve_track._References(TRACK, robot("swerve-ur10")), Log()
+    for t in np.arange(0.0, references.duration, 0.02):
+        reference, gone = references.hand(np.array([t]))[0], references.base(np.array([t]))[0][0]
+        factor, share = (10.0 if t < 2.0 else 1.0), t / references.duration
+        pose = np.array([gone, 0.0, 0.0])
+        log.add("hand", t, reference + factor * world)
+        log.add("hand_odometry", t, reference + factor * estimated)
+        log.add("hand_reference", t, reference)
+        log.add("hand_rotation", t, factor * 0.01)
+        log.add("base", t, pose)
+        for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
+            log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
+        log.add("wheel_slip", t, factor * np.array([0.01, 0.02, 0.03, 0.0]))
+    return {n: m.value for n, m in swerve_track._metrics(log, references).items()}
+
+
+def test_metrics_of_a_track_with_known_errors() -> None:
+    m = tracking(np.array([0.0, 0.0, 0.003]), np.array([0.003, 0.004, 0.012]), drift=0.02)
+    assert m["hand_error_mean_odometry"] == pytest.approx(0.003)
+    assert m["hand_error_max_odometry"] == pytest.approx(0.003)
+    assert m["hand_error_mean_nearest"] == pytest.approx(0.003, rel=1e-3)  # across the plane of the path
+    assert m["hand_error_mean_world"] == pytest.approx(0.013)
+    assert m["hand_orientation_error_max"] == pytest.approx(0.01)
+    assert m["path_length"] == pytest.approx(20.53 / 6, rel=1e-3)
+    assert m["base_path_length"] == pytest.approx(15.96 / 6, rel=1e-6)
+    assert m["wheel_slip_max"] == pytest.approx(0.03)
+    for k, name in enumerate(
+        ("odometry_drift_ratio", "odometry_drift_ratio_wheels", "odometry_drift_ratio_release"), 1
+    ):
+        assert m[name] == pytest.approx(k * 0.02 / (15.96 / 6), rel=2e-3)
+
+
+def test_an_error_along_the_path_is_not_one_to_its_nearest_point() -> None:
+    """A hand 1 cm ahead along x is 1 cm off in time, but nearer to the path."""
+    m = tracking(np.array([0.01, 0.0, 0.0]), np.zeros(3), drift=0.0)
+    assert m["hand_error_mean_odometry"] == pytest.approx(0.01)
+    assert 0.004 < m["hand_error_mean_nearest"] < 0.009
+    assert m["odometry_drift_ratio"] == 0.0

@@ -1,0 +1,65 @@
+"""Reference paths. Truth: quadrature of the arc length, finite differences, distances to densely sampled curves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from wbmpc import lie
+from wbmpc.experiments.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
+
+PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
+
+
+def test_arc_length_is_the_papers() -> None:
+    k = 2.0 * np.pi * PATH.periods / PATH.length
+    length = quad(lambda x: np.hypot(1.0, PATH.amplitude * k * np.cos(k * x)), 0.0, PATH.length, limit=500)[0]
+    assert PATH.arc_length == pytest.approx(length, rel=1e-6)
+    assert PATH.arc_length == pytest.approx(20.53, abs=0.01)
+
+
+def test_points_lie_on_the_sine_and_move_with_the_speed() -> None:
+    t = np.arange(0.0, PATH.end + 1.0, 0.005)
+    along, across = PATH.point(t)
+    np.testing.assert_allclose(across, 0.498 * np.sin(2.0 * np.pi * 6 * along / 15.96), atol=1e-5)
+    speed = np.hypot(np.gradient(along, t), np.gradient(across, t))
+    steady = (t > 2.6) & (t < PATH.end - 2.1)
+    np.testing.assert_allclose(speed[steady], 0.255, rtol=1e-3)
+    s, rate = PATH.arc(t)
+    np.testing.assert_allclose(np.gradient(s, t), rate, atol=1e-3)
+    assert speed[(t < 0.49) | (t > PATH.end + 0.01)].max() < 1e-12
+    assert np.abs(np.diff(rate)).max() < 0.005 * 0.255  # smooth, no jump of the speed
+    assert (along[0], across[0]) == (0.0, 0.0)
+    assert s[-1] == pytest.approx(PATH.arc_length, rel=1e-9)
+    assert along[-1] == pytest.approx(15.96, rel=1e-9)
+
+
+def test_nearest_distance_equals_the_smallest_of_all() -> None:
+    x = np.linspace(0.0, 4.0, 4001)
+    curve = np.stack([x, np.sin(3.0 * x), 0.0 * x], axis=1)
+    points = np.random.default_rng(1).uniform([-1, -2, -1], [5, 2, 1], (40, 3))
+    all_of_them = np.linalg.norm(points[:, None] - curve[None], axis=2).min(axis=1)
+    np.testing.assert_allclose(nearest_distance(points, curve), all_of_them, rtol=1e-12)
+    angle = np.linspace(0.0, 2.0 * np.pi, 20001)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    exact = np.hypot(np.hypot(points[:, 0], points[:, 1]) - 1.0, points[:, 2])
+    np.testing.assert_allclose(nearest_distance(points, circle), exact, atol=1e-6)
+
+
+def test_approach_comes_from_home_to_the_path_within_its_speeds() -> None:
+    turn = lie.quaternion_about([0.0, 0.6, 0.8], 2.0)
+    start, goal = (np.array([0.5, -0.2, 1.0]), turn), (np.array([0.3, 0.65, 0.8]), np.array([1.0, 0, 0, 0]))
+    approach = Approach(start, goal)
+    t = np.linspace(0.0, approach.duration + 1.0, 4001)
+    offset, quaternions = approach.offset(t)
+    np.testing.assert_allclose(offset[0], start[0] - goal[0], atol=1e-12)
+    np.testing.assert_allclose(np.abs(quaternions[0] @ turn), 1.0, atol=1e-12)
+    np.testing.assert_allclose(offset[-1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(quaternions[-1], goal[1], atol=1e-12)
+    h = t[1] - t[0]
+    speed = np.linalg.norm(np.diff(offset, axis=0), axis=1) / h
+    rate = 2.0 * np.arccos(np.clip(np.abs(np.sum(quaternions[1:] * quaternions[:-1], axis=1)), 0.0, 1.0)) / h
+    assert speed.max() <= APPROACH_SPEED * 1.001 and rate.max() == pytest.approx(APPROACH_RATE, rel=1e-2)
+    assert Approach(start, start).duration == 0.0
+    np.testing.assert_allclose(Approach(start, start).offset(t)[0], 0.0)

@@ -1,0 +1,93 @@
+"""Code for other processors. Truth: this processor's own results; the assembly that LLVM prints."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from toys import LinearQuadratic, pendulum
+from wbmpc.kernel.compiled import emit_problem
+from wbmpc.kernel.machine import vector_budget
+from wbmpc.ocp import Transcription
+from wbmpc.solver import compilation, receding  # noqa: F401  all functions of the library
+
+SCRIPT = """
+import numpy as np
+from toys import hardened_pendulum
+found = hardened_pendulum().solve(np.array([0.2, 0.5, 0.3, -0.4]))
+assert found.status.name == "CONVERGED", found
+print(np.concatenate([found.x.ravel(), found.u.ravel(), found.gain.ravel()]).tobytes().hex())
+"""
+
+
+def solved(target: str, cache: Path) -> np.ndarray:
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "WBMPC_TARGET": target, "WBMPC_CACHE_DIR": str(cache), "PYTHONPATH": paths}
+    command = [sys.executable, "-W", "error", "-c", SCRIPT]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return np.frombuffer(bytes.fromhex(done.stdout.strip()))
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="forces x86-64 features")
+def test_narrow_vectors_give_the_same_solution(tmp_path: Path) -> None:
+    """The host's, AVX2 with fused multiply-add, and the baseline of x86-64 (SSE2)."""
+    own = solved("", tmp_path)
+    for target in ("x86-64-v3:", "x86-64:"):
+        np.testing.assert_allclose(solved(target, tmp_path), own, rtol=1e-6, atol=1e-7)
+    assert len(list(tmp_path.glob("*.bin"))) == 9  # three files per target: no entry serves another one's code
+
+
+@pytest.mark.parametrize(
+    ("target", "budget"), [("x86-64-v4:", 24), ("haswell:", 6), ("x86-64:", 3), ("any:+avx512f", 24)]
+)
+def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wbmpc.kernel import machine
+
+    machine.target.cache_clear()
+    monkeypatch.setenv("WBMPC_TARGET", target)
+    try:
+        if platform.machine() == "x86_64":
+            assert vector_budget() == budget
+    finally:
+        machine.target.cache_clear()
+
+
+def assembly(ir: str, triple: str, cpu: str) -> str:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features="", opt=1)
+    module = llvm.parse_assembly(ir)
+    module.triple = triple
+    assert len(machine.emit_object(module)) > 10000
+    return str(machine.emit_assembly(module))
+
+
+@pytest.mark.parametrize("what", ["problem", "driver"])
+def test_code_for_aarch64(what: str) -> None:
+    """Generated, not run: vector and scalar fused multiply-add, no call but to the maths library."""
+    if what == "problem":
+        ir, _ = emit_problem(Transcription(LinearQuadratic(9, 7, 3).problem()))
+    else:
+        ir = compilation.LIBRARY.source()
+    text = assembly(ir, "aarch64-unknown-linux-gnu", "cortex-a76")
+    calls = set(re.findall(r"^\s+bl\s+(\w+)$", text, re.M))
+    own = set(re.findall(r"^(\w+):", text, re.M))
+    assert calls - own <= {"sin", "cos", "tan", "exp", "log", "pow", "atan2", "asin", "acos", "atan"}
+    assert "fmadd" in text or "fmla" in text
+    if what == "problem":
+        assert len(re.findall(r"fml[as]\s+v\d+\.2d", text)) > 100
+
+
+def test_the_pendulum_uses_more_than_one_kernel() -> None:
+    """What the target test solves has equality rows, general rows and boxes."""
+    t = pendulum().problem
+    assert t.equality.shape[0] and t.path_boxes and t.path.general_barriers

@@ -1,0 +1,76 @@
+"""Clocks, deadlines and loops in turns. Truth: lists written by hand."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.mpc import VirtualClock, WallClock
+from wbmpc.mpc.clock import Ticker, interleave
+
+
+@pytest.mark.parametrize(
+    ("ends", "missed", "dues"),
+    [
+        ([0.1, 1.2, 2.9], [0, 0, 0], [1.0, 2.0, 3.0]),
+        ([1.0, 2.0], [0, 0], [1.0, 2.0]),  # just in time
+        ([1.3, 2.5], [1, 0], [2.0, 3.0]),
+        ([2.3, 3.5], [2, 0], [3.0, 4.0]),
+        ([0.2, 7.0], [0, 5], [1.0, 7.0]),
+    ],
+)
+def test_deadlines(ends: list[float], missed: list[int], dues: list[float]) -> None:
+    ticker = Ticker(1.0)
+    for end, count, due in zip(ends, missed, dues, strict=True):
+        assert ticker.over(end) == count
+        assert ticker.due == due
+    with pytest.raises(InputError, match="must be positive"):
+        Ticker(0.0)
+
+
+def test_the_grid_of_deadlines_does_not_drift() -> None:
+    ticker = Ticker(1.0 / 400.0, 0.5)
+    for _ in range(400_000):
+        ticker.over(ticker.due)
+    assert ticker.due == pytest.approx(1000.5, abs=1e-9)
+
+
+def test_loops_in_turns() -> None:
+    clock, told = VirtualClock(), []
+
+    def loop(name: str, dues: list[float], takes: float = 0.0) -> Iterator[float]:
+        for due in dues:
+            yield due
+            told.append((name, clock.now()))
+            clock.wait(clock.now() + takes)
+
+    interleave(clock, [loop("a", [0.0, 2.0, 4.0, 9.0]), loop("b", [0.0, 1.0, 4.0], takes=1.5)], 5.0)
+    # b's second turn is late because its first took 1.5; the last turn of a comes after the end
+    assert told == [("a", 0.0), ("b", 0.0), ("b", 1.5), ("a", 3.0), ("a", 4.0), ("b", 4.0)]
+    assert clock.now() == 5.5
+
+
+def test_virtual_time_does_not_go_back() -> None:
+    clock = VirtualClock(iter([0.1, 0.2]).__next__)
+    clock.wait(3.0)
+    clock.wait(1.0)
+    assert clock.now() == 3.0
+    assert [clock.computing(), clock.computing()] == [0.1, 0.2]
+    clock.restart()
+    assert clock.now() == 0.0
+
+
+def test_the_wall_clock_is_never_early() -> None:
+    clock = WallClock()
+    for k in range(1, 6):
+        clock.wait(0.004 * k)
+        assert clock.now() >= 0.004 * k
+    before = time.perf_counter()
+    clock.wait(clock.now() - 1.0)
+    assert time.perf_counter() - before < 0.5
+    assert WallClock(origin=0.0).now() == pytest.approx(time.perf_counter(), abs=0.5)
+    clock.restart()
+    assert clock.now() < 0.5

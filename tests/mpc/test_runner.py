@@ -1,0 +1,432 @@
+"""The real-time runner. Truth: the exact motion of a double integrator, timetables written by hand, faults put in on purpose."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realtime_toys import FaultyMPC, Force, Measured, ToyAgent, ToyRobot, make_mpc, make_nothing, problem, wait_for
+from wbmpc.errors import InputError
+from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
+from wbmpc.mpc.figures import Spread
+from wbmpc.mpc.safety import Latency, not_finite
+
+PERIOD = 1.0 / 400.0
+#: MPC ticks follow the controller's by this [s].
+OFFSET = 0.2 * PERIOD
+
+
+@pytest.fixture(autouse=True)
+def quiet(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+
+
+def virtual(
+    computing: float | Callable[[], float] = 0.0, mpc: MPC | None = None, limit: float = np.inf, **settings: Any
+) -> Runner:
+    """A runner in virtual time; every solve takes ``computing`` [s]."""
+    clock = VirtualClock(computing)
+    return Runner(ToyRobot(clock), ToyAgent(PERIOD, limit), mpc or make_mpc(), RealTime(**settings), clock)
+
+
+# ---------------------------------------------------------------------- what it is for
+def test_the_robot_gets_to_its_goal_and_all_is_counted() -> None:
+    runner = virtual(computing=0.004)
+    report = runner.run(4.0)
+    assert np.abs(runner.robot.x).max() < 0.01
+    assert report.state == "shut down after 4.0 s"
+    assert (report.ticks, report.misses, report.mpc_misses, report.failures) == (1601, 0, 0, 0)
+    assert report.updates == 200 and report.repeated == 0 and report.clamped == 0
+    # from the tick at 0: read by the MPC an offset later, 4 ms of computing, in force at the tick after that
+    assert report.ready.median == pytest.approx(OFFSET + 0.004)
+    assert report.latency.median == pytest.approx(0.005) == report.latency.p99
+    assert report.policies == 200 and report.late == 1  # the first: nothing had been measured before it
+
+
+def test_the_same_run_twice_is_the_same() -> None:
+    one, two = (virtual(computing=0.0031) for _ in range(2))
+    reports = [replace(r.run(1.0), solve=Spread.of(np.zeros(0))) for r in (one, two)]  # solve times are the machine's
+    assert str(reports[0]) == str(reports[1])
+    np.testing.assert_array_equal(one.robot.x, two.robot.x)
+
+
+@pytest.mark.parametrize("computing", [0.001, 0.0071, 0.0162])
+def test_latency_is_compensated(computing: float) -> None:
+    """Every policy begins at the state that the robot has when it comes into force."""
+    runner = virtual(computing)
+    runner.run(2.0)
+    was = {round(t / PERIOD): x for t, x in runner.robot.history}
+    latest = [p for p in runner.agent.predictions if 0.3 < p.t < 1.9]
+    used = [p for p in latest if round(p.t / PERIOD) in was]
+    ahead = np.ceil((computing + OFFSET + runner.settings.margin) / PERIOD)
+    assert runner.latency.ticks == ahead
+    assert runner.own["late"] == (ahead > 1)  # the first one: nothing had been measured before it
+    period = round(0.02 / PERIOD)
+    # predictions that the MPC read: those of the ticks at its own rate; the plans they used did not change meanwhile
+    error = [np.abs(p.x - was[round(p.t / PERIOD)]).max() for p in used if (round(p.t / PERIOD) - ahead) % period == 0]
+    assert len(error) > 70
+    assert max(error) < 1e-9
+
+
+def test_the_compensation_has_a_limit() -> None:
+    runner = virtual(0.0162, max_latency=0.006)
+    report = runner.run(2.0)
+    assert runner.latency.ticks == 3  # 6 ms in whole ticks
+    assert report.late == report.policies > 90
+    assert report.latency.median == pytest.approx(7 * PERIOD)
+
+
+def test_latency_follows_the_percentile() -> None:
+    latency = Latency(RealTime(window=100, percentile=95.0, margin=0.0))
+    delays = np.random.default_rng(0).uniform(0.0, 0.02, 400)
+    for delay in delays:
+        latency.add(float(delay))
+    assert latency.ticks == np.ceil(np.sort(delays[-100:])[94] / PERIOD)
+    for _ in range(200):
+        latency.add(0.001)
+    assert latency.ticks == 1
+
+
+def test_a_fast_mpc_repeats_the_observation() -> None:
+    report = virtual(mpc=make_mpc(1000.0)).run(1.0)
+    assert report.updates == 1000 and report.repeated == 600  # 400 ticks before the last of them
+    assert report.failures == 0
+    # the controller sees one policy per tick, but only its first answer tells how long an observation takes
+    assert report.ready.count == 400 and report.ready.max < 0.001 + 1e-9
+    assert report.latency.max == pytest.approx(PERIOD)
+
+
+def test_one_delay_for_each_observation() -> None:
+    """At a controller's tick without a new observation nothing is learnt about the latency."""
+    runner = virtual(mpc=make_mpc(1000.0))
+    observe = runner._observe
+    runner._observe = lambda due: observe(due) if round(due / PERIOD) % 4 == 0 else None  # type: ignore[method-assign]
+    report = runner.run(1.0)
+    assert report.ready.count == 100 and report.ready.max == pytest.approx(OFFSET)
+
+
+def test_a_policy_waits_for_its_time() -> None:
+    """Solves of different length: all policies come into force when they were planned to."""
+    durations = iter([0.0121, 0.001, 0.004] * 100)
+    runner = virtual(durations.__next__)
+    report = runner.run(2.0)
+    assert runner.latency.ticks == 6
+    np.testing.assert_allclose(runner.own.samples("latency")[6:], 6 * PERIOD)
+    assert report.ready.median == pytest.approx(0.004 + OFFSET)
+
+
+def test_parameters_travel_with_the_observation() -> None:
+    clock, mpc = VirtualClock(), make_mpc()
+    runner = Runner(
+        ToyRobot(clock), ToyAgent(PERIOD), mpc, RealTime(), clock, parameters=lambda: np.array([clock.now()])
+    )
+    runner.run(1.0)
+    assert mpc.solver.ws.w[mpc.solver.problem.constant.slices["parameters"]] == pytest.approx(0.98)
+
+
+def test_clamped_ticks_are_counted() -> None:
+    asked, agent = 0, ToyAgent.command
+
+    def command(self: ToyAgent, t: float, plans: Plans) -> Force:
+        nonlocal asked
+        asked += int(abs(plans.current(t, self.measured.x)[0]) > 0.5)  # type: ignore[misc]
+        return agent(self, t, plans)
+
+    runner = virtual(limit=0.5)
+    runner.agent.command = command.__get__(runner.agent)  # type: ignore[method-assign]
+    assert 0 < runner.run(2.0).clamped == asked < 800
+
+
+# ---------------------------------------------------------------------- deadlines
+def test_a_slow_tick_is_counted_and_the_grid_stays() -> None:
+    runner = virtual()
+
+    def slow(robot: ToyRobot) -> None:
+        if robot.reads == 40:
+            robot.clock.wait(robot.clock.now() + 2.4 * PERIOD)
+
+    runner.robot.fault = slow
+    report = runner.run(1.0)
+    assert report.misses == 2 and report.ticks == 399
+    assert report.tick.max == pytest.approx(2.4 * PERIOD)
+    times = np.array([t for t, _ in runner.robot.history]) / PERIOD
+    np.testing.assert_allclose(times, np.round(times), atol=1e-6)
+
+
+def test_a_slow_solve_is_counted_and_survived() -> None:
+    durations = iter([0.002] * 10 + [0.055] + [0.002] * 1000)
+    runner = virtual(durations.__next__)
+    report = runner.run(2.0)
+    # begins at 0.2005, ends at 0.2555: the deadlines 0.2205 and 0.2405 pass, it goes on at 0.2605
+    assert report.mpc_misses == 2 and report.updates == 98
+    assert report.state.startswith("shut down") and report.late == 2
+    assert np.abs(runner.robot.x).max() < 0.1
+
+
+def test_a_failed_solve_keeps_the_last_policy() -> None:
+    mpc = FaultyMPC(lambda n: False if 20 <= n < 25 else None)
+    runner = virtual(mpc=mpc)
+    report = runner.run(3.0)
+    assert report.failures == 5 and report.policies == report.updates - 5
+    assert report.state == "shut down after 3.0 s"
+    assert np.abs(runner.robot.x).max() < 0.02
+
+
+# ---------------------------------------------------------------------- safe stops
+def raises(text: str) -> Callable[..., Any]:
+    def fault(*ignored: object) -> None:
+        raise RuntimeError(text)
+
+    return fault
+
+
+def at(read: int, action: Callable[[ToyRobot], None]) -> Callable[[ToyRobot], None]:
+    """From this read on."""
+    return lambda robot: action(robot) if robot.reads >= read else None
+
+
+def freeze(robot: ToyRobot) -> None:
+    robot.frozen = robot.frozen or Measured(robot.clock.now(), robot.x)
+
+
+def lose(robot: ToyRobot) -> None:
+    robot.frozen = Measured(robot.clock.now(), np.array([0.1, np.nan]))
+
+
+def late_write(runner: Runner, action: Callable[..., Any]) -> None:
+    """From 0.5 s on."""
+    write = runner.robot.write
+    runner.robot.write = lambda c: action() if runner.clock.now() >= 0.5 else write(c)  # type: ignore[method-assign]
+
+
+def late_command(runner: Runner, action: Callable[..., Any]) -> None:
+    command = runner.agent.command
+    runner.agent.command = (  # type: ignore[method-assign]
+        lambda t, p: action() if t >= 0.5 else command(t, p)
+    )
+
+
+def foresee(robot: ToyRobot) -> None:
+    robot.frozen = Measured(robot.clock.now() + 3.0, robot.x)
+
+
+def predict_nothing(runner: Runner) -> None:
+    """From 0.5 s on."""
+    predict = runner.agent.predict
+    runner.agent.predict = (  # type: ignore[method-assign]
+        lambda t, until, plans: Observation(until, np.full(2, np.nan)) if t >= 0.5 else predict(t, until, plans)
+    )
+
+
+FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
+    "read raises": (
+        lambda r: setattr(r.robot, "fault", at(201, raises("no bus"))),
+        "0.500 s: the controller raised RuntimeError: no bus",
+        True,
+    ),
+    "frozen": (
+        lambda r: setattr(r.robot, "fault", at(201, freeze)),
+        r"0.552 s: the measurement is 0.05[23] s old, the limit is 0.05 s",
+        False,
+    ),
+    "not a number": (
+        lambda r: setattr(r.robot, "fault", at(201, lose)),
+        "0.500 s: measurement.x is not finite",
+        False,
+    ),
+    "from the future": (
+        lambda r: setattr(r.robot, "fault", at(201, foresee)),
+        "0.500 s: the measurement is from 3.000 s ahead: its time is not the runner's",
+        False,
+    ),
+    "prediction not finite": (
+        predict_nothing,
+        "0.500 s: the predicted state is not finite",
+        False,
+    ),
+    "parameters not finite": (
+        lambda r: setattr(r, "parameters", lambda: np.full(1, np.nan if r.clock.now() >= 0.5 else 0.0)),
+        "0.500 s: the vector of model parameters is not finite",
+        False,
+    ),
+    "write raises": (
+        lambda r: late_write(r, raises("drive off")),
+        "0.500 s: the controller raised RuntimeError: drive off",
+        True,
+    ),
+    "command raises": (
+        lambda r: late_command(r, raises("lost")),
+        "0.500 s: the controller raised RuntimeError: lost",
+        True,
+    ),
+    "command not finite": (
+        lambda r: late_command(r, lambda: Force(np.array([np.inf]))),
+        "0.500 s: command.u is not finite",
+        False,
+    ),
+}
+
+
+def check_stopped(runner: Runner, sentence: str, seconds: float = 1.0) -> None:
+    report = runner.run(seconds)
+    assert re.fullmatch(f"stopped at {sentence}", report.state)
+    assert runner.stopped
+    # stop() at every tick from then on, no command any more, the robot without drive
+    when = float(report.state.split()[2])
+    robot = runner.robot
+    assert robot.stops >= round((seconds - when) / PERIOD)
+    assert not robot.writes or max(robot.writes) <= when
+    assert robot.u == 0.0
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_of_robot_or_agent_is_a_safe_stop(name: str) -> None:
+    inject, sentence, raised = FAULTS[name]
+    runner = virtual()
+    inject(runner)
+    check_stopped(runner, sentence)
+    assert isinstance(runner.error, RuntimeError) == raised
+
+
+def test_an_exception_of_the_mpc_is_a_safe_stop() -> None:
+    runner = virtual(mpc=FaultyMPC(lambda n: raises("bad table")() if n == 10 else None))
+    check_stopped(runner, r"0.182 s: the MPC raised RuntimeError: bad table")  # the tick after 9 · 0.02 + the offset
+    assert isinstance(runner.error, RuntimeError)
+
+
+def test_an_mpc_that_always_fails_leaves_its_policy_for_the_horizon() -> None:
+    runner = virtual(mpc=FaultyMPC(lambda n: False if n > 10 else None))
+    # the policy of the tick at 0.18 came into force at 0.1825 and was planned for 1 s
+    check_stopped(runner, r"1.185 s: the policy is 1.00[23] s old, the limit is 1 s \(\d+ solves failed\)", 1.5)
+    assert runner.report().failures > 40
+
+
+def test_an_mpc_that_hangs_leaves_its_policy_for_its_greatest_age() -> None:
+    durations = iter([0.0] * 10 + [100.0])
+    runner = virtual(durations.__next__, max_policy_age=0.1)
+    check_stopped(runner, r"0.285 s: the policy is 0.10[23] s old, the limit is 0.1 s \(0 solves failed\)")
+
+
+def test_without_a_first_policy_the_robot_never_moves() -> None:
+    runner = virtual(mpc=FaultyMPC(lambda n: False), patience=0.3)
+    check_stopped(runner, r"0.302 s: no policy within 0.3 s \(16 solves failed\)")
+    assert not runner.robot.writes
+
+
+def test_a_stop_that_raises_is_told_once_and_tried_again() -> None:
+    runner, calls = virtual(), []
+
+    def stop() -> None:
+        calls.append(runner.clock.now())
+        if runner.clock.now() > 0.4:
+            raise OSError("no brake")
+
+    runner.robot.stop = stop  # type: ignore[method-assign]
+    runner.robot.fault = at(201, raises("no bus"))
+    report = runner.run(1.0)
+    assert report.state == (
+        "stopped at 0.500 s: the controller raised RuntimeError: no bus; the robot's stop() raised OSError: no brake"
+    )
+    assert sum(t > 0.4 for t in calls) >= 200
+
+
+def test_the_reason_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.ERROR, "wbmpc")
+    runner = virtual()
+    runner.robot.fault = at(201, raises("no bus"))
+    runner.run(1.0)
+    assert [r.getMessage() for r in caplog.records] == [runner.state]
+    assert caplog.records[0].exc_info is not None
+
+
+def test_what_is_not_finite_is_named() -> None:
+    assert not_finite("m", Measured(1.0, np.zeros(2))) is None
+    assert not_finite("m", Measured(np.nan, np.zeros(2))) == "m.time"
+    assert not_finite("m", Measured(1.0, np.array([1.0, np.inf]))) == "m.x"
+    assert not_finite("c", [1.0, np.nan]) == "c"
+    assert not_finite("c", 3) is None
+
+
+def test_settings_are_checked() -> None:
+    for given, message in (
+        ({"control_rate": 0.0}, "control_rate must be positive"),
+        ({"max_policy_age": -1.0}, "max_policy_age must be positive"),
+        ({"percentile": 0.0}, "percentile must be above 0"),
+    ):
+        with pytest.raises(InputError, match=message):
+            RealTime(**given)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="needs 'sizes' and the wall clock"):
+        Runner(ToyRobot(WallClock()), ToyAgent(PERIOD), make_mpc)
+
+
+# ---------------------------------------------------------------------- by the wall clock
+def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None, **settings: Any) -> Runner:
+    """Generous limits: the machine may be busy."""
+    clock = WallClock()
+    given = {"max_observation_age": 5.0, "watchdog": 5.0, **settings}
+    return Runner(
+        ToyRobot(clock, fault), ToyAgent(PERIOD), mpc or make_mpc(), RealTime(**given), clock, sizes=Sizes.of(problem())
+    )
+
+
+def test_threads() -> None:
+    runner, others = real(), threading.active_count()
+    with runner:
+        assert wait_for(lambda: runner.own["policies"] > 20)
+        assert runner.state == "running"
+        with pytest.raises(InputError, match="can be started once"):
+            runner.start()
+    assert runner.state.startswith("shut down after")
+    report = runner.report()
+    assert report.ticks > 20 and report.updates > 20 and report.solve.count > 20
+    assert 0.0 < report.ready.median <= report.latency.median
+    assert runner.robot.u == 0.0 and threading.active_count() == others
+
+
+def test_an_exception_in_the_mpc_thread() -> None:
+    runner = real(FaultyMPC(lambda n: raises("bad table")() if n == 5 else None))
+    with runner:
+        assert wait_for(lambda: runner.stopped)
+    assert "the MPC raised RuntimeError: bad table" in runner.state
+    assert runner.robot.stops > 0
+
+
+def test_a_tick_that_hangs_is_stopped_from_outside() -> None:
+    release = threading.Event()
+    runner = real(fault=at(20, lambda robot: release.wait(10.0) and None), watchdog=0.1)
+    with runner:
+        assert wait_for(lambda: runner.stopped)
+        before = runner.robot.stops
+        assert wait_for(lambda: runner.robot.stops > before + 3)
+        writes = len(runner.robot.writes)
+        release.set()
+    assert re.search(r"a tick of the controller has not ended for 0\.\d+ s, the limit is 0.1 s", runner.state)
+    assert len(runner.robot.writes) == writes
+
+
+def test_mpc_in_a_process_and_its_sudden_end() -> None:
+    runner = real(partial(make_mpc, 100.0))
+    with runner:
+        assert wait_for(lambda: runner.own["policies"] > 20)
+        assert runner.state == "running" and runner.process_id != os.getpid()
+        os.kill(runner.process_id, signal.SIGKILL)
+        assert wait_for(lambda: runner.stopped)
+    assert runner.state.endswith("the MPC's process has ended with exit code -9")
+    assert runner.report().failures == 0
+
+
+def test_a_process_that_cannot_make_its_mpc(capfd: pytest.CaptureFixture[str]) -> None:
+    runner = real(make_nothing)
+    with pytest.raises(InputError, match="did not come up: ValueError: no robot of that name"):
+        runner.start()
+    assert "no robot of that name" in capfd.readouterr().err  # with its traceback

@@ -1,0 +1,136 @@
+"""The exact Hessian. Truth: CasADi's Hessian of the discrete Lagrangian; the optimum of Gauss-Newton; quadratic convergence."""
+
+from __future__ import annotations
+
+import casadi as ca
+import ipopt
+import numpy as np
+import pytest
+
+from toys import Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot
+from wbmpc.errors import InputError
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
+from wbmpc.solver import ILQR, SQP, Solver, Status
+from wbmpc.solver.places import MU, STATE, THETA, H
+from wbmpc.solver.riccati import backward
+from wbmpc.solver.rows import start_rows
+
+START = np.array([0.2, 0.5, 0.3, -0.4])
+
+
+def hessians(solver: Solver) -> list[np.ndarray]:
+    """[x; u] blocks of all nodes at the present iterate, from the solver's memory."""
+    m, o, s = solver.ws.memory, solver.ws.table, solver.kernel.sizes
+    m[o[STATE] + MU], m[o[STATE] + THETA] = 0.1, 1.0
+    start_rows(m, o, 0.01, False, False)
+    backward(m, o, True)
+    keep = [i for i in range(s.nz) if i != s.nx]
+    blocks = []
+    for k in range(solver.problem.ocp.intervals):
+        start = o[H] + k * s.nz * s.lz
+        block = m[start : start + s.nz * s.lz].reshape(s.nz, s.lz)[:, : s.nz].T
+        blocks.append(np.triu(block[np.ix_(keep, keep)]))
+    return blocks
+
+
+def test_it_is_the_hessian_of_the_lagrangian() -> None:
+    """Without rows of their own; costates and multipliers by least squares, written anew."""
+    rng = np.random.default_rng(3)
+    base = pendulum(n=5)
+    for name in ("speed", "force", "tip_range"):
+        del base.ocp.terms[name]
+    solver = Solver(base.ocp, SQP(hessian="exact"), use_cache=False)
+    solver.set_reference("state", base.references["state"])
+    x, u = 0.5 * rng.normal(size=(6, 4)), rng.normal(size=(5, 2))
+    solver.guess(x, u)
+    solver.run(START)  # samples the references; the iterate is put back
+    solver.guess(x, u)
+    blocks = hessians(solver)
+    t, p, w = solver.problem, solver.ws.p, solver.ws.w
+    s, z, lam, nu = t.x, t.z, ca.SX.sym("l", 4), ca.SX.sym("n", 1)
+    grid = np.diff(solver.ws.grid)
+    costate = np.array(ca.Function("g", [s], [ca.gradient(t.values["terminal"](s, p[5], w), s)])(x[5])).ravel()
+    for k in range(4, -1, -1):
+        h = grid[k]
+        cost = h * t.values["cost"](t.x, t.u, p[k], w)
+        step = ipopt._step(solver, t.x, t.u, p[k], h)
+        rows = t.values["equality"](t.x, t.u, p[k], w)
+        whole = cost + ca.dot(lam, step)
+        gradient = ca.Function("g", [z, lam], [ca.gradient(whole, z), ca.jacobian(rows, z)])
+        at = np.concatenate([x[k], u[k]])
+        g, j = (np.array(v) for v in gradient(at, costate))
+        multiplier = np.linalg.lstsq(j[:, 4:].T, -g[4:].ravel(), rcond=None)[0]
+        lagrangian = whole + ca.dot(nu, rows)
+        hessian = ca.Function("h", [z, lam, nu], [ca.hessian(lagrangian, z)[0]])
+        want = np.triu(np.array(ca.DM(ca.densify(hessian(at, costate, multiplier)))))
+        np.testing.assert_allclose(blocks[k], want, atol=1e-6 * (1 + np.abs(want).max()))
+        costate = (g.ravel() + j.T @ multiplier)[:4]
+
+
+def curved(hessian: str) -> Solver:
+    """Residuals that do not vanish at the optimum, and a curved hard row: Gauss-Newton is slow here."""
+    dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1] + 0.3 * x[0] ** 2, u[0] - ca.sin(x[0])))
+    ocp = OptimalControlProblem(dynamics, 1.0, 8)
+    ocp.add(
+        Cost(
+            "far", Rows(2, lambda s: ca.vertcat(s.x[0] ** 2 + s.x[1] - 2.0, ca.exp(0.5 * s.x[1]) - 3.0)), 5.0, at="all"
+        )
+    )
+    ocp.add(Cost("u", Rows(1, lambda s: s.u), 0.1))
+    circle = Rows(1, lambda s: 1.2 - s.x[0] ** 2 - 0.1 * s.u[0] ** 2)
+    ocp.add(Constraint("circle", circle, sets.NonNegative(), hard=True))
+    ocp.add(Constraint("end", Rows(1, lambda s: 1.0 - s.x[0] * s.x[1]), sets.NonNegative(), at="terminal", hard=True))
+    return Solver(ocp, SQP(iterations=200, hessian=hessian), use_cache=False)
+
+
+def test_same_optimum_with_curved_rows_and_no_more_iterations() -> None:
+    x0 = np.array([0.2, 0.1])
+    plain, exact = curved("gauss_newton"), curved("exact")
+    a, b = plain.solve(x0), exact.solve(x0)
+    assert b.status is Status.CONVERGED, b
+    x, u, _ = ipopt.solve(curved_at(exact, x0), x0)
+    np.testing.assert_allclose(b.x, x, atol=1e-6)
+    np.testing.assert_allclose(b.u, u, atol=1e-5)
+    assert b.iterations <= a.iterations
+
+
+def curved_at(solver: Solver, x0: np.ndarray) -> Solver:
+    solver.guess(x0)
+    return solver
+
+
+def test_convergence_is_quadratic_where_gauss_newtons_is_linear() -> None:
+    tails = {}
+    for hessian in ("gauss_newton", "exact"):
+        base = pendulum()
+        solver = Solver(base.ocp, SQP(iterations=200, hessian=hessian))
+        solver.set_reference("state", base.references["state"])
+        found = solver.solve(START)
+        assert found.status is Status.CONVERGED
+        tails[hessian] = found.log[-3:, 2]
+    slow, fast = tails["gauss_newton"], tails["exact"]
+    assert fast[2] < 1e-3 * fast[1] < 1e-4 * fast[0]
+    assert slow[2] > 1e-2 * slow[1]
+
+
+@pytest.mark.parametrize("algorithm", [SQP, ILQR])
+def test_robot_and_hard_rows(algorithm: type[SQP]) -> None:
+    a, b = (hardened_pendulum(algorithm(iterations=300, hessian=h)).solve(START) for h in ("gauss_newton", "exact"))
+    assert a.status is b.status is Status.CONVERGED
+    np.testing.assert_allclose(a.u, b.u, atol=1e-5)
+    model = robot("rezero")
+    plain = rezero_solver(8)
+    exact = Solver(plain.ocp, SQP(iterations=200, hessian="exact"))
+    for name, reference in plain.references.items():
+        exact.set_reference(name, reference)
+    exact.guess(plain.ws.x, plain.ws.u)
+    np.testing.assert_allclose(exact.solve(model.home).u, plain.solve(model.home).u, atol=1e-5)
+
+
+def test_what_it_does_not_go_with() -> None:
+    with pytest.raises(InputError, match="integrator='rk4'"):
+        Solver(pendulum(integrator="rk4").ocp, SQP(hessian="exact"))
+    with pytest.raises(InputError, match="interpreted"):
+        Solver(pendulum().ocp, SQP(hessian="exact", backend="interpreted"))
+    with pytest.raises(InputError, match=r"unknown hessian 'exakt'.*did you mean 'exact'"):
+        SQP(hessian="exakt")  # type: ignore[arg-type]
