@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from limit_figure import write_figure
-from limit_scenarios import FULL, SCENARIOS, VARIANTS, Rig, Variant
+from limit_scenarios import SCENARIOS, VARIANTS, Rig, Variant
 from limit_timing import iteration_times
 from rich.console import Console
 from rich.table import Table
@@ -250,9 +250,9 @@ def source() -> str:
 
 
 def jobs(scenarios: list[str], variants: list[str], seeds: range, few: int) -> list[Job]:
-    """What is to be run: the variants in FULL on all seeds, the others on the first ``few``."""
-    full = [(s, v, k) for v in variants if v in FULL for k in seeds for s in scenarios]
-    return full + [(s, v, k) for k in seeds[:few] for v in variants for s in scenarios if v not in FULL]
+    """What is to be run: the first variant on all seeds, the others, for comparison, on the first ``few``."""
+    first = [(s, variants[0], k) for k in seeds for s in scenarios]
+    return first + [(s, v, k) for k in seeds[:few] for v in variants[1:] for s in scenarios]
 
 
 def do(job: Job) -> tuple[Job, dict[str, float]]:
@@ -260,13 +260,20 @@ def do(job: Job) -> tuple[Job, dict[str, float]]:
     return job, run(scenario, VARIANTS[variant], seed)
 
 
-def results(wanted: list[Job], path: Path, workers: int) -> dict[Job, dict[str, float]]:
-    """Figures of all runs; those that the file has are read, the others done and appended."""
-    found, code = {}, source()
+def kept(path: Path, code: str) -> dict[Job, dict[str, float]]:
+    """The runs of this source that a file has."""
+    found = {}
     for line in path.read_text().splitlines() if path.exists() else []:
         entry = json.loads(line)
         if entry["source"] == code:
             found[entry["scenario"], entry["variant"], entry["seed"]] = entry["figures"]
+    return found
+
+
+def results(wanted: list[Job], path: Path, workers: int) -> dict[Job, dict[str, float]]:
+    """Figures of all runs; those that the file has are read, the others done and appended."""
+    code = source()
+    found = kept(path, code)
     left = [job for job in wanted if job not in found]
     with multiprocessing.Pool(workers) as pool, path.open("a") as file:
         for n, (job, figures) in enumerate(pool.imap_unordered(do, left), 1):
@@ -290,16 +297,19 @@ def grouped(found: dict[Job, dict[str, float]], wanted: Iterable[Job]) -> Runs:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="200-219", help="first-last")
-    parser.add_argument("--few", type=int, default=20, help="so many seeds for the variants that are only compared")
+    parser.add_argument("--few", type=int, default=20, help="so many seeds for all variants but the first")
     parser.add_argument("--scenarios", nargs="*", default=list(SCENARIOS), choices=list(SCENARIOS))
     parser.add_argument("--variants", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--report", action="store_true", help="no runs: table and figure of those that there are")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, default=Path("runs/hard-limits"), help="directory of runs and figures")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     first, last = (int(s) for s in given.seeds.split("-"))
     wanted = jobs(given.scenarios, given.variants, range(first, last + 1), given.few)
-    found = grouped(results(wanted, given.out / "runs.jsonl", given.workers), wanted)
+    path = given.out / "runs.jsonl"
+    done = kept(path, source()) if given.report else results(wanted, path, given.workers)
+    found = grouped(done, [job for job in wanted if job in done])
     times = iteration_times()
     console = Console(width=None if sys.stdout.isatty() else 220)
     console.print(table(found, given.seeds))

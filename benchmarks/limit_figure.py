@@ -26,8 +26,10 @@ def _points(found: Runs, figure: str, factor: float, variant: int, log: bool) ->
     x, y = [], []
     for k, by in enumerate(found.values()):
         names = list(by)
+        if variant >= len(names):
+            continue
         values = np.array([run[figure] for run in by[names[variant]]]) * factor
-        width = 0.8 / len(names)
+        width = 0.8 / len(COLOURS)
         x.append(k - 0.4 + width * (variant + np.linspace(0.15, 0.85, values.size)))
         y.append(np.maximum(values, LEAST) if log else values)
     return np.concatenate(x), np.concatenate(y)

@@ -54,8 +54,6 @@ VARIANTS = {
     "hard, never more": Variant(changes={"extra_when_cut": 0}),
     "hard, 10 iterations": Variant(iterations=10),
 }
-#: Variants that are run on all seeds.
-FULL = ("hard", "soft")
 #: μ of both robots' limits, hard and relaxed. The ball robot's is larger: it leaves the feedback on noisy speeds a reserve.
 BALL_MU, SWERVE_MU = 0.3, 3e-3
 
