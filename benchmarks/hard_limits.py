@@ -35,8 +35,8 @@ OUTSIDE = 1e-3
 #: Figure: (heading, unit, factor, goal for the worst run or None); less is better.
 FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "command_excess": ("commands over", "%", 100.0, 1e-3),
-    "plan_input_excess": ("planned inputs over", "%", 100.0, None),
-    "plan_state_excess": ("planned states over", "%", 100.0, None),
+    "plan_input_excess": ("planned inputs over", "%", 100.0, 1e-3),
+    "plan_state_excess": ("planned states over", "%", 100.0, 1e-3),
     "state_excess": ("states over", "%", 100.0, None),
     "return_time": ("states back after", "s", 1.0, 0.5),
     "clamped": ("ticks clamped", "%", 100.0, 0.01),
