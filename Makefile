@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime soak study grids lint format pictures clean
+.PHONY: demo test bench race realtime soak study grids limits lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -36,6 +36,10 @@ study: $(VENV)/.installed
 # error and time of the swerve robot's MPC over grids of the horizon (minutes)
 grids: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/grids.py
+
+# hard limits in closed loop, five variants of the solver (half an hour; goes on where it was interrupted)
+limits: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/hard_limits.py $(LIMITS_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -1,14 +1,18 @@
 """Hard limits in closed loop: both robots in scenarios that press against them, by variants of the solver.
 
-Usage: python benchmarks/hard_limits.py [--seeds 200-219] [--scenarios NAME …] [--variants NAME …] [--json FILE] [--out DIR]
+Usage: python benchmarks/hard_limits.py [--seeds 200-219] [--few 10] [--scenarios NAME …] [--variants NAME …] [--out DIR]
+Runs that DIR/runs.jsonl already has of this source are not done again, so that an interrupted study goes on where it was.
 Seeds 0 to 9 were used for tuning; 200 to 219 are for reporting. docs/hard-limits.md explains the figures.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
+import multiprocessing
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,27 +23,32 @@ from limit_scenarios import SCENARIOS, VARIANTS, Rig, Variant
 from rich.console import Console
 from rich.table import Table
 
+import wbmpc
 from wbmpc.benchmark.limits import iteration_times
 from wbmpc.loop import run_lockstep
 from wbmpc.plant.swerve import STEER_SPEED
 from wbmpc.report import versions
+from wbmpc.solver.solution import COLUMNS
 
 #: What counts as outside a limit [share of the range].
 OUTSIDE = 1e-3
 #: Figure: (heading, unit, factor, goal for the worst run or None); less is better.
 FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "command_excess": ("commands over", "%", 100.0, 1e-3),
-    "plan_input_excess": ("planned inputs over", "%", 100.0, None),
-    "plan_state_excess": ("planned states over", "%", 100.0, None),
+    "plan_input_excess": ("planned inputs over", "%", 100.0, 1e-3),
+    "plan_state_excess": ("planned states over", "%", 100.0, 1e-3),
     "state_excess": ("states over", "%", 100.0, None),
     "return_time": ("states back after", "s", 1.0, 0.5),
     "clamped": ("ticks clamped", "%", 100.0, 0.01),
     "failed": ("failed", "", 1.0, 0.0),
     "hand_error": ("hand error", "mm", 1e3, None),
-    "solve_median": ("solve median", "ms", 1e3, None),
-    "solve_p95": ("solve p95", "ms", 1e3, None),
+    "stalled": ("solves stalled", "%", 100.0, None),
+    "iterations": ("iterations", "", 1.0, None),
 }
+#: A solve whose last step was cut below this has stalled.
+STALLED = 0.1
 Runs = dict[str, dict[str, list[dict[str, float]]]]
+Job = tuple[str, str, int]
 
 
 class Bounds:
@@ -129,6 +138,24 @@ class Recorder:
         return np.array([x + c * along - s * across, y + s * along + c * across, truth.tool[2]])
 
 
+class Solves:
+    """Iterations and last step length of every update of the rig's MPC."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.counts: list[int] = []
+        self.steps: list[float] = []
+        solver = rig.mpc.solver
+        solve = solver.run
+
+        def noted(x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
+            status, count = solve(x0, t0, delta)
+            self.counts.append(count)
+            self.steps.append(float(solver.log[count - 1, COLUMNS["alpha"]]))
+            return status, count
+
+        solver.run = noted  # type: ignore[method-assign]
+
+
 def longest(outside: np.ndarray, period: float) -> float:
     """Longest time [s] that any column of (ticks, states) stays outside."""
     most = 0
@@ -142,9 +169,9 @@ def longest(outside: np.ndarray, period: float) -> float:
 def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
     """Figures of one run."""
     rig = SCENARIOS[scenario](variant, seed)
-    record = Recorder(rig)
-    reason = run_lockstep(rig.plant, rig.agent, rig.mpc, rig.timing, rig.duration, record)
-    state, solve = np.array(record.state), rig.mpc.statistics.solve_times or [np.nan]
+    record, solves = Recorder(rig), Solves(rig)
+    ending = run_lockstep(rig.plant, rig.agent, rig.mpc, rig.timing, rig.duration, record)
+    state = np.array(record.state)
     return {
         "command_excess": max(record.command),
         "plan_input_excess": record.plan_input,
@@ -152,10 +179,10 @@ def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
         "state_excess": float(state.max()),
         "return_time": longest(state > OUTSIDE, rig.timing.period),
         "clamped": float(np.mean(np.array(record.wanted) > OUTSIDE)),
-        "failed": float(bool(reason) or rig.mpc.statistics.failures > 0),
+        "failed": float(bool(ending.reason) or rig.mpc.statistics.failures > 0),
         "hand_error": float(np.mean(record.error)),
-        "solve_median": float(np.median(solve)),
-        "solve_p95": float(np.percentile(solve, 95)),
+        "stalled": float(np.mean(np.array(solves.steps) < STALLED)),
+        "iterations": float(np.mean(solves.counts)),
     }
 
 
@@ -173,6 +200,17 @@ def cell(runs: list[dict[str, float]], figure: str) -> str:
     return f"[red]{text}[/red]" if goal is not None and worst > goal else text
 
 
+def markdown(found: Runs) -> str:
+    """The same table for docs/hard-limits.md."""
+    units = [f"{h} [{u}]" if u else h for h, u, _, _ in FIGURES.values()]
+    lines = ["| scenario | variant | seeds | " + " | ".join(units) + " |", "| --- " * (3 + len(units)) + "|"]
+    for scenario, variants in found.items():
+        for k, (name, runs) in enumerate(variants.items()):
+            cells = [cell(runs, f).replace("[red]", "**").replace("[/red]", "**") for f in FIGURES]
+            lines.append("| " + " | ".join(["" if k else scenario, name, str(len(runs)), *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def table(found: Runs, seeds: str) -> Table:
     """All scenarios and variants: median (worst) over the seeds."""
     out = Table(
@@ -180,11 +218,12 @@ def table(found: Runs, seeds: str) -> Table:
     )
     out.add_column("scenario", no_wrap=True)
     out.add_column("variant", no_wrap=True)
+    out.add_column("seeds", justify="right")
     for heading, unit, _, _ in FIGURES.values():
         out.add_column(f"{heading} [{unit}]".replace("[]", "").replace("[", r"\["), justify="right")
     for scenario, variants in found.items():
         for k, (name, runs) in enumerate(variants.items()):
-            out.add_row("" if k else scenario, name, *(cell(runs, f) for f in FIGURES))
+            out.add_row("" if k else scenario, name, str(len(runs)), *(cell(runs, f) for f in FIGURES))
         out.add_section()
     return out
 
@@ -204,24 +243,73 @@ def to_json(found: Runs, seeds: str, times: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def source() -> str:
+    """Fingerprint of what the figures depend on: the package and the scenarios."""
+    files = [*Path(wbmpc.__file__).parent.rglob("*.py"), *Path(__file__).parent.glob("limit_scenarios.py")]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in sorted(files))).hexdigest()[:16]
+
+
+def jobs(scenarios: list[str], variants: list[str], seeds: range, few: int) -> list[Job]:
+    """What is to be run: the first variant on all seeds, the others, for comparison, on the first ``few``."""
+    first = [(s, variants[0], k) for k in seeds for s in scenarios]
+    return first + [(s, v, k) for k in seeds[:few] for v in variants[1:] for s in scenarios]
+
+
+def do(job: Job) -> tuple[Job, dict[str, float]]:
+    scenario, variant, seed = job
+    return job, run(scenario, VARIANTS[variant], seed)
+
+
+def kept(path: Path, code: str) -> dict[Job, dict[str, float]]:
+    """The runs of this source that a file has."""
+    found = {}
+    for line in path.read_text().splitlines() if path.exists() else []:
+        entry = json.loads(line)
+        if entry["source"] == code:
+            found[entry["scenario"], entry["variant"], entry["seed"]] = entry["figures"]
+    return found
+
+
+def results(wanted: list[Job], path: Path, workers: int) -> dict[Job, dict[str, float]]:
+    """Figures of all runs; those that the file has are read, the others done and appended."""
+    code = source()
+    found = kept(path, code)
+    left = [job for job in wanted if job not in found]
+    with multiprocessing.Pool(workers) as pool, path.open("a") as file:
+        for n, (job, figures) in enumerate(pool.imap_unordered(do, left), 1):
+            found[job] = figures
+            entry = dict(zip(("scenario", "variant", "seed"), job, strict=True))
+            file.write(json.dumps({"source": code, **entry, "figures": figures}) + "\n")
+            file.flush()
+            print(f"{n}/{len(left)} {', '.join(map(str, job))}", file=sys.stderr, flush=True)
+    return found
+
+
+def grouped(found: dict[Job, dict[str, float]], wanted: Iterable[Job]) -> Runs:
+    """By scenario, then variant, in the order of the tables above."""
+    wanted = sorted(wanted, key=lambda j: (list(SCENARIOS).index(j[0]), list(VARIANTS).index(j[1]), j[2]))
+    out: Runs = {}
+    for scenario, variant, seed in wanted:
+        out.setdefault(scenario, {}).setdefault(variant, []).append(found[scenario, variant, seed])
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="200-219", help="first-last")
+    parser.add_argument("--few", type=int, default=20, help="so many seeds for all variants but the first")
     parser.add_argument("--scenarios", nargs="*", default=list(SCENARIOS), choices=list(SCENARIOS))
     parser.add_argument("--variants", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
-    parser.add_argument("--json", type=Path, help="also write all figures to this file")
-    parser.add_argument("--out", type=Path, default=Path("hard-limits"), help="directory of the figure")
+    parser.add_argument("--report", action="store_true", help="no runs: table and figure of those that there are")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--out", type=Path, default=Path("runs/hard-limits"), help="directory of runs and figures")
     given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
     first, last = (int(s) for s in given.seeds.split("-"))
-    found: Runs = {}
-    for scenario in given.scenarios:
-        for name in given.variants:
-            for seed in range(first, last + 1):
-                runs = found.setdefault(scenario, {}).setdefault(name, [])
-                runs.append(run(scenario, VARIANTS[name], seed))
-                print(f"{scenario}, {name}, seed {seed}", file=sys.stderr, flush=True)
-            if given.json is not None:  # what there is so far: the study is long
-                given.json.write_text(json.dumps(to_json(found, given.seeds, {}), indent=2, allow_nan=False) + "\n")
+    wanted = jobs(given.scenarios, given.variants, range(first, last + 1), given.few)
+    path = given.out / "runs.jsonl"
+    done = kept(path, source()) if given.report else results(wanted, path, given.workers)
+    found = grouped(done, [job for job in wanted if job in done])
     times = iteration_times()
     console = Console(width=None if sys.stdout.isatty() else 220)
     console.print(table(found, given.seeds))
@@ -229,8 +317,9 @@ def main() -> None:
         console.print(
             f"{name}: one iteration {t['hard_ms']:.3f} ms hard, {t['unlimited_ms']:.3f} ms without limits, ratio {t['ratio']:.2f}"
         )
-    if given.json is not None:
-        given.json.write_text(json.dumps(to_json(found, given.seeds, times), indent=2, allow_nan=False) + "\n")
+    text = json.dumps(to_json(found, given.seeds, times), indent=2, allow_nan=False)
+    (given.out / "hard-limits.json").write_text(text + "\n")
+    (given.out / "hard-limits.md").write_text(markdown(found))
     for path in write_figure(found, given.out):
         console.print(f"figure: {path}")
 

@@ -9,8 +9,8 @@ import numpy as np
 Runs = dict[str, dict[str, list[dict[str, float]]]]
 #: (figure, axis title, factor, goal, logarithmic).
 PANELS = (
-    ("command_excess", "commands over limits [% of range]", 100.0, 0.1, True),
-    ("plan_state_excess", "planned states over limits [% of range]", 100.0, None, True),
+    ("command_excess", "commands over limits [%]", 100.0, 0.1, True),
+    ("plan_state_excess", "planned states over [%]", 100.0, 0.1, True),
     ("return_time", "states back after [s]", 1.0, 0.5, False),
     ("clamped", "ticks clamped [%]", 100.0, 1.0, True),
     ("hand_error", "mean hand error [mm]", 1e3, None, True),
@@ -26,8 +26,10 @@ def _points(found: Runs, figure: str, factor: float, variant: int, log: bool) ->
     x, y = [], []
     for k, by in enumerate(found.values()):
         names = list(by)
+        if variant >= len(names):
+            continue
         values = np.array([run[figure] for run in by[names[variant]]]) * factor
-        width = 0.8 / len(names)
+        width = 0.8 / len(COLOURS)
         x.append(k - 0.4 + width * (variant + np.linspace(0.15, 0.85, values.size)))
         y.append(np.maximum(values, LEAST) if log else values)
     return np.concatenate(x), np.concatenate(y)
@@ -67,6 +69,7 @@ def _png(found: Runs, path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     names, variants = list(found), list(next(iter(found.values())))
     figure, axes = plt.subplots(len(PANELS), sharex=True, figsize=(SIZE[0] / 100, SIZE[1] / 100), layout="constrained")
@@ -76,10 +79,16 @@ def _png(found: Runs, path: Path) -> None:
             axis.plot(x, y, ".", color=COLOURS[v % len(COLOURS)], label=variant, markersize=5)
         if goal is not None:
             axis.axhline(goal, color="0.3", linestyle="--", linewidth=1)
-        axis.set_yscale("log" if log else "linear")
+        if log:
+            axis.set_yscale("log")
+            axis.yaxis.set_major_formatter(lambda v, _: f"≤ {LEAST:g}" if v <= 1.001 * LEAST else f"{v:g}")
+            axis.yaxis.set_minor_formatter(NullFormatter())
+        for k in range(1, len(names)):
+            axis.axvline(k - 0.5, color="0.8", linewidth=0.8)
         axis.set_ylabel(title, fontsize=8)
         axis.grid(axis="y", alpha=0.3)
     axes[-1].set_xticks(range(len(names)), names)
+    axes[-1].set_xlim(-0.5, len(names) - 0.5)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(variants))
     figure.savefig(path, dpi=100)
     plt.close(figure)
