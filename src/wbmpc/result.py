@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -117,7 +118,7 @@ class RunResult:
     metrics: dict[str, Metric]
     mpc: MpcStatistics | None
     log: Log
-    plots: list[Plot | Drawing] = field(default_factory=list)
+    plots: Sequence[Plot | Drawing] = field(default_factory=list)
     idealisations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False

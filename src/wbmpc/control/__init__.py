@@ -1,7 +1,9 @@
-"""Controllers between MPC and plant: prediction over the delay, tracking, servos."""
+"""Controllers between MPC and plant: prediction over the delay, tracking, servos, brakes."""
 
+from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.rezero import RezeroAgent
+from wbmpc.control.rolling import RollingAgent
 from wbmpc.control.swerve import SwerveAgent
 from wbmpc.mpc import Plans
 
-__all__ = ["Plans", "RezeroAgent", "SwerveAgent"]
+__all__ = ["BrakeControl", "Plans", "RezeroAgent", "RollingAgent", "SwerveAgent"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_steps, swerve_stability, swerve_track
+from wbmpc.experiments import rezero_steps, swerve_brakes, swerve_stability, swerve_track
 from wbmpc.result import RunResult
 
 
@@ -27,6 +27,7 @@ REGISTRY: dict[str, Experiment] = {
     for m, settings in (
         (swerve_track, swerve_track.SwerveTrackSettings),
         (rezero_steps, rezero_steps.RezeroStepsSettings),
+        (swerve_brakes, swerve_brakes.SwerveBrakesSettings),
         (swerve_stability, swerve_stability.SwerveStabilitySettings),
     )
 }
