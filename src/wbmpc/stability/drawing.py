@@ -50,8 +50,8 @@ class _Paper:
         self.parts.append(f'<text x="{x:.1f}" y="{y:.1f}" {style}>{html.escape(words)}</text>')
 
 
-def draw(a: Assessment) -> str:
-    """The picture as SVG text."""
+def draw(a: Assessment, path: NDArray[np.float64] | None = None) -> str:
+    """The picture as SVG text; ``path`` (k, 2) [m]: a way of the zero-moment point."""
     geometry, feet = standing(a.robot).geometry, a.stance.feet
     zmp = a.stance.zmp if np.isfinite(a.stance.zmp).all() else feet.mean(axis=0)
     far = np.abs(feet).max() + 0.35
@@ -67,6 +67,9 @@ def draw(a: Assessment) -> str:
             paper.line(feet[i], feet[j], f'stroke="{_SOFT}" stroke-width="1" stroke-dasharray="5 4"')
     paper.polygon(support_polygon(feet), f'fill="none" stroke="{_INK}" stroke-width="2"')
     _robot(paper, a)
+    if path is not None:
+        way = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.at, path))
+        paper.parts.append(f'<polyline points="{way}" fill="none" stroke="#c8102e" stroke-width="2.5"/>')
     _points(paper, a, far)
     _words(paper, a)
     height = paper.height + _TEXT

@@ -123,13 +123,20 @@ Stance = Callable[[Array, Triangle], tuple[Array, Array, Array]]
 
 
 def support_switches(
-    times: ArrayLike, feet: ArrayLike, heights: ArrayLike, stance: Stance, unloaded: float = 0.0
+    times: ArrayLike,
+    feet: ArrayLike,
+    heights: ArrayLike,
+    stance: Stance,
+    unloaded: float = 0.0,
+    start: ArrayLike | None = None,
 ) -> list[Switch]:
     """When a robot rocks from three feet to others while it moves slowly over ground of ``heights`` (n) [m].
 
     ``stance(vertical, triangle)`` gives, for the robot standing on that triangle, its feet (n, 2) [m], its zero-moment
     points (k, 2) [m] at the times, and the forces (k,) [N] that press on the ground. The robot rocks when a foot would have
     to pull; the switch is dated to when that foot carries less than ``unloaded`` [N]. Rocking itself is taken as short.
+    Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
+    its zero-moment point before it tilted, or else on the one that it stands on more firmly.
     """
     t, points = np.asarray(times, float), checked_feet(feet)
     faces = resting_triangles(points, heights)
@@ -137,7 +144,8 @@ def support_switches(
     for face in faces:
         stood, zmp, press = stance(upright(points, heights, face), face)
         forces[face] = support_shares(stood, face, zmp) * press[:, None]
-    now: Triangle | None = max(faces, key=lambda f: float(forces[f][0].min()))
+    firmness = lambda f: float(forces[f][0].min() if start is None else support_shares(points, f, start).min())
+    now: Triangle | None = max(faces, key=firmness)
     found: list[Switch] = []
     k = 0
     while now is not None:
