@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_steps, swerve_brakes, swerve_stability, swerve_track, swerve_wobble
+from wbmpc.experiments import rezero_steps, swerve_brakes, swerve_stability, swerve_track, swerve_unified, swerve_wobble
 from wbmpc.result import RunResult
 
 
@@ -29,6 +29,7 @@ REGISTRY: dict[str, Experiment] = {
         (rezero_steps, rezero_steps.RezeroStepsSettings),
         (swerve_brakes, swerve_brakes.SwerveBrakesSettings),
         (swerve_stability, swerve_stability.SwerveStabilitySettings),
+        (swerve_unified, swerve_unified.SwerveUnifiedSettings),
         (swerve_wobble, swerve_wobble.SwerveWobbleSettings),
     )
 }
