@@ -6,32 +6,28 @@ Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--rand
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 import numpy as np
 
-from wbmpc.control import FourWheelSteeringAgent, InverseKinematicsAgent
+from wbmpc.control import FourWheelSteeringAgent, RollingAgent
 from wbmpc.experiments import swerve_fixed as fixed
 from wbmpc.log import Log
 from wbmpc.model import load_robot
 
 GRID: dict[str, tuple[float, ...]] = {
-    "lead": (0.02, 0.03, 0.04, 0.05, 0.06, 0.08),
-    "gain": (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
+    "lead": (0.0, 0.01, 0.015, 0.02, 0.03, 0.04),
+    "base_gain": (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
     "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0),
     "look_ahead": (0.5, 1.0, 1.5, 2.0),
 }
-KINDS = {"ik": InverseKinematicsAgent, "four_wheel": FourWheelSteeringAgent}
+KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
 
 
 def error(name: str, gains: dict[str, float], seeds: range, random: float) -> float:
     """Rms position error [m] over all seeds."""
     settings, robot = fixed.SwerveFixedSettings(random=random), load_robot("swerve-fixed-ur10")
 
-    def make(r: Any, pose: np.ndarray, period: float, s: Any, p: Any) -> Any:
-        return KINDS[name](r, pose, period, lambda t: (p.path.pose(t), p.path.twist(t)), **gains)
-
-    fixed.CONTROLLERS[name] = make
+    fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
     squares = []
     for seed in seeds:
         log, reference = Log(), fixed.Motion.of(settings, seed)
@@ -48,7 +44,7 @@ def main() -> None:
     parser.add_argument("--random", type=float, default=20.0)
     given = parser.parse_args()
     first, last = (int(v) for v in given.seeds.split("-"))
-    gains = {"lead": 0.04, "gain": 2.0, "steer_gain": 10.0, "look_ahead": 1.0}
+    gains = {"lead": 0.04, "base_gain": 2.0, "steer_gain": 10.0, "look_ahead": 1.0}
     best = error(given.rival, gains, range(first, last + 1), given.random)
     for _ in range(2):
         before = best

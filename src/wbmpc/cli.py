@@ -1,8 +1,9 @@
-"""The command line: list, run, demo, bench."""
+"""The command line: list, run, demo, stability, bench."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import traceback
@@ -138,7 +139,7 @@ def _table(results: list[RunResult]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from wbmpc.report import goal_notes, number
+    from wbmpc.report import goal_notes, goal_text, number
 
     table = Table(title="Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
     for column in ("experiment", "metric"):
@@ -149,15 +150,16 @@ def _table(results: list[RunResult]) -> None:
     table.add_column("", no_wrap=True)
     for result in results:
         for k, (name, m) in enumerate(result.metrics.items()):
-            figures = ["" if v is None else number(v) for v in (m.value, m.paper, m.goal)]
+            figures = [*("" if v is None else number(v) for v in (m.value, m.paper)), goal_text(m)]
             verdict = {True: "reached", False: "missed", None: ""}[m.met]
             table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, verdict)
         mpc = result.mpc
-        table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
-        for kind, milliseconds in mpc.solve_ms.items():
-            table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
-        for kind, how_many in _counts(mpc).items():
-            table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
+        if mpc is not None:
+            table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
+            for kind, milliseconds in mpc.solve_ms.items():
+                table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
+            for kind, how_many in _counts(mpc).items():
+                table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
         table.add_section()
     console = Console(width=None if sys.stdout.isatty() else 120)
     console.print(table)
@@ -240,6 +242,59 @@ def demo(
         if results[-1][0].interrupted:
             break
     _finish(results, as_json)
+
+
+@app.command()
+def stability(
+    robot: Annotated[str, typer.Argument(help="A robot's name (see 'wbmpc list') or its YAML file.")],
+    configuration: Annotated[
+        str | None, typer.Option(help="H, X, A, or one leg angle [rad] per leg: 0.1,-0.1,0,0 (default: home).")
+    ] = None,
+    wrench: Annotated[
+        str, typer.Option(help="What the world does to the hand: force [N], or force and moment [N m]: 0,0,-50.")
+    ] = "0,0,0",
+    arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints [rad] (default: home).")] = None,
+    slope: Annotated[float, typer.Option(help="Slope of the ground [rad].")] = 0.0,
+    uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead [rad].")] = 0.0,
+    plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+) -> None:
+    """Support polygon, support triangles and zero-moment point of a robot at rest."""
+    from wbmpc.model import load_robot
+    from wbmpc.stability import assess, draw, slope_gravity
+
+    if not abs(slope) < 0.5 * math.pi:
+        raise InputError(f"--slope: must be between -1.57 and 1.57 rad, got {slope:g}")
+    if not math.isfinite(uphill):
+        raise InputError(f"--uphill: must be finite, got {uphill:g}")
+    if plot is not None and plot.suffix.lower() != ".svg":
+        raise InputError(f"--plot: '{plot}' must end with .svg")
+    model = load_robot(robot)
+    push = _numbers("--wrench", wrench, (3, 6))
+    joints = None if arm is None else _numbers("--arm", arm, (len(model.state.groups["arm"]),))
+    result = assess(model, configuration, [*push, 0.0, 0.0, 0.0][:6], slope_gravity(slope, uphill), joints)
+    files = {}
+    if plot is not None:
+        plot.write_text(draw(result))
+        files["plot"] = str(plot)
+    if as_json:
+        typer.echo(json.dumps({**result.figures(), "files": files}, allow_nan=False))
+    else:
+        typer.echo(result.text())
+        if files:
+            typer.echo(f"drawing: {plot}")
+
+
+def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
+    """Finite numbers of an option, separated by commas or blanks."""
+    wanted = " or ".join(map(str, sizes))
+    try:
+        values = [float(v) for v in text.replace(",", " ").split()]
+    except ValueError:
+        raise InputError(f"{option}: {wanted} numbers are needed, got '{text}'") from None
+    if len(values) not in sizes or not all(map(math.isfinite, values)):
+        raise InputError(f"{option}: {wanted} finite numbers are needed, got '{text}'")
+    return values
 
 
 @app.command()

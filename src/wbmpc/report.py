@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import __version__
-from wbmpc.result import Metric, Plot, RunResult
+from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
@@ -35,6 +35,7 @@ th { color: var(--soft); font-weight: 600; } .n { text-align: right; font-varian
 .plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(440px, 100%), 1fr)); gap: 16px; }
 .plots > div { padding: 8px; min-width: 0; }
 h3 { font-size: 16px; font-weight: 600; margin: 6px 8px 0; }
+.plots > div > svg { display: block; max-width: 100%; height: auto; margin: 0 auto; }
 .plots > div.wide { grid-column: 1 / -1; }
 ul { margin: 0; padding: 12px 18px 12px 36px; } details { padding: 10px 16px; margin-bottom: 12px; }
 summary { cursor: pointer; } pre { overflow-x: auto; font-size: 13px; margin: 8px 0 0; }
@@ -70,17 +71,28 @@ def to_json(result: RunResult, files: dict[str, str]) -> dict[str, Any]:
         "completed": result.completed,
         "reason": result.reason,
         "metrics": {k: {"value": _plain(m.value), "unit": m.unit} for k, m in result.metrics.items()},
-        "mpc": {
-            "rate_hz": result.mpc.rate_hz,
-            "solve_ms": {k: _plain(round(v, 4)) for k, v in result.mpc.solve_ms.items()},
-            "deadline_misses": result.mpc.deadline_misses,
-            "solves": result.mpc.solves,
-            "failures": result.mpc.failures,
-            "no_step": result.mpc.no_step,
-            "failed_share": round(result.mpc.failed_share, 6),
-        },
+        "mpc": None if result.mpc is None else _mpc(result.mpc),
         "files": files,
     }
+
+
+def _mpc(mpc: MpcStatistics) -> dict[str, Any]:
+    return {
+        "rate_hz": mpc.rate_hz,
+        "solve_ms": {k: _plain(round(v, 4)) for k, v in mpc.solve_ms.items()},
+        "deadline_misses": mpc.deadline_misses,
+        "solves": mpc.solves,
+        "failures": mpc.failures,
+        "no_step": mpc.no_step,
+        "failed_share": round(mpc.failed_share, 6),
+    }
+
+
+def goal_text(metric: Metric) -> str:
+    """The goal as a cell of a table: a largest value, a range, or a smallest value."""
+    if metric.least is None:
+        return "" if metric.goal is None else number(metric.goal)
+    return f"≥ {number(metric.least)}" if metric.goal is None else f"{number(metric.least)} to {number(metric.goal)}"
 
 
 def versions() -> dict[str, str]:
@@ -142,7 +154,9 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
 
 
-def _figure(plot: Plot) -> str:
+def _figure(plot: Plot | Drawing) -> str:
+    if isinstance(plot, Drawing):
+        return plot.svg
     import plotly.graph_objects as go
 
     figure = go.Figure()
@@ -181,7 +195,8 @@ def _metric_rows(metrics: dict[str, Metric]) -> list[list[str]]:
         [
             html.escape(name),
             html.escape(m.unit),
-            *("" if v is None else number(v) for v in (m.value, m.paper, m.goal)),
+            *("" if v is None else number(v) for v in (m.value, m.paper)),
+            goal_text(m),
             verdicts[m.met],
         ]
         for name, m in metrics.items()
@@ -205,8 +220,9 @@ def _verdict(result: RunResult) -> str:
     return f'<div class="card verdict {kind}">{text}.</div>'
 
 
-def _solve_times(result: RunResult) -> str:
-    mpc = result.mpc
+def _solve_times(mpc: MpcStatistics | None) -> str:
+    if mpc is None:
+        return ""
     row = [
         f"{mpc.rate_hz:g} Hz",
         f"{number(1e3 / mpc.rate_hz)} ms",
@@ -215,7 +231,8 @@ def _solve_times(result: RunResult) -> str:
     header = ["rate", "period", "median solve", "95 % below", "longest", "longer than the period"]
     counts = [mpc.deadline_misses, mpc.solves, mpc.failures, mpc.no_step]
     header += ["solves", "failed", "without a step"]
-    return _table(header, [[*row, *map(str, counts)]], set(range(len(header))))
+    table = _table(header, [[*row, *map(str, counts)]], set(range(len(header))))
+    return f"<h2>Model predictive control</h2>{table}"
 
 
 def page(result: RunResult) -> str:
@@ -244,7 +261,7 @@ def page(result: RunResult) -> str:
 {_verdict(result)}
 <h2>Figures</h2>{metrics}
 <p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>{notes}
-<h2>Model predictive control</h2>{_solve_times(result)}
+{_solve_times(result.mpc)}
 <h2>Plots</h2><div class="plots">{plots}</div>
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>

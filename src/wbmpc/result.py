@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,8 @@ MOST_FAILED = 0.1
 class Metric:
     """A figure with its unit, the paper's figure and the goal (a largest value) where there is one.
 
-    ``goal_note``: what a reader must know about the goal when one run misses it.
+    ``least``: a smallest value, alone or with ``goal``. ``goal_note``: what a reader must know about the goal when one run
+    misses it.
     """
 
     value: float
@@ -25,11 +27,14 @@ class Metric:
     paper: float | None = None
     goal: float | None = None
     goal_note: str = ""
+    least: float | None = None
 
     @property
     def met(self) -> bool | None:
         """Whether the goal is reached; None without a goal."""
-        return None if self.goal is None else bool(self.value <= self.goal)
+        if self.goal is None and self.least is None:
+            return None
+        return bool((self.goal is None or self.value <= self.goal) and (self.least is None or self.value >= self.least))
 
 
 @dataclass(frozen=True)
@@ -92,18 +97,28 @@ class Plot:
     equal_axes: bool = False
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A picture of the report that is no plot, as SVG text."""
+
+    title: str
+    svg: str
+    equal_axes = False
+
+
 @dataclass
 class RunResult:
-    """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C."""
+    """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
+    experiments without one."""
 
     experiment: str
     seed: int
     completed: bool
     reason: str
     metrics: dict[str, Metric]
-    mpc: MpcStatistics
+    mpc: MpcStatistics | None
     log: Log
-    plots: list[Plot] = field(default_factory=list)
+    plots: Sequence[Plot | Drawing] = field(default_factory=list)
     idealisations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False

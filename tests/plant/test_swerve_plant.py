@@ -11,8 +11,8 @@ import pytest
 from wbmpc.errors import InputError
 from wbmpc.estimation import WheelOdometry
 from wbmpc.model import load_robot, rolling_inverse_kinematics
-from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant, scale_wheels
-from wbmpc.plant.swerve import BRAKE_TORQUE, STEER_SPEED, WHEEL_SPEED
+from wbmpc.plant import BRAKE_TORQUE, Perturbation, SwerveCommand, SwervePlant, scale_wheels
+from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
 
 ROBOT = load_robot("swerve-ur10")
 STOP = SwerveCommand.stop()

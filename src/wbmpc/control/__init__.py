@@ -1,8 +1,16 @@
-"""Controllers between MPC and plant: prediction over the delay, tracking, servos."""
+"""Controllers between MPC and plant: prediction over the delay, tracking, servos, brakes."""
 
+from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.rezero import RezeroAgent
-from wbmpc.control.rivals import FourWheelSteeringAgent, InverseKinematicsAgent
+from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
 from wbmpc.control.swerve import SwerveAgent
 from wbmpc.mpc import Plans
 
-__all__ = ["FourWheelSteeringAgent", "InverseKinematicsAgent", "Plans", "RezeroAgent", "SwerveAgent"]
+__all__ = [
+    "BrakeControl",
+    "FourWheelSteeringAgent",
+    "Plans",
+    "RezeroAgent",
+    "RollingAgent",
+    "SwerveAgent",
+]

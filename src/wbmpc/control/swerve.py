@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.estimation import WheelOdometry
+from wbmpc.estimation import BrakeFault, BrakeMonitor, WheelOdometry
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
@@ -23,6 +23,7 @@ class SwerveAgent:
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
+    ``monitor``: of brakes that do not answer; ``faulty`` is called with each fault that it finds.
     ``clamped``: whether the wheels of the last command were slowed down to their limits.
     """
 
@@ -36,6 +37,8 @@ class SwerveAgent:
         planned_steering: bool = True,
         gyro_share: float = 0.0,
         lag: float = 0.0,
+        monitor: BrakeMonitor | None = None,
+        faulty: Callable[[BrakeFault], None] | None = None,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
@@ -44,6 +47,7 @@ class SwerveAgent:
         self.gyro_share, self.gyro_bias = gyro_share, 0.0
         self._rest: list[float] = []
         self.lag = lag
+        self.monitor, self.faulty = monitor, faulty
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         hinges = len(robot.state.groups.get("leg", ()))
@@ -127,4 +131,13 @@ class SwerveAgent:
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
-        return SwerveCommand(wheel, steer, u[given["arm"]], self.brakes(t))
+        brake = self.brakes(t)
+        if self.monitor is not None:
+            self._watch(t, brake, u[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
+        return SwerveCommand(wheel, steer, u[given["arm"]], brake)
+
+    def _watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
+        assert self.monitor is not None and self.measured is not None
+        for fault in self.monitor.update(t, self.measured.leg, brake, rate):
+            if self.faulty is not None:
+                self.faulty(fault)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,7 +11,7 @@ from wbmpc.log import Log
 from wbmpc.loop import Ending
 from wbmpc.mpc import MPC
 from wbmpc.plant.perturbation import Perturbation
-from wbmpc.result import Metric, MpcStatistics, Plot, RunResult
+from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.solver import SQP, InteriorPoint
 
 Weight = Annotated[float, Field(ge=0)]
@@ -65,14 +65,14 @@ def finished(
     log: Log,
     *,
     metrics: Callable[[], dict[str, Metric]],
-    plots: Callable[[], list[Plot]],
+    plots: Callable[[], Sequence[Plot | Drawing]],
     idealisations: list[str],
 ) -> RunResult:
     """The result of a run however it ended. A run that ended before its first record has neither figures nor plots."""
     m = mpc.statistics
     statistics = MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
     reason = ending.reason or statistics.fault
-    figures, drawn = (metrics(), plots()) if log.channels else ({}, [])
+    figures, drawn = (metrics(), list(plots())) if log.channels else ({}, [])
     return RunResult(
         name, seed, not reason, reason, figures, statistics, log, drawn, idealisations,
         settings.model_dump(mode="json"), ending.interrupted,

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.control import FourWheelSteeringAgent, InverseKinematicsAgent, SwerveAgent
+from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
@@ -55,7 +55,7 @@ class SwerveFixedSettings(ExperimentSettings):
     up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``drive_lag`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=100.0, yaw=100.0, arm=1.0)
+        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=1000.0, yaw=100.0, arm=1.0)
     )
     robot: str = "swerve-fixed-ur10"
     motions: tuple[Name, ...] = tuple(SEGMENTS)
@@ -102,17 +102,34 @@ def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSet
     return SwerveAgent(r, pose, period, lag=s.drive_lag)
 
 
-def _rival(kind: type[InverseKinematicsAgent]) -> Make:
+def goals(motion: Motion, t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Base pose and its rate in world axes; there are no legs to move."""
+    pose, twist = motion.path.pose(t), motion.path.twist(t)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (_NONE, _NONE)
+
+
+_NONE = np.zeros(0)
+#: Found by benchmarks/rivals.py on seeds 0 and 1.
+GAINS: dict[str, dict[str, float]] = {
+    "ik": {"base_gain": 2.0, "steer_gain": 10.0, "lead": 0.02, "look_ahead": 1.0},
+    "four_wheel": {"base_gain": 2.0, "steer_gain": 10.0, "lead": 0.02, "look_ahead": 1.0},
+}
+
+
+def rival(kind: type[RollingAgent], **gains: float) -> Make:
+    """A maker of a rival's agent."""
+
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveAgent:
-        return kind(r, pose, period, lambda t: (p.path.pose(t), p.path.twist(t)))
+        return kind(r, pose, period, lambda t: goals(p, t), **gains)  # type: ignore[arg-type]
 
     return make
 
 
 CONTROLLERS: dict[str, Make] = {
     "mpc": _mpc_agent,
-    "ik": _rival(InverseKinematicsAgent),
-    "four_wheel": _rival(FourWheelSteeringAgent),
+    "ik": rival(RollingAgent, **GAINS["ik"]),
+    "four_wheel": rival(FourWheelSteeringAgent, **GAINS["four_wheel"]),
 }
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import Layout, RobotModel
+from wbmpc.stability import GRAVITY, Support, counter_clockwise
 
 
 @dataclass(frozen=True)
@@ -256,6 +257,53 @@ class BrakedLegs:
 
     def __call__(self, s: Symbols) -> ca.SX:
         return (1.0 - s.mode[self.robot.mode["brake"]]) * s.u[self.robot.input["leg"]]
+
+
+@dataclass(frozen=True)
+class SupportMargin:
+    """Distances [m] of the zero-moment point to the edges of support polygons, positive inside: all to be at least zero.
+
+    ``supports``: groups of modules (indices), each the corners of a convex polygon: a support triangle, or several whose
+    overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
+    Reference: the wrench (6) of the world on the hand, force [N] and moment [N m] in world axes. ``gravity`` (3)
+    [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
+    states say about the inputs' rates (:class:`wbmpc.model.InputRate`; inputs that are no states count as constant).
+    """
+
+    robot: RobotModel
+    supports: Sequence[Sequence[int]] | None = None
+    gravity: tuple[float, float, float] = GRAVITY
+    dynamics: Any = None
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    polygons: tuple[tuple[int, ...], ...] = field(init=False, repr=False)
+
+    reference = 6
+
+    def __post_init__(self) -> None:
+        given = [None] if self.supports is None else list(self.supports)
+        if not given:
+            raise InputError("support margin: supports must name at least one group of modules")
+        polygons = tuple(counter_clockwise(self.robot, feet) for feet in given)
+        groups, start = {}, 0
+        for feet in polygons:
+            groups["-".join(map(str, feet))] = slice(start, start + len(feet))
+            start += len(feet)
+        object.__setattr__(self, "polygons", polygons)
+        object.__setattr__(self, "groups", groups)
+
+    @property
+    def size(self) -> int:
+        return sum(map(len, self.polygons))
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        support = Support(self.robot, s.x)
+        motion = None
+        if self.dynamics is not None:
+            change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
+            rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
+            motion = (s.u, rates[: s.x.shape[0]], rates[s.x.shape[0] :])
+        zmp = support.zmp(support.load(s.reference, self.gravity, motion))
+        return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])
 
 
 @dataclass(frozen=True)

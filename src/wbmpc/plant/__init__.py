@@ -1,5 +1,6 @@
 """Simulated robots in MuJoCo, perturbed against the planner's model."""
 
+from wbmpc.plant.brakes import BRAKE_TORQUE, Brakes
 from wbmpc.plant.perturbation import Draw, Perturbation
 from wbmpc.plant.protocol import (
     Plant,
@@ -15,7 +16,9 @@ from wbmpc.plant.swerve import SwervePlant
 from wbmpc.plant.world import TIMESTEP
 
 __all__ = [
+    "BRAKE_TORQUE",
     "TIMESTEP",
+    "Brakes",
     "Draw",
     "Perturbation",
     "Plant",

@@ -20,8 +20,9 @@ class Perturbation(BaseModel):
     Bodies: ``mass`` and ``inertia`` relative, ``com`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
     ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
     ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
-    drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``friction`` of the
-    floor: a range, or one number. ``encoder_jitter`` [s]: the values of a message are up to this old.
+    drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
+    open to closed and back. ``friction`` of the floor: a range, or one number. ``encoder_jitter`` [s]: the values of a
+    message are up to this old.
     ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
     ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
@@ -40,6 +41,7 @@ class Perturbation(BaseModel):
     drive_lag: float = Field(default=0.020, ge=0)
     drive_lag_spread: float = Field(default=0.30, ge=0, lt=1)
     joint_loss: float = Field(default=2.0, ge=0)
+    brake_delay: float = Field(default=0.10, ge=0)
     friction: tuple[float, float] = (0.6, 0.9)
     encoder_jitter: float = Field(default=0.002, ge=0)
     encoder_counts: int = Field(default=2**14, ge=0)

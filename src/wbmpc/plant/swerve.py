@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.plant.brakes import Brakes
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
 from wbmpc.plant.world import (
@@ -33,8 +34,8 @@ from wbmpc.plant.world import (
 )
 from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
 
-#: Torque limits [N m] of wheel and steer drives, brake torque [N m] (Pankert et al., RA-L 2022, and its release).
-WHEEL_TORQUE, STEER_TORQUE, BRAKE_TORQUE = 40.0, 20.0, 200.0
+#: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
+WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
 #: Speed limits [rad/s] of the wheel and steer drives.
 WHEEL_SPEED, STEER_SPEED = 11.52, 5.76
 #: Half width [m] of a wheel.
@@ -54,7 +55,7 @@ class SwervePlant(InWorld):
     ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
     of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
     specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
-    before time 0. ``external`` is called before every physics step with (model, data).
+    before time 0. ``external`` is called before every physics step with (model, data). ``brakes``: those of the hinges.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class SwervePlant(InWorld):
         self.world = World(spec, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g])
         self.model, self.data = self.world.model, self.world.data
         self._index()
+        self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
         self._set_sensors(self.draw)
         self._place(self._groups(state), lift, settle)
 
@@ -201,16 +203,15 @@ class SwervePlant(InWorld):
         d.qpos[3:7] = lie.quaternion_about([0.0, 0.0, 1.0], yaw)
         for group, index in self._q.items():
             d.qpos[index] = state[group] - self.offsets[group]
-        self._set_brakes(np.zeros(len(self._names["leg"])))
+        self._advance_brakes()
         for _ in range(round(settle / self.timestep)):
             self.world.advance(self._arm_weight)
         self.world.restart()
         self._history.append(d.qpos[self._all])
 
     # ------------------------------------------------------------------ running
-    def _set_brakes(self, brake: Array) -> None:
-        for dof, is_open in zip(self._v["leg"], brake, strict=True):
-            self.model.dof_frictionloss[dof] = 0.0 if is_open > 0.5 else BRAKE_TORQUE
+    def _advance_brakes(self) -> None:
+        self.model.dof_frictionloss[self._v["leg"]] = self.brakes.advance(self.timestep)
 
     def _arm_weight(self) -> None:
         dofs = self._v["arm"]
@@ -229,8 +230,9 @@ class SwervePlant(InWorld):
         d.ctrl[self._control["wheel"]] = np.clip(wheel, -WHEEL_SPEED, WHEEL_SPEED)
         d.ctrl[self._control["steer"]] = np.clip(steer, -STEER_SPEED, STEER_SPEED)
         d.ctrl[self._control["arm"]] = np.clip(arm, -self._arm_speed, self._arm_speed)
-        self._set_brakes(brake)
+        self.brakes.command(brake)
         for _ in range(steps):
+            self._advance_brakes()
             self.world.advance(self._arm_weight)
             self._history.append(d.qpos[self._all])
         self.world.check()

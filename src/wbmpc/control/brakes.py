@@ -1,0 +1,90 @@
+"""Who commands the brakes: one place that tells the brakes and the planner the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.estimation import BrakeFault
+from wbmpc.model import RobotModel
+from wbmpc.ocp import Mode, ModeSchedule
+
+Array = NDArray[np.float64]
+
+
+class BrakeControl:
+    """Brakes of a robot's legs over time: events that are scheduled, or that come at any time.
+
+    ``commanded(t)`` (n, 1 = open) goes to the brakes. The planner's mode λ follows from it: a leg that is being closed is
+    held from the command on, one that is being opened only ``delay`` [s] after it. ``changed`` is called with the new
+    schedule whenever there is one: usually ``mpc.set_schedule``.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        start: ArrayLike | None = None,
+        delay: float = 0.0,
+        changed: Callable[[ModeSchedule], None] | None = None,
+    ) -> None:
+        if "brake" not in robot.mode:
+            raise InputError(f"{robot.description.name}: its legs have no brakes")
+        self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
+        closed = np.zeros(len(self.legs))
+        self._times: list[float] = [-np.inf]
+        self._states: list[Array] = [self._checked(closed if start is None else start)]
+        self._known: dict[int, float] = {}
+        self._tell()
+
+    def _checked(self, brake: ArrayLike) -> Array:
+        state = np.asarray(brake, float)
+        if state.shape != (len(self.legs),) or not np.isin(state, (0.0, 1.0)).all():
+            raise InputError(f"brakes: {len(self.legs)} numbers, 0 (closed) or 1 (open), are needed, got {state}")
+        return state.copy()
+
+    def set(self, t: float, brake: ArrayLike) -> None:
+        """From t [s] on the brakes (n) are as given; what was scheduled for later stays, what was for the same time goes."""
+        if not np.isfinite(t):
+            raise InputError(f"brakes: the time of an event must be finite, got {t}")
+        place = int(np.searchsorted(self._times, t))
+        if place < len(self._times) and self._times[place] == t:
+            self._states[place] = self._checked(brake)
+        else:
+            self._times.insert(place, float(t))
+            self._states.insert(place, self._checked(brake))
+        self._tell()
+
+    def commanded(self, t: float) -> Array:
+        """Brakes (n) at t [s], 1 = open."""
+        return self._states[int(np.searchsorted(self._times, t + 1e-9, side="right")) - 1]
+
+    def accept(self, fault: BrakeFault) -> None:
+        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free."""
+        self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
+        self._tell()
+
+    def schedule(self) -> ModeSchedule:
+        """The planner's modes over time."""
+        late = [t + self.delay for t in self._times]
+        events = sorted({t for t in (*self._times, *late) if np.isfinite(t)})
+        states = [self._planned(-np.inf), *map(self._planned, events)]
+        modes = [Mode("".join("CO"[int(b)] for b in s), {"brake": tuple(s)}) for s in states]
+        # events at which nothing changes are left out
+        kept = [k for k, (a, b) in enumerate(pairwise(states)) if np.any(a != b)]
+        return ModeSchedule((modes[0], *(modes[k + 1] for k in kept)), tuple(events[k] for k in kept))
+
+    def _planned(self, t: float) -> Array:
+        """λ (n) at t [s]: open since at least the delay."""
+        recent = [s for u, s in zip(self._times, self._states, strict=True) if t - self.delay < u <= t]
+        state = np.min([*recent, self.commanded(t), self.commanded(t - self.delay)], axis=0)
+        for leg, value in self._known.items():
+            state[leg] = value
+        return np.asarray(state)
+
+    def _tell(self) -> None:
+        if self.changed is not None:
+            self.changed(self.schedule())

@@ -1,0 +1,258 @@
+"""`swerve-brakes`: what the brakes hold, and whether they answer (Pankert et al. 2022, sections II-C and IV-A, Fig. 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from pydantic import Field
+
+from wbmpc.control import RollingAgent
+from wbmpc.estimation import BrakeFault, BrakeMonitor
+from wbmpc.experiments.settings import ControlSettings, Settings
+from wbmpc.log import Log
+from wbmpc.loop import Progress
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.plant import BRAKE_TORQUE, Perturbation, SwerveCommand, SwervePlant
+from wbmpc.plant.world import GROUND
+from wbmpc.result import Metric, Plot, RunResult, Series
+from wbmpc.stability import CONFIGURATIONS, assess, leg_angles
+
+NAME = "swerve-brakes"
+SUMMARY = "pushes with brakes closed and open, slip of a brake, brakes that do not answer (Pankert et al. 2022, Fig. 4)"
+
+IDEALISATIONS = [
+    "the body and the legs are rigid: the paper's robot also bends",
+    "tyres are soft contacts, not a tyre model; a closed brake is dry friction of 200 N m",
+    "the time that a brake takes to open and to close is assumed",
+    "the wheels stand parallel to the body and their drives hold them still",
+]
+#: Push [N] and its length [s] (Fig. 4).
+PUSH, PUSH_TIME = 100.0, 2.0
+#: The ramps of torque [N m/s] and force [N/s], and the motions [rad, m] that count as slip.
+TORQUE_RAMP, FORCE_RAMP, SLIPPED, SLID = 20.0, 100.0, 0.005, 0.005
+#: Legs that swing out and in during the search for faults: amplitude [rad], period [s], when brakes open and one fails [s].
+SWING, SWING_PERIOD, OPENS, FAILS = 0.15, 6.0, 0.5, 4.0
+#: Torque [N m] of a knock about the left front hinge, when it comes and ends [s]: less than a brake holds.
+KNOCK, KNOCK_BEGINS, KNOCK_ENDS = 120.0, SWING_PERIOD + 0.5, SWING_PERIOD + 1.5
+
+
+class SwerveBrakesSettings(Settings):
+    """``push`` [N] sideways at the body; ``height`` [m] of the blocks under three wheels while the fourth hangs."""
+
+    control: ControlSettings = ControlSettings()
+    plant: Perturbation = Perturbation()
+    robot: str = "swerve-ur10"
+    push: float = Field(PUSH, gt=0, le=500)
+    height: float = Field(0.03, gt=0.005, le=0.2)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """One robot on the test bench: settings, seed, where the log goes."""
+
+    settings: SwerveBrakesSettings
+    robot: RobotModel
+    seed: int
+    log: Log
+
+    @property
+    def steps(self) -> int:
+        """Physics steps of a controller period."""
+        return round(1.0 / self.settings.control.rate / 5e-4)
+
+    def plant(self, configuration: str, **options: object) -> SwervePlant:
+        """Standing in a configuration, as its encoders see it, wheels parallel to the body."""
+        x = assess(self.robot, configuration, arm=options.pop("arm", None)).x  # type: ignore[arg-type]
+        return SwervePlant(
+            self.robot.description, self.robot.state.split(x), self.settings.plant, self.seed, **options  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """All tests one after the other, each on its own plant of the same seed."""
+    bench = _Bench(settings, load_robot(settings.robot), seed, Log())
+    tell = progress or (lambda share, note: None)
+    moved: dict[tuple[str, bool], float] = {}
+    for k, name in enumerate(CONFIGURATIONS):
+        for is_open in (False, True):
+            tell((2 * k + is_open) / 12, f"push in {name}")
+            moved[name, is_open] = _push(bench, name, is_open)
+    tell(0.5, "slip of a brake")
+    slip = _slip_torque(bench)
+    slides = {}
+    for k, name in enumerate(CONFIGURATIONS):
+        tell(0.55 + 0.1 * k, f"sliding in {name}")
+        slides[name] = _slide_force(bench, name)
+    tell(0.85, "brakes that do not answer")
+    faults = {kind: _fault(bench, kind) for kind in (None, "closed", "open")}
+    tell(1.0, "")
+    return RunResult(
+        NAME, seed, True, "", _metrics(moved, slip, slides, faults), None, bench.log, _plots(bench.log), IDEALISATIONS,
+        settings.model_dump(mode="json"),
+    )  # fmt: skip
+
+
+def _push(bench: _Bench, name: str, is_open: bool) -> float:
+    """Largest displacement [m] of the body while it is pushed to the left at its centre of mass."""
+    plant, farthest, channel = bench.plant(name), 0.0, f"push_{name}_{'open' if is_open else 'closed'}"
+    modules = bench.robot.base.geometry.modules
+    command = replace(
+        SwerveCommand.stop(modules, len(bench.robot.input.groups["arm"])), brake=np.full(modules, float(is_open))
+    )
+    _step(plant, command, 0.5, bench)
+    start, begin = plant.truth().pose, plant.time
+    plant.push([0.0, bench.settings.push, 0.0])
+    while plant.time < begin + PUSH_TIME:
+        plant.step(command, 4 * bench.steps)
+        truth = plant.truth()
+        farthest = max(farthest, float(np.hypot(*(truth.pose - start)[:2])))
+        bench.log.add(
+            channel,
+            plant.time - begin,
+            [*(truth.pose - start), *(truth.joints[n] for n in bench.robot.state.groups["leg"])],
+        )
+    return farthest
+
+
+def _step(plant: SwervePlant, command: SwerveCommand, seconds: float, bench: _Bench) -> None:
+    for _ in range(round(seconds * bench.settings.control.rate)):
+        plant.step(command, bench.steps)
+
+
+def _slip_torque(bench: _Bench) -> float:
+    """Torque [N m] about the left front hinge at which its closed brake gives way, that wheel in the air.
+
+    The other wheels stand on blocks, and the arm reaches to the right rear, so that the robot stands on those three.
+    """
+    robot, height = bench.robot, bench.settings.height
+    arm = robot.home[robot.state["arm"]] + np.array([np.pi] + [0.0] * (len(robot.input.groups["arm"]) - 1))
+    feet = assess(robot, "X").stance.feet
+
+    def blocks(spec: mujoco.MjSpec) -> None:
+        for x, y in feet[1:]:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.15, 0.15, height / 2], pos=[x, y, height / 2],
+                friction=[0.8, 0.005, 1e-4], solref=[0.01, 1.0], **GROUND,
+            )  # fmt: skip
+
+    plant = bench.plant("X", edit=blocks, lift=height, arm=arm)
+    stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
+    _step(plant, stop, 1.0, bench)
+    hinge = plant.model.joint(robot.state.groups["leg"][0])
+    start = float(plant.data.qpos[hinge.qposadr[0]])
+    torque, step = 0.6 * BRAKE_TORQUE, TORQUE_RAMP / bench.settings.control.rate
+    plant.external = lambda m, d: d.qfrc_applied.__setitem__(hinge.dofadr[0], torque)
+    while torque < 1.5 * BRAKE_TORQUE:
+        plant.step(stop, bench.steps)
+        angle = float(plant.data.qpos[hinge.qposadr[0]]) - start
+        bench.log.add("slip", plant.time, [torque, angle, plant.truth().wheel_force[0]])
+        if abs(angle) > SLIPPED:
+            return torque
+        torque += step
+    return float("inf")
+
+
+def _slide_force(bench: _Bench, name: str) -> float:
+    """Sideways force [N] at the body, brakes closed, at which the robot slides."""
+    plant = bench.plant(name)
+    stop = SwerveCommand.stop(bench.robot.base.geometry.modules, len(bench.robot.input.groups["arm"]))
+    _step(plant, stop, 0.5, bench)
+    start, force = plant.truth().pose, 200.0
+    while force < 2000.0 and not plant.fell:
+        plant.push([0.0, force, 0.0])
+        plant.step(stop, bench.steps)
+        moved = float(np.hypot(*(plant.truth().pose - start)[:2]))
+        bench.log.add(f"slide_{name}", plant.time, [force, moved, force / (plant.draw.friction * plant.weight)])
+        if moved > SLID:
+            return force
+        force += FORCE_RAMP / bench.settings.control.rate
+    return float("inf")
+
+
+def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
+    """Time [s] from when the fault can be seen to when the monitor tells it, and all that it told.
+
+    The legs swing in and out with open brakes, driven by the wheels, then they are closed, and the left front leg is
+    knocked. ``kind`` "closed": its brake never opens; "open": it does not close again; None: all is well.
+    """
+    robot = bench.robot
+    home = leg_angles(robot, "X")
+    outward = np.sign(home)
+
+    def goals(t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        w = 2.0 * np.pi / SWING_PERIOD
+        angle, rate = 0.5 * SWING * (np.cos(w * t) - 1.0), -0.5 * SWING * w * np.sin(w * t)
+        still = t > SWING_PERIOD
+        return (np.zeros(3), np.zeros(3)), (
+            home + outward * (0.0 if still else angle),
+            outward * (0.0 if still else rate),
+        )
+
+    plant = bench.plant("X")
+    period = 1.0 / bench.settings.control.rate
+    monitor = BrakeMonitor(robot.state.groups["leg"])
+    brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
+    agent = RollingAgent(robot, np.zeros(3), period, goals, brakes=brakes, monitor=monitor)
+    if kind == "closed":
+        plant.brakes.fail(0, "closed")
+    hinge = plant.model.joint(robot.state.groups["leg"][0]).dofadr[0]
+    for k in range(round((SWING_PERIOD + 3.0) / period)):
+        t = k * period
+        if kind == "open" and t > FAILS:
+            plant.brakes.fail(0, "open")
+        plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
+        agent.measure(plant.measure())
+        plant.step(agent.drive(t), bench.steps)
+        assert agent.measured is not None
+        bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
+    seen_from = OPENS if kind == "closed" else KNOCK_BEGINS
+    right = [f for f in monitor.faults if f.leg == 0 and kind is not None]
+    return (right[0].time - seen_from if right else float("inf")), monitor.faults
+
+
+def _metrics(
+    moved: dict[tuple[str, bool], float],
+    slip: float,
+    slides: dict[str, float],
+    faults: dict[str | None, tuple[float, list[BrakeFault]]],
+) -> dict[str, Metric]:
+    closed = {n: v for (n, is_open), v in moved.items() if not is_open}
+    opened = {n: v for (n, is_open), v in moved.items() if is_open}
+    wrong = sum(len([f for f in told if kind is None or f.leg != 0]) for kind, (_, told) in faults.items())
+    return {
+        "displacement_closed": Metric(max(closed.values()), "m", goal=3e-4),
+        "displacement_open": Metric(max(opened.values()), "m"),
+        **{f"displacement_closed_{n}": Metric(v, "m") for n, v in closed.items()},
+        **{f"displacement_open_{n}": Metric(v, "m") for n, v in opened.items()},
+        "brake_slip_torque": Metric(slip, "N m", paper=BRAKE_TORQUE, goal=206.0, least=195.0),
+        "slide_force": Metric(min(slides.values()), "N"),
+        "fault_detection_time_closed": Metric(faults["closed"][0], "s", goal=2.0),
+        "fault_detection_time_open": Metric(faults["open"][0], "s", goal=2.0),
+        "false_alarms": Metric(float(wrong), "1", goal=0.0),
+    }
+
+
+def _plots(log: Log) -> list[Plot]:
+    def sideways(state: str) -> list[Series]:
+        names = [n for n in CONFIGURATIONS if f"push_{n}_{state}" in log.channels]
+        return [Series(n, log.times(f"push_{n}_{state}"), 1e3 * log.array(f"push_{n}_{state}")[:, 1]) for n in names]
+
+    slip = log.array("slip")
+    legs = [
+        Series(f"{'sound' if kind == 'none' else f'stuck {kind}'}", log.times(c), np.degrees(log.array(c)[:, 0]))
+        for kind in ("none", "closed", "open")
+        for c in [f"fault_{kind}"]
+    ]
+    legs.append(Series("wanted", log.times("fault_none"), np.degrees(log.array("fault_none")[:, 4]), dashed=True))
+    slides = [Series(n, log.array(f"slide_{n}")[:, 0], 1e3 * log.array(f"slide_{n}")[:, 1]) for n in CONFIGURATIONS]
+    return [
+        Plot("Pushed sideways, brakes closed (Fig. 4b)", "time [s]", "displacement [mm]", sideways("closed")),
+        Plot("Pushed sideways, brakes open (Fig. 4a)", "time [s]", "displacement [mm]", sideways("open")),
+        Plot("Slip of a closed brake", "torque about the hinge [N m]", "angle [mrad]", [
+            Series("left front leg", slip[:, 0], 1e3 * slip[:, 1]),
+        ]),
+        Plot("Pushed until it slides, brakes closed", "force [N]", "displacement [mm]", slides),
+        Plot("Left front leg, its brake sound or stuck", "time [s]", "leg angle [deg]", legs),
+    ]  # fmt: skip

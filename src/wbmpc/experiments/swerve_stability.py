@@ -1,0 +1,53 @@
+"""`swerve-stability`: support polygon and support triangles of H, X and A (Pankert et al. 2022, Table I, Fig. 2)."""
+
+from __future__ import annotations
+
+from wbmpc.experiments.settings import Settings
+from wbmpc.log import Log
+from wbmpc.loop import Progress
+from wbmpc.model import load_robot
+from wbmpc.result import Drawing, Metric, RunResult
+from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
+
+NAME = "swerve-stability"
+SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"
+
+IDEALISATIONS = [
+    "pure geometry, no physics: wheels touch the ground in points under the steer axes",
+    "the paper gives no leg angles: 45 degrees for X, 0.498 rad inwards and 0.747 rad outwards for A reproduce its table",
+]
+#: Table I of the paper [m²]: support polygon, largest region in which two support triangles overlap.
+TABLE = {"H": (1.16, 0.29), "X": (1.81, 0.45), "A": (1.17, 0.76)}
+#: Half a unit of the table's last digit [m²].
+ROUNDING = 0.005
+
+
+class SwerveStabilitySettings(Settings):
+    """``robot``: with two front and two rear legs on hinges."""
+
+    robot: str = "swerve-ur10"
+
+
+def run(settings: SwerveStabilitySettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """The areas of Table I from the robot's geometry. Nothing is random: the seed has no effect."""
+    robot, log = load_robot(settings.robot), Log()
+    found = {name: assess(robot, name) for name in CONFIGURATIONS}
+    for k, a in enumerate(found.values()):
+        log.add("leg", float(k), a.x[robot.state["leg"]])
+        log.add("feet", float(k), a.stance.feet.ravel())
+        log.add("zero_moment_point", float(k), a.stance.zmp)
+    if progress is not None:
+        progress(1.0, "")
+    drawings = [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()]
+    return RunResult(
+        NAME, seed, True, "", _metrics(found), None, log, drawings, IDEALISATIONS, settings.model_dump(mode="json")
+    )
+
+
+def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
+    metrics = {}
+    for column, kind in enumerate(("support_polygon_area", "double_support_area")):
+        for name, a in found.items():
+            value, paper = (a.polygon_area, a.double_support_area)[column], TABLE[name][column]
+            metrics[f"{kind}_{name}"] = Metric(value, "m2", paper=paper, goal=paper + ROUNDING, least=paper - ROUNDING)
+    return metrics

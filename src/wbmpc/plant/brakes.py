@@ -1,0 +1,67 @@
+"""Magnetic brakes on the hinges of the legs: dry friction that rises and falls in time, and faults.
+
+Each brake holds its torque (200 N m, Pankert et al., RA-L 2022, section II-C) and slips beyond it. Between open and closed
+the torque changes linearly over ``delay``, an assumption: the data sheet's times were not available.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError, unknown_name
+
+Array = NDArray[np.float64]
+State = Literal["open", "opening", "closing", "closed"]
+#: Torque [N m] that a brake holds.
+BRAKE_TORQUE = 200.0
+_STUCK = {"open": 0.0, "closed": 1.0}
+
+
+class Brakes:
+    """n brakes, closed at the start. ``delay`` [s] from open to closed and back; ``engaged`` (n): 0 open to 1 closed."""
+
+    def __init__(self, n: int, delay: float = 0.0, torque: float = BRAKE_TORQUE) -> None:
+        self.delay, self.torque = delay, torque
+        self.engaged: Array = np.ones(n)
+        self._wanted: Array = np.ones(n)
+        self._stuck: dict[int, float] = {}
+
+    def command(self, brake: ArrayLike) -> None:
+        """What each brake (n) shall be: 1 open, 0 closed."""
+        self._wanted = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
+
+    def fail(self, leg: int, kind: str | None) -> None:
+        """A brake that no longer answers: "open" or "closed" for good; None repairs it."""
+        if not 0 <= leg < self.engaged.size:
+            raise InputError(f"brakes: there is no leg {leg}; valid: 0 to {self.engaged.size - 1}")
+        if kind is None:
+            self._stuck.pop(leg, None)
+            return
+        if kind not in _STUCK:
+            raise unknown_name("fault of a brake", kind, _STUCK)
+        self._stuck[leg] = _STUCK[kind]
+
+    def advance(self, h: float) -> Array:
+        """Torques (n) [N m] that the brakes can hold after h [s]."""
+        wanted = self._wanted.copy()
+        for leg, value in self._stuck.items():
+            wanted[leg] = value
+        step = h / self.delay if self.delay > h else 1.0
+        self.engaged = self.engaged + np.clip(wanted - self.engaged, -step, step)
+        return self.torque * self.engaged
+
+    @property
+    def states(self) -> list[State]:
+        """The state of each brake in a word."""
+        return [self._word(e, w) for e, w in zip(self.engaged, self._wanted, strict=True)]
+
+    @staticmethod
+    def _word(engaged: float, wanted: float) -> State:
+        if engaged >= 1.0:
+            return "closed"
+        if engaged <= 0.0:
+            return "open"
+        return "closing" if wanted > 0.5 else "opening"

@@ -1,0 +1,63 @@
+"""Stability of robots on three feet or more: support, zero-moment point, margins, support switches."""
+
+from wbmpc.stability.assessment import Assessment, assess
+from wbmpc.stability.configurations import CONFIGURATIONS, leg_angles
+from wbmpc.stability.drawing import draw
+from wbmpc.stability.geometry import (
+    Region,
+    Triangle,
+    area,
+    edge_distances,
+    hull,
+    margin,
+    overlap_regions,
+    region_margin,
+    support_polygon,
+    support_triangles,
+    triangle_margins,
+)
+from wbmpc.stability.robot import Stance, StanceOf, Support, counter_clockwise
+from wbmpc.stability.switches import (
+    Crossing,
+    Switch,
+    crossings,
+    resting_triangles,
+    support_shares,
+    support_switches,
+    upright,
+)
+from wbmpc.stability.zmp import GRAVITY, Load, slope_gravity, zero_moment_point
+
+__all__ = [
+    "CONFIGURATIONS",
+    "GRAVITY",
+    "Assessment",
+    "Crossing",
+    "Load",
+    "Region",
+    "Stance",
+    "StanceOf",
+    "Support",
+    "Switch",
+    "Triangle",
+    "area",
+    "assess",
+    "counter_clockwise",
+    "crossings",
+    "draw",
+    "edge_distances",
+    "hull",
+    "leg_angles",
+    "margin",
+    "overlap_regions",
+    "region_margin",
+    "resting_triangles",
+    "slope_gravity",
+    "support_polygon",
+    "support_shares",
+    "support_switches",
+    "support_triangles",
+    "triangle_margins",
+    "upright",
+    "zero_moment_point",
+]

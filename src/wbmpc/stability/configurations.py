@@ -1,0 +1,65 @@
+"""The leg configurations H, X and A of a base with two front and two rear legs.
+
+Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), Fig. 2 and Table I. The paper gives no angles; these reproduce all
+six areas of the table. (The commands of the authors' release, leggedrobotics/swerve_steering: 0.72 rad for X and −0.5,
+0.72 rad for A, give 1.80 and 0.45, 1.16 and 0.75 m².)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model import RobotModel
+from wbmpc.stability.robot import standing
+
+#: Outward angles [rad] of front and rear legs (negative: turned inwards).
+CONFIGURATIONS = {"H": (0.0, 0.0), "X": (np.pi / 4, np.pi / 4), "A": (-0.498, 0.747)}
+
+
+def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArray[np.float64]:
+    """Leg angles (n) [rad] of a configuration by name, or of n joint angles given as numbers or as "0.1,0,-0.2,0".
+
+    Names need a base with two front and two rear hinges. Raises :class:`InputError` for angles outside the limits.
+    """
+    geometry = standing(robot).geometry
+    if not geometry.has_hinge:
+        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+    if isinstance(configuration, str) and configuration.upper() in CONFIGURATIONS:
+        return _named(robot, configuration.upper())
+    angles = _parsed(configuration, geometry.modules)
+    part = robot.state["leg"]
+    for name, value, low, high in zip(
+        robot.state.groups["leg"], angles, robot.limits.state_lower[part], robot.limits.state_upper[part], strict=True
+    ):
+        if not low <= value <= high:
+            raise InputError(f"configuration: {name} at {value:g} rad is outside its limits {low:g} to {high:g}")
+    return angles
+
+
+def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
+    g = standing(robot).geometry
+    front, left = g.hinge[:, 0] > 0.0, g.hinge[:, 1] > 0.0
+    if g.modules != 4 or front.sum() != 2 or left.sum() != 2:
+        raise InputError(
+            f"{robot.description.name}: configuration {name} needs two front and two rear legs; give angles"
+        )
+    # turning by a positive angle moves the foot of a leg along ±x to the left or to the right
+    outward = np.sign(np.cos(g.leg_heading)) * np.where(left, 1.0, -1.0)
+    ahead, behind = CONFIGURATIONS[name]
+    return np.asarray(outward * np.where(front, ahead, behind))
+
+
+def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float64]:
+    try:
+        parts = configuration.replace(",", " ").split() if isinstance(configuration, str) else configuration
+        angles = np.array([float(v) for v in parts])
+    except ValueError:
+        choices = [*CONFIGURATIONS, f"{legs} angles in rad such as {','.join(['0.1'] * legs)}"]
+        raise unknown_name("configuration", str(configuration), choices) from None
+    if angles.shape != (legs,) or not np.isfinite(angles).all():
+        raise InputError(f"configuration: {legs} angles [rad] are needed, one per leg, got {angles.size}")
+    return angles

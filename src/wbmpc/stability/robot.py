@@ -1,0 +1,219 @@
+"""The support of a described robot: contacts, masses, loads and margins, as symbols and as numbers.
+
+Only robots on steered wheels (swerve bases) with at least three modules stand on feet. Everything is in axes of the world
+(z along the ground's normal), with the origin on the ground under the base's frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.model import FramePose, RobotModel
+from wbmpc.model.swerve import SwerveBase
+from wbmpc.model.symbolic import Chain, constant, cross
+from wbmpc.stability.geometry import Array, Triangle, hull, support_polygon, triangle_margins
+from wbmpc.stability.geometry import margin as margin_to
+from wbmpc.stability.zmp import GRAVITY
+
+Feet = Sequence[int]
+
+
+def standing(robot: RobotModel) -> SwerveBase:
+    """The robot's base if it stands on three feet or more, or :class:`InputError`."""
+    base = robot.base
+    if not isinstance(base, SwerveBase) or base.geometry.modules < 3:
+        kind = robot.description.base.type
+        raise InputError(
+            f"{robot.description.name}: stability needs a swerve base with 3 modules or more, not '{kind}'"
+        )
+    return base
+
+
+class Support:
+    """Symbolic expressions of one robot at a state x (nx): CasADi SX, for residuals and compiled functions."""
+
+    def __init__(self, robot: RobotModel, x: ca.SX) -> None:
+        self.robot, self.base, self.x = robot, standing(robot), x
+        root = self.base.root(x)
+        self._ground = root.position
+        above = ca.vertcat(0.0, 0.0, root.position[2])
+        chain = self.base.chain(x)
+        self.chain = Chain(chain.links, chain.values, FramePose(above, root.quaternion, root.rotation))
+        self.mass = float(sum(link.mass for link in self.chain.links))
+        self.feet = self._feet(root.rotation)
+        self.com = self._com()
+
+    def _feet(self, rotation: ca.SX) -> ca.SX:
+        g, parts = self.base.geometry, self.base.slices(self.x, True)
+        feet = []
+        for i in range(g.modules):
+            angle = float(g.leg_heading[i]) + (parts["leg"][i] if g.has_hinge else 0.0)
+            on_body = constant(g.hinge[i]) + float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
+            feet.append(rotation[0:2, 0:2] @ on_body)
+        return ca.horzcat(*feet).T
+
+    def _com(self) -> ca.SX:
+        total = ca.SX(3, 1)
+        for i, link in enumerate(self.chain.links):
+            if link.mass > 0.0:
+                pose = self.chain.link_pose(i)
+                total += link.mass * (pose.position + pose.rotation @ constant(link.com))
+        return total / self.mass
+
+    def tool(self) -> ca.SX:
+        """The hand's frame (3) [m]."""
+        return self.chain.frame_pose(self.robot.tree.frames[self.robot.tool]).position
+
+    def momentum(self, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Momentum (3) [kg m/s] and angular momentum (3) [kg m²/s] about the centre of mass for rates u (nu)."""
+        rates, linear, angular = self.base.motion(self.x, u)
+        v: list[ca.SX] = []
+        w: list[ca.SX] = []
+        total, about = ca.SX(3, 1), ca.SX(3, 1)
+        for i, link in enumerate(self.chain.links):
+            place, up = self.chain.places[i], link.parent
+            v0, w0 = (v[up], w[up]) if up >= 0 else (linear, angular)
+            v.append(place.rotation.T @ (v0 + cross(w0, place.offset)))
+            w.append(place.rotation.T @ w0)
+            if i in rates:
+                if link.kind == "revolute":
+                    w[i] = w[i] + place.axis * rates[i]
+                else:
+                    v[i] = v[i] + place.axis * rates[i]
+            if link.mass > 0.0:
+                pose, com = self.chain.link_pose(i), constant(link.com)
+                moved = pose.rotation @ (link.mass * (v[i] + cross(w[i], com)))
+                total += moved
+                about += cross(pose.position + pose.rotation @ com - self.com, moved)
+                about += pose.rotation @ (constant(link.inertia) @ w[i])
+        return total, about
+
+    def load(
+        self,
+        wrench: ca.SX | None = None,
+        gravity: ArrayLike = GRAVITY,
+        motion: tuple[ca.SX, ca.SX, ca.SX] | None = None,
+    ) -> tuple[ca.SX, ca.SX]:
+        """Force (3) [N] and moment (3) [N m] about the origin: gravity, the world's ``wrench`` (6) on the hand (force and
+        moment in world axes) and the inertia of a ``motion``: rates u (nu), ẋ (nx), and u̇ (nu)."""
+        force = self.mass * constant(gravity)
+        moment = ca.SX(3, 1)
+        if motion is not None:
+            u, x_rate, u_rate = motion
+            p, spin = self.momentum(u)
+            every, change = ca.vertcat(self.x, u), ca.vertcat(x_rate, u_rate)
+            force = force - ca.jtimes(p, every, change)
+            moment = moment - ca.jtimes(spin, every, change)
+        moment = moment + cross(self.com, force)
+        if wrench is not None:
+            force = force + wrench[0:3]
+            moment = moment + wrench[3:6] + cross(self.tool(), wrench[0:3])
+        return force, moment
+
+    @staticmethod
+    def zmp(load: tuple[ca.SX, ca.SX]) -> ca.SX:
+        """Zero-moment point (2) [m] of a force and a moment."""
+        force, moment = load
+        return ca.vertcat(-moment[1], moment[0]) / force[2]
+
+    def distances(self, feet: Feet, point: ca.SX) -> ca.SX:
+        """Distances [m] of a point (2) to the edges of a polygon of feet, in their order (counter-clockwise: inside > 0)."""
+        rows = []
+        for k, i in enumerate(feet):
+            j = feet[(k + 1) % len(feet)]
+            a, b = self.feet[i, :].T, self.feet[j, :].T
+            d, to = b - a, point - a
+            rows.append((d[0] * to[1] - d[1] * to[0]) / ca.norm_2(d))
+        return ca.vertcat(*rows)
+
+
+def counter_clockwise(robot: RobotModel, feet: Feet | None = None) -> tuple[int, ...]:
+    """Modules (all on the hull when left out) in the order in which they stand around at the robot's home."""
+    base = standing(robot)
+    leg = robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(base.geometry.modules)
+    points = base.geometry.steer_axes(leg)
+    if feet is None:
+        return tuple(hull(points))
+    chosen = list(feet)
+    if len(set(chosen)) < 3 or not set(chosen) <= set(range(len(points))):
+        raise InputError(f"feet: at least 3 different modules of 0 to {len(points) - 1} are needed, got {tuple(feet)}")
+    order = hull(points[chosen])
+    if len(order) < len(chosen):
+        raise InputError(f"feet: at the robot's home the modules {tuple(feet)} are not the corners of a convex polygon")
+    return tuple(chosen[i] for i in order)
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How a robot stands, in world axes under its base: ``feet`` (n, 2) [m], ``com`` (3) [m], ``mass`` [kg], the total load
+    ``force`` (3) [N], ``moment`` (3) [N m], its zero-moment point ``zmp`` (2) [m] (not a number without load)."""
+
+    feet: Array
+    com: Array
+    mass: float
+    force: Array
+    moment: Array
+    zmp: Array
+
+    @property
+    def polygon_margin(self) -> float:
+        """Signed distance [m] of the zero-moment point to the border of the support polygon."""
+        return float(margin_to(support_polygon(self.feet), self.zmp))
+
+    @property
+    def triangle_margins(self) -> dict[Triangle, float]:
+        """The same to every support triangle."""
+        return {t: float(m) for t, m in triangle_margins(self.feet, self.zmp).items()}
+
+
+class StanceOf:
+    """Callable: a robot's :class:`Stance` at numeric states; compiles its expressions once."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        x, u, a = (
+            ca.SX.sym(n, size)
+            for n, size in (("x", robot.state.size), ("u", robot.input.size), ("a", robot.input.size))
+        )
+        wrench, gravity = ca.SX.sym("wrench", 6), ca.SX.sym("gravity", 3)
+        support = Support(robot, x)
+        mode = ca.SX.ones(robot.mode.size)
+        x_rate = robot.dynamics()(x, u, ca.SX.zeros(robot.parameters.size), mode)
+        load = support.load(wrench, GRAVITY, (u, x_rate, a))
+        change = support.mass * (gravity - ca.DM(GRAVITY))
+        load = (load[0] + change, load[1] + ca.cross(support.com, change))
+        outputs = [support.feet, support.com, *load]
+        self.robot, self.mass = robot, support.mass
+        self._function = ca.Function("stance", [x, u, a, wrench, gravity], [ca.densify(o) for o in outputs])
+
+    def __call__(
+        self,
+        x: ArrayLike,
+        wrench: ArrayLike = (0.0,) * 6,
+        gravity: ArrayLike = GRAVITY,
+        u: ArrayLike | None = None,
+        u_rate: ArrayLike | None = None,
+    ) -> Stance:
+        """At state x (nx), with the world's ``wrench`` (6) on the hand (force [N], moment [N m], world axes), ``gravity`` (3)
+        [m/s²], and the inertia of inputs u (nu) that change by ``u_rate`` (nu) per second (brakes open)."""
+        none = np.zeros(self.robot.input.size)
+        given = (x, none if u is None else u, none if u_rate is None else u_rate, wrench, gravity)
+        sizes = (self.robot.state.size, none.size, none.size, 6, 3)
+        names = ("state", "input", "input's rate", "wrench", "gravity")
+        checked = [_numbers(n, v, s) for n, v, s in zip(names, given, sizes, strict=True)]
+        feet, com, force, moment = (np.array(v) for v in self._function(*checked))
+        force, moment = force.ravel(), moment.ravel()
+        down = force[2] if force[2] < 0.0 else np.nan
+        return Stance(feet, com.ravel(), self.mass, force, moment, np.array([-moment[1], moment[0]]) / down)
+
+
+def _numbers(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+    array = np.asarray(values, float)
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(f"{name}: {size} finite numbers are needed, got {np.array2string(array, threshold=8)}")
+    return array

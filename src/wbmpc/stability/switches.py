@@ -1,0 +1,173 @@
+"""Which three feet a rigid robot stands on, and when that changes along a motion.
+
+On feet of different height the robot stands on a face of the upper convex hull of the points (x, y, height): the ground
+carries it from below. On each face it is tilted, which moves its zero-moment point; where that point leaves the face
+through an edge, the robot rocks over it to the neighbouring face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.stability.geometry import (
+    Triangle,
+    checked_feet,
+    cross,
+    edge_distances,
+    support_triangles,
+)
+
+Array = NDArray[np.float64]
+#: Largest step [m] by which a foot may stand above a face that still counts as carrying.
+_LEVEL = 1e-9
+
+
+def resting_triangles(feet: ArrayLike, heights: ArrayLike) -> list[Triangle]:
+    """The triangles on which a robot with feet (n, 2) [m] can stand on ground of ``heights`` (n) [m] under them.
+
+    Those without a point of the ground above their plane; together they cover the support polygon. On level ground all.
+    """
+    points = checked_feet(feet)
+    h = np.asarray(heights, float)
+    if h.shape != (len(points),) or not np.isfinite(h).all():
+        raise InputError(f"heights: {len(points)} finite numbers are needed, got {h}")
+    return [t for t in support_triangles(points) if _above(points, h, t) <= _LEVEL]
+
+
+def _above(points: Array, heights: Array, triangle: Triangle) -> float:
+    """By how much [m] the highest point of the ground stands above the plane of three of them."""
+    corners = points[list(triangle)]
+    slope = np.linalg.solve(corners[1:] - corners[0], heights[list(triangle)][1:] - heights[triangle[0]])
+    plane = heights[triangle[0]] + (points - corners[0]) @ slope
+    return float(np.max(heights - plane))
+
+
+def upright(feet: ArrayLike, heights: ArrayLike, triangle: Triangle) -> Array:
+    """The vertical (3) in the robot's frame when it stands on three feet (z: normal to the plane of its feet).
+
+    Exact: heights differ by the vertical times the way from foot to foot.
+    """
+    points, h = np.asarray(feet, float)[list(triangle)], np.asarray(heights, float)[list(triangle)]
+    flat = np.linalg.solve(points[1:] - points[0], h[1:] - h[0])
+    if flat @ flat >= 1.0:
+        raise InputError(f"heights: a step of {np.ptp(h):g} m is too high for feet that near to each other")
+    return np.array([*flat, np.sqrt(1.0 - flat @ flat)])
+
+
+def support_shares(feet: ArrayLike, triangle: Triangle, point: ArrayLike) -> Array:
+    """Shares (..., 3) of the load on the three feet for zero-moment points (..., 2): barycentric coordinates."""
+    corners = np.asarray(feet, float)[list(triangle)]
+    d = edge_distances(corners, point)
+    along = np.roll(corners, -1, axis=0) - corners
+    twice = float(cross(along[0], -along[2]))
+    # the distance to the edge opposite of a foot over its height
+    return np.asarray(np.roll(d * np.linalg.norm(along, axis=1), 2, axis=-1) / twice)
+
+
+@dataclass(frozen=True)
+class Switch:
+    """At ``time`` [s] the feet ``before`` stop carrying; ``after`` do, or none: the robot tips over an edge."""
+
+    time: float
+    before: tuple[int, ...]
+    after: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """At ``time`` [s] a zero-moment point leaves the support triangles ``left`` and enters others, ``entered``."""
+
+    time: float
+    left: tuple[Triangle, ...]
+    entered: tuple[Triangle, ...]
+
+
+def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Crossing]:
+    """Where zero-moment points (k, 2) at times (k,) leave and enter support triangles, on nominally level ground.
+
+    There the robot may rock: it does if one of the triangles that are left has carried it. Linear between samples. A
+    crossing that enters nothing and after which no triangle is left tips the robot over.
+    """
+    t, p, corners = np.asarray(times, float), np.asarray(points, float), checked_feet(feet)
+    triangles = support_triangles(corners)
+    distances = np.stack([edge_distances(corners[list(k)], p).min(axis=-1) for k in triangles], axis=-1)
+    inside = distances > 0.0
+    found: list[Crossing] = []
+    for k in np.flatnonzero(np.any(inside[1:] != inside[:-1], axis=1)):
+        for n in np.flatnonzero(inside[k + 1] != inside[k]):
+            share = distances[k, n] / (distances[k, n] - distances[k + 1, n])
+            when = float(t[k] + share * (t[k + 1] - t[k]))
+            gone, come = ((triangles[n],), ()) if inside[k, n] else ((), (triangles[n],))
+            found.append(Crossing(when, gone, come))
+    return _merged(sorted(found, key=lambda c: c.time))
+
+
+def _merged(found: list[Crossing]) -> list[Crossing]:
+    """Crossings of one edge as one: its triangles are left and entered at the same time, up to rounding."""
+    out: list[Crossing] = []
+    for c in found:
+        if out and c.time - out[-1].time < 1e-9:
+            last = out.pop()
+            c = Crossing(last.time, last.left + c.left, last.entered + c.entered)
+        out.append(c)
+    return out
+
+
+#: (vertical (3) in the robot's frame, triangle) -> feet (n, 2) [m], zero-moment points (k, 2) [m], forces (k,) [N].
+Stance = Callable[[Array, Triangle], tuple[Array, Array, Array]]
+
+
+def support_switches(
+    times: ArrayLike,
+    feet: ArrayLike,
+    heights: ArrayLike,
+    stance: Stance,
+    unloaded: float = 0.0,
+    start: ArrayLike | None = None,
+) -> list[Switch]:
+    """When a robot rocks from three feet to others while it moves slowly over ground of ``heights`` (n) [m].
+
+    ``stance(vertical, triangle)`` gives, for the robot standing on that triangle, its feet (n, 2) [m], its zero-moment
+    points (k, 2) [m] at the times, and the forces (k,) [N] that press on the ground. The robot rocks when a foot would have
+    to pull; the switch is dated to when that foot carries less than ``unloaded`` [N]. Rocking itself is taken as short.
+    Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
+    its zero-moment point before it tilted, or else on the one that it stands on more firmly.
+    """
+    t, points = np.asarray(times, float), checked_feet(feet)
+    faces = resting_triangles(points, heights)
+    forces: dict[Triangle, Array] = {}
+    for face in faces:
+        stood, zmp, press = stance(upright(points, heights, face), face)
+        forces[face] = support_shares(stood, face, zmp) * press[:, None]
+    firmness = lambda f: float(forces[f][0].min() if start is None else support_shares(points, f, start).min())
+    now: Triangle | None = max(faces, key=firmness)
+    found: list[Switch] = []
+    k = 0
+    while now is not None:
+        carried = forces[now]
+        tipped = np.flatnonzero((carried[k:] < 0.0).any(axis=1))
+        if not tipped.size:
+            break
+        i = k + int(tipped[0])
+        foot = int(np.argmin(carried[i]))
+        others = [f for f in faces if now[foot] not in f and len(set(f) & set(now)) == 2]
+        best = max(others, key=lambda f: float(forces[f][i].min()), default=None)
+        when = _falls_below(t[k : i + 1], carried[k : i + 1, foot], unloaded)
+        found.append(Switch(when, tuple(sorted(now)), tuple(sorted(best or ()))))
+        now, k = best, i
+    return found
+
+
+def _falls_below(t: Array, values: Array, level: float) -> float:
+    """When values last fall below a level; the first time if they start below it. Linear between samples."""
+    above = np.flatnonzero(values >= level)
+    if not above.size:
+        return float(t[0])
+    i = int(above[-1])
+    share = (values[i] - level) / (values[i] - values[i + 1])
+    return float(t[i] + share * (t[i + 1] - t[i]))

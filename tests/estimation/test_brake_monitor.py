@@ -1,0 +1,68 @@
+"""Brakes that do not answer. Truth: leg motions written by formula, with an encoder's steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.estimation import BrakeMonitor
+
+NAMES = ["a", "b", "c", "d"]
+COUNT = 2.0 * np.pi / 2**14
+
+
+def watch(leg, brake, rate, end: float = 6.0) -> BrakeMonitor:  # type: ignore[no-untyped-def]
+    """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each) at 400 Hz."""
+    monitor = BrakeMonitor(NAMES)
+    for t in np.arange(0.0, end, 0.0025):
+        monitor.update(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t))
+    return monitor
+
+
+OPEN, CLOSED, STILL = np.ones(4), np.zeros(4), np.zeros(4)
+SINE = lambda t: 0.3 * np.sin(t) * np.array([1.0, -1.0, 1.0, -1.0])
+RATE = lambda t: 0.3 * np.cos(t) * np.array([1.0, -1.0, 1.0, -1.0])
+
+
+def test_legs_that_do_what_they_should_are_not_told() -> None:
+    assert watch(SINE, lambda t: OPEN, RATE).faults == []
+    assert watch(lambda t: STILL, lambda t: CLOSED, RATE).faults == []
+    # less than planned, but they move
+    assert watch(lambda t: 0.1 * SINE(t), lambda t: OPEN, RATE).faults == []
+
+
+def test_a_closed_leg_that_moves() -> None:
+    slips = lambda t: np.array([0.0, 0.0, -0.02 * max(0.0, t - 3.0), 0.0])
+    (fault,) = watch(slips, lambda t: CLOSED, lambda t: STILL).faults
+    assert (fault.leg, fault.kind) == (2, "does not hold")
+    assert fault.time == pytest.approx(3.5, abs=0.03)  # 10 mrad at 20 mrad/s
+    assert "brake of c does not hold" in str(fault)
+
+
+def test_an_open_leg_that_does_not_move() -> None:
+    stuck = lambda t: SINE(t) * np.array([1.0, 1.0, 1.0, 0.0])
+    (fault,) = watch(stuck, lambda t: OPEN, RATE).faults
+    assert (fault.leg, fault.kind) == (3, "does not open")
+    # 0.3 sin t of the plan reach 0.16 rad
+    assert fault.time == pytest.approx(np.arcsin(0.16 / 0.3), abs=0.01)
+
+
+def test_brakes_take_their_time() -> None:
+    """Legs coast for 0.2 s after the command to close, and start 0.2 s after the one to open."""
+    coasting = lambda t: 0.2 * np.clip(t - 2.0, 0.0, 0.2) + STILL
+    assert watch(coasting, lambda t: OPEN if t < 2.0 else CLOSED, lambda t: STILL).faults == []
+    late = lambda t: 0.5 * max(0.0, t - 2.2) + STILL
+    assert watch(late, lambda t: CLOSED if t < 2.0 else OPEN, lambda t: 0.5 + STILL, end=4.0).faults == []
+
+
+def test_a_fault_is_told_once_for_each_command() -> None:
+    drift = lambda t: np.array([0.05 * t, 0.0, 0.0, 0.0])
+    assert len(watch(drift, lambda t: CLOSED, lambda t: STILL).faults) == 1
+    twice = watch(drift, lambda t: OPEN if 2.0 < t < 3.0 else CLOSED, lambda t: STILL).faults
+    assert [f.leg for f in twice] == [0, 0] and twice[1].time > 3.25
+
+
+def test_senseless_thresholds_are_refused() -> None:
+    with pytest.raises(InputError, match="positive"):
+        BrakeMonitor(NAMES, moved=0.0)

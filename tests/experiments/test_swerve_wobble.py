@@ -1,0 +1,54 @@
+"""`swerve-wobble`, shortened. Truth: the physics' own wheel forces; a robot on an even floor does not rock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.experiments import swerve_wobble
+from wbmpc.experiments.swerve_wobble import SwerveWobbleSettings, time_error, unloaded
+from wbmpc.plant import Perturbation
+from wbmpc.stability import Switch
+
+
+@pytest.fixture(scope="module")
+def result():  # type: ignore[no-untyped-def]
+    """A nominal plant: what prediction and physics differ in is then not its masses."""
+    settings = SwerveWobbleSettings(heights=(0.02,), turn=20.0, plant=Perturbation.none())
+    return swerve_wobble.run(settings, 0)
+
+
+def test_only_the_a_configuration_does_not_wobble(result) -> None:  # type: ignore[no-untyped-def]
+    m = {name: metric.value for name, metric in result.metrics.items()}
+    assert min(m["roll_pitch_rate_max_H"], m["roll_pitch_rate_max_X"]) > 0.03
+    assert m["roll_pitch_rate_max_A"] < 3e-4
+    # the gyro sees the same spikes within its noise
+    for name in "HX":
+        assert m[f"imu_rate_max_{name}"] == pytest.approx(m[f"roll_pitch_rate_max_{name}"], rel=0.5)
+
+
+def test_predicted_switches_are_those_of_the_physics(result) -> None:  # type: ignore[no-untyped-def]
+    assert result.metrics["support_switches"].value == 4.0  # two in H, two in X, none in A
+    assert result.metrics["support_switch_time_error_max"].value < 0.1
+    for name, count in {"H": 2, "X": 2, "A": 0}.items():
+        force = result.log.array(f"force_{name}_20mm")
+        events = unloaded(result.log.times(f"force_{name}_20mm"), force)
+        assert len(events) == count
+        # the raised wheel and the opposite one carry all the time
+        assert force[:, [0, 3]].min() > 50.0 or name != "A"
+
+
+def test_a_wheel_that_bounces_has_not_left_the_ground() -> None:
+    t = np.arange(0.0, 10.0, 0.01)
+    force = np.full((t.size, 4), 100.0)
+    force[(t > 2.0) & (t < 2.2), 1] = 0.0
+    force[t > 5.0, 2] = 1.0
+    assert unloaded(t, force) == [(pytest.approx(5.01), 2)]
+
+
+def test_switches_count_only_if_they_are_the_same() -> None:
+    switch = Switch(5.0, (0, 2, 3), (0, 1, 3))
+    assert time_error([switch], [(5.3, 2)]) == pytest.approx(0.3)
+    assert time_error([switch], [(5.3, 1)]) == np.inf
+    assert time_error([switch], []) == np.inf
+    assert time_error([], []) == 0.0

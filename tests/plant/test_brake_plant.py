@@ -1,0 +1,57 @@
+"""Brakes in time, their faults, and the brake tests of the simulated robot. Truth: 200 N m of the paper, Coulomb friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
+from wbmpc.plant import BRAKE_TORQUE, Brakes
+
+
+def test_torque_rises_and_falls_within_the_delay() -> None:
+    brakes = Brakes(2, delay=0.1)
+    assert brakes.states == ["closed", "closed"]
+    brakes.command([1.0, 0.0])
+    torques = np.array([brakes.advance(0.01) for _ in range(12)])
+    assert torques[:, 1] == pytest.approx(BRAKE_TORQUE)
+    assert torques[[0, 4, 9, 11], 0] == pytest.approx([180.0, 100.0, 0.0, 0.0], abs=1e-9)
+    brakes.command([0.0, 0.0])
+    assert brakes.advance(0.05)[0] == pytest.approx(100.0) and brakes.states[0] == "closing"
+    brakes.command([1.0, 0.0])
+    assert brakes.states[0] == "opening"
+    assert Brakes(1).advance(0.001) == pytest.approx([BRAKE_TORQUE])
+
+
+def test_a_stuck_brake_does_not_answer_until_it_is_repaired() -> None:
+    brakes = Brakes(2)
+    brakes.fail(1, "closed")
+    brakes.command([1.0, 1.0])
+    assert brakes.advance(0.001) == pytest.approx([0.0, BRAKE_TORQUE])
+    brakes.fail(1, None)
+    assert brakes.advance(0.001) == pytest.approx([0.0, 0.0])
+    brakes.fail(0, "open")
+    brakes.command([0.0, 0.0])
+    assert brakes.advance(0.001) == pytest.approx([0.0, BRAKE_TORQUE])
+    with pytest.raises(InputError, match="no leg 2"):
+        brakes.fail(2, "open")
+    with pytest.raises(InputError, match="valid: open, closed"):
+        brakes.fail(0, "rusty")
+
+
+def test_the_experiment_reaches_its_goals() -> None:
+    """Fig. 4 of the paper: closed brakes hold the pushed robot, open ones do not, least of all in H."""
+    experiment = REGISTRY["swerve-brakes"]
+    result = experiment.run(experiment.config_type(), 3, None)
+    m = {name: metric.value for name, metric in result.metrics.items()}
+    assert {n: x.met for n, x in result.metrics.items() if x.met is False} == {}
+    assert 195.0 < m["brake_slip_torque"] < 206.0
+    assert m["displacement_closed"] < 3e-4 < 0.02 < m["displacement_open"] == m["displacement_open_H"]
+    assert m["displacement_open"] > 5.0 * max(m["displacement_open_X"], m["displacement_open_A"])
+    # Coulomb: the force that slides the robot is friction times weight, which is drawn within 5 %
+    assert 0.6 * 950.0 < m["slide_force"] < 0.9 * 1045.0
+    shares = [result.log.array(f"slide_{n}")[-1, 2] for n in "HXA"]
+    assert shares == pytest.approx(np.ones(3), abs=0.06)
+    for plot in result.plots:
+        assert all(len(s.x) == len(s.y) > 0 for s in plot.series)

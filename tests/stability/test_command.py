@@ -1,0 +1,76 @@
+"""`wbmpc stability`: what it prints, draws and refuses. Truth: Table I of Pankert et al. 2022, statics of a push."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from wbmpc.cli import main
+from wbmpc.experiments import REGISTRY
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
+    assert main(["stability", *arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_json_has_the_papers_areas(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, areas in {"H": (1.16, 0.29), "X": (1.81, 0.45), "a": (1.17, 0.76)}.items():
+        data = told(capsys, "swerve-ur10", "--configuration", name)
+        assert (round(data["support_polygon_area"], 2), round(data["double_support_area"], 2)) == areas
+        assert data["stands"] and len(data["triangle_margins"]) == 4 and len(data["regions"]) == 4
+        assert data["zero_moment_point"] == pytest.approx(data["centre_of_mass"][:2])
+
+
+def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: pytest.CaptureFixture[str]) -> None:
+    rest = told(capsys, "swerve-ur10")
+    pushed = told(capsys, "swerve-ur10", "--wrench", "50,0,0")
+    moved = pushed["zero_moment_point"][0] - rest["zero_moment_point"][0]
+    assert moved == pytest.approx(50.0 * 0.80 / (9.81 * rest["mass"]), rel=0.01)  # the hand is 0.80 m high
+    sloped = told(capsys, "swerve-ur10", "--slope", "0.1")
+    moved = sloped["zero_moment_point"][0] - rest["zero_moment_point"][0]
+    assert moved == pytest.approx(-0.10033 * rest["centre_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
+    assert not told(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stands"]
+    assert told(capsys, "swerve-ur10", "--wrench", "0,0,2000")["zero_moment_point"] is None
+
+
+def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    plot = tmp_path / "a.svg"
+    assert main(["stability", "swerve-ur10", "--configuration", "0.1,-0.1,0.2,-0.2", "--plot", str(plot)]) == 0
+    out = capsys.readouterr().out
+    assert "support polygon" in out and "given leg angles" in out and str(plot) in out
+    root = ElementTree.parse(plot).getroot()
+    shapes = [e.tag.split("}")[1] for e in root]
+    assert shapes.count("polygon") >= 6 and shapes.count("circle") == 2
+    assert "wheel_LF" in plot.read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nobody"], "unknown robot"),
+        (["rezero"], "swerve base"),
+        (["swerve-ur10", "--configuration", "Z"], "unknown configuration"),
+        (["swerve-ur10", "--configuration", "1,2"], "4 angles"),
+        (["swerve-ur10", "--wrench", "1,2"], "3 or 6"),
+        (["swerve-ur10", "--arm", "1,2"], "--arm: 6"),
+        (["swerve-ur10", "--slope", "2"], "--slope"),
+        (["swerve-ur10", "--plot", "a.bmp"], ".svg"),
+        (["swerve-fixed-ur10", "--configuration", "H"], "fixed"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stability", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert words in err and err.count("\n") == 1
+
+
+def test_the_experiment_reaches_the_table() -> None:
+    experiment = REGISTRY["swerve-stability"]
+    result = experiment.run(experiment.config_type(), 0, None)
+    names = {f"{kind}_{c}" for kind in ("support_polygon_area", "double_support_area") for c in "HXA"}
+    assert set(result.metrics) == names and all(m.met for m in result.metrics.values())
+    assert [p.title for p in result.plots] == ["Configuration H", "Configuration X", "Configuration A"]
