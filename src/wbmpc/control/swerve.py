@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.estimation import WheelOdometry
+from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration, WheelOdometry
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
@@ -22,8 +22,9 @@ class SwerveAgent:
 
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
-    ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
-    ``clamped``: whether the wheels of the last command were slowed down to their limits.
+    ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
+    While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
+    slowed down to their limits.
     """
 
     def __init__(
@@ -34,15 +35,23 @@ class SwerveAgent:
         brakes: Callable[[float], np.ndarray] | None = None,
         steer_gain: float = 5.0,
         planned_steering: bool = True,
-        gyro_share: float = 0.0,
         lag: float = 0.0,
+        *,
+        calibration: WheelCalibration | None = None,
+        noise: OdometryNoise | None = None,
+        use_gyro: bool = True,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
-        self.odometry = WheelOdometry(robot.base.geometry, pose)
-        self.wheels_alone = WheelOdometry(robot.base.geometry, pose)
-        self.gyro_share, self.gyro_bias = gyro_share, 0.0
-        self._rest: list[float] = []
+        geometry = robot.base.geometry
+        wheels = self.calibration = calibration or WheelCalibration.unknown(geometry)
+        self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=noise)
+        self.wheels_alone = WheelOdometry(
+            geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
+        )
+        self.use_gyro = use_gyro
+        # the model has one radius for all wheels
+        self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
         self.lag = lag
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
@@ -53,24 +62,30 @@ class SwerveAgent:
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
 
     def measure(self, measurement: SwerveMeasurement) -> None:
-        """Take in the encoders of this tick."""
-        self.measured = measurement
-        encoders = (measurement.leg, measurement.steer, measurement.wheel)
-        self.wheels_alone.update(*encoders)
-        turn = (float(measurement.gyro[2]) - self.gyro_bias) * self.period
-        own = float(self.wheels_alone.increment[2])
-        self.odometry.update(*encoders, self.gyro_share * turn + (1.0 - self.gyro_share) * own)
+        """Take in the message of this tick."""
+        self.measured = m = measurement
+        self.wheels_alone.update(m.leg, m.steer, m.wheel)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, float(m.gyro[2]) if self.use_gyro else None)
+        if m.place is not None:
+            self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
 
-    def rest(self, measurement: SwerveMeasurement) -> None:
-        """Take in a message while the robot stands: the gyro's bias is the mean of what it reads then."""
-        self._rest.append(float(measurement.gyro[2]))
-        self.gyro_bias = float(np.mean(self._rest))
+    @property
+    def leg(self) -> np.ndarray:
+        """Measured leg angles less their zeros (empty for fixed legs)."""
+        assert self.measured is not None
+        return self.measured.leg - self.calibration.leg_zero if self.measured.leg.size else self.measured.leg
+
+    @property
+    def steer(self) -> np.ndarray:
+        """Measured steering angles (n) less their zeros."""
+        assert self.measured is not None
+        return self.measured.steer - self.calibration.steer_zero
 
     def state(self) -> np.ndarray:
         """Estimated state (nx), with the measured steering angles."""
         m = self.measured
         assert m is not None
-        parts = {"base": self.odometry.pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
+        parts = {"base": self.odometry.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": m.arm}
         return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
@@ -111,8 +126,8 @@ class SwerveAgent:
         The plan's inputs and a steering servo: the gains of the policy are not used, since drives that follow speeds hold
         a kinematic plan without them, and feedback on wheels from an estimated pose would break the rolling rows.
         """
-        policy, m, given = plans.current, self.measured, self.robot.input
-        assert policy is not None and m is not None
+        policy, given = plans.current, self.robot.input
+        assert policy is not None and self.measured is not None
         if t > policy.end:
             return self.stop()
         u = policy.feedforward(t + self.lag)
@@ -120,10 +135,10 @@ class SwerveAgent:
         self._rates += self._blend * (u - self._rates)
         if self.planned_steering:
             self._rates[given["steer"]] = 0.0
-        steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
+        steer = u[given["steer"]] + self.steer_gain * (planned - self.steer)
         self.wanted = u
         self.wanted[given["steer"]] = steer
-        wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
+        wheel, limit = u[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_steps, swerve_track
+from wbmpc.experiments import rezero_steps, swerve_calibrate, swerve_track
 from wbmpc.result import RunResult
 
 
@@ -26,6 +26,7 @@ REGISTRY: dict[str, Experiment] = {
     m.NAME: Experiment(m.NAME, m.SUMMARY, settings, m.run)  # type: ignore[attr-defined]
     for m, settings in (
         (swerve_track, swerve_track.SwerveTrackSettings),
+        (swerve_calibrate, swerve_calibrate.SwerveCalibrateSettings),
         (rezero_steps, rezero_steps.RezeroStepsSettings),
     )
 }

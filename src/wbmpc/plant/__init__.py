@@ -1,7 +1,9 @@
 """Simulated robots in MuJoCo, perturbed against the planner's model."""
 
+from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation
 from wbmpc.plant.protocol import (
+    GlobalPose,
     Plant,
     RezeroCommand,
     RezeroMeasurement,
@@ -17,6 +19,8 @@ from wbmpc.plant.world import TIMESTEP
 __all__ = [
     "TIMESTEP",
     "Draw",
+    "GlobalPose",
+    "Localisation",
     "Perturbation",
     "Plant",
     "RezeroCommand",

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
 from wbmpc.plant.world import (
@@ -54,7 +55,8 @@ class SwervePlant(InWorld):
     ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
     of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
     specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
-    before time 0. ``external`` is called before every physics step with (model, data).
+    before time 0. ``external`` is called before every physics step with (model, data). ``localisation``: a source of
+    global poses, which come with the messages.
     """
 
     def __init__(
@@ -68,11 +70,12 @@ class SwervePlant(InWorld):
         edit: Edit | None = None,
         lift: float = 0.0,
         settle: float = 0.5,
+        localisation: Localisation | None = None,
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
-        self.perturbation = perturbation or Perturbation()
+        self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -252,7 +255,10 @@ class SwervePlant(InWorld):
             start += len(index)
         interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
         imu = {name: self._inertial(name, interval) for name in ("gyro", "accel")}
-        self._last = SwerveMeasurement(self.time, **values, **imu)
+        place = None
+        if self.localisation is not None:
+            place = self.localisation.observe(self.time, np.array([*self.data.qpos[:2], self.world.yaw]))
+        self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
 
     def _inertial(self, name: str, interval: float) -> Array:
