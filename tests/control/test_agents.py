@@ -12,8 +12,9 @@ from scipy.linalg import expm
 from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
 from wbmpc.errors import NotFinite
+from wbmpc.estimation import WheelCalibration
 from wbmpc.mpc import Policy
-from wbmpc.plant import RezeroMeasurement, SwerveMeasurement
+from wbmpc.plant import GlobalPose, RezeroMeasurement, SwerveMeasurement
 
 PERIOD = 0.0025
 SWERVE = robot("swerve-ur10")
@@ -132,19 +133,43 @@ def test_swerve_stops_when_its_plan_has_run_out() -> None:
     assert np.abs(agent.command(9.9, plans).arm).max() > 0.0
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_share_of_the_gyro_in_the_yaw(share: float) -> None:
-    """Wheels at rest, gyro turning: the odometry's yaw is the gyro's share of (reading − bias at rest)."""
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, gyro_share=share)
-    for k, reading in enumerate((0.01, 0.03)):
-        agent.rest(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([0.5, 0.5, reading])))
-    gyro = np.array([9.0, 9.0, 0.52])
-    for k in range(101):
-        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), gyro))
-    turned = agent.odometry.pose[2]
-    # the first message has nothing before it: 100 or 101 periods of turning
-    assert turned == pytest.approx(share * 0.5 * 100.5 * PERIOD, abs=share * 0.5 * PERIOD)
-    assert agent.wheels_alone.pose[2] == 0.0
+def test_gyro_bias_is_found_at_rest() -> None:
+    """Wheels at rest show that the base does not turn: the yaw stays, and the bias is the mean of the readings."""
+    agent, deaf = SwerveAgent(SWERVE, np.zeros(3), PERIOD), SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False)
+    rng = np.random.default_rng(0)
+    readings = 0.008 + 2e-4 / np.sqrt(PERIOD) * rng.normal(size=2000)
+    for k, reading in enumerate(readings):
+        for a in (agent, deaf):
+            a.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([9.0, 9.0, reading])))
+    assert agent.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
+    assert abs(agent.odometry.pose[2]) < 1e-6
+    assert deaf.odometry.gyro_bias == 0.0 and deaf.odometry.pose[2] == 0.0
+
+
+def test_calibration_corrects_angles_and_wheel_speeds() -> None:
+    """Zeros are taken off what the encoders say; a wheel of twice the radius turns half as fast for the same way."""
+    geometry, rng = SWERVE.base.geometry, np.random.default_rng(5)
+    leg_zero, steer_zero = rng.normal(size=(2, 4))
+    known = WheelCalibration(steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8)))
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, calibration=known), Plans()
+    agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
+    state = SWERVE.state.split(agent.state())
+    np.testing.assert_allclose(state["leg"], 0.1)
+    np.testing.assert_allclose(state["steer"], 0.2)
+    u = swerve_input(6)
+    plans.add(0.0, constant_policy(u, steer=0.2))
+    command = agent.command(0.0, plans)
+    np.testing.assert_allclose(command.wheel, u[SWERVE.input["wheel"]] / [1.0, 2.0, 1.0, 0.5])
+    np.testing.assert_allclose(command.steer, u[SWERVE.input["steer"]], atol=1e-12)
+
+
+def test_global_poses_reach_the_odometry() -> None:
+    agent, seen = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
+    agent.odometry._state.p[:3, :3] = np.eye(3)
+    for k in range(5):
+        place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
+        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
+    np.testing.assert_allclose(agent.odometry.pose, seen, atol=1e-6)
 
 
 # ---------------------------------------------------------------------- ball robot

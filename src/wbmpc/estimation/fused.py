@@ -73,6 +73,8 @@ class _State:
     p: Array
 
 
+#: Time constant [s] of the derivatives of the twist by the wheels' corrections.
+SMOOTHING = 0.05
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -142,6 +144,7 @@ class FusedOdometry:
         self._state = _State(-np.inf, np.concatenate([_three("pose0", pose0), np.zeros(2 + 2 * n)]), p)
         self._keep, self._past = history, deque[tuple[_State, _Step]]()
         self._last: Sample | None = None
+        self._by_wheels = np.zeros((3, 2 * n))
         self._slip = _SlipIntensity(2 * n - 3, self.noise.slip_window)
         self.twist: Array = np.zeros(3)
         self.refused = self._refusals = 0
@@ -200,7 +203,11 @@ class FusedOdometry:
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
         moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
-        by_wheels = np.concatenate([moved.by_steer_zero(), moved.by_radius()], axis=1)
+        # Smoothed, and of the intervals before: the age of this message is in its own derivative and in what it is
+        # compared with, and their product would look like a wrong radius.
+        by_wheels = self._by_wheels * h
+        now_by_wheels = np.concatenate([moved.by_steer_zero(), moved.by_radius()], axis=1)
+        self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
         turn = np.nan if gyro is None else gyro * h
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
         return _Step(h, moved.twist, by_wheels, c, self._twist_covariance(moved, h), counts, turn)
