@@ -85,6 +85,8 @@ def calibrate(
 
     ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out).
     """
+    if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
+        raise InputError(f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}")
     doubt = np.maximum(10.0 * record.place_std[0], 0.05)
     odometry = FusedOdometry(geometry, record.places[0], calibration=prior, noise=noise, pose_std=doubt)
     replay(odometry, record)
