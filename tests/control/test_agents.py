@@ -13,6 +13,7 @@ from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import WheelCalibration
+from wbmpc.model import aligned_steering
 from wbmpc.mpc import Policy
 from wbmpc.plant import GlobalPose, RezeroMeasurement, SwerveMeasurement
 
@@ -106,11 +107,46 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
     plans = Plans()
     plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
     agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
-    agent.measure(message(steer=np.full(4, 0.1)))
+    agent.measure(message(steer=np.full(4, 0.6)))
     command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
     np.testing.assert_allclose(command.wheel, 0.3)
     np.testing.assert_allclose(command.arm, 0.3)
-    np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.1))
+    np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.6))
+
+
+def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
+    """A wheel that points 0.5 rad beside the plan: the base stands, the wheel turns, and then everything goes on."""
+    u, plans = np.full(SWERVE.input.size, 0.2), Plans()
+    u[SWERVE.input["steer"]] = 0.0
+    times = np.linspace(0.0, 10.0, 11)
+    x = np.zeros((11, SWERVE.state.size))
+    plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
+    agent, steer, stood = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
+    for k in range(800):
+        agent.measure(message(k * PERIOD, steer=steer.copy()))
+        command = agent.command(k * PERIOD, plans)
+        if agent.aligning:
+            stood += 1
+            np.testing.assert_array_equal(command.wheel, 0.0)
+            now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
+            np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
+        np.testing.assert_array_equal(command.arm, 0.2)
+        steer = steer + PERIOD * command.steer
+    # an exponential of 5 / s from 0.5 to 0.02 rad
+    assert stood == pytest.approx(np.log(0.5 / 0.02) / 5.0 / PERIOD, abs=3)
+    np.testing.assert_allclose(command.wheel, 0.2)
+
+
+def test_first_plan_starts_from_wheels_that_agree() -> None:
+    """Wheels turned by hand: the state for the first plan has the nearest angles with a common centre, not the measured."""
+    crooked = np.array([0.6, -0.3, 0.2, 0.9])
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent.measure(message(steer=crooked))
+    steer = agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]]
+    np.testing.assert_allclose(steer, aligned_steering(SWERVE.base.geometry, np.zeros(4), crooked))
+    nearly = 0.01 * crooked
+    agent.measure(message(steer=nearly))
+    np.testing.assert_array_equal(agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]], nearly)
 
 
 def test_swerve_wheels_are_slowed_together() -> None:

@@ -12,9 +12,13 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration, WheelOdometry
-from wbmpc.model import RobotModel
+from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
+
+
+#: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
+CROOKED, MISALIGNED, ALIGNED = 0.05, 0.15, 0.02
 
 
 class SwerveAgent:
@@ -24,7 +28,8 @@ class SwerveAgent:
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
     While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
-    slowed down to their limits.
+    slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
+    base stands until they do not.
     """
 
     def __init__(
@@ -58,7 +63,7 @@ class SwerveAgent:
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
-        self.clamped = False
+        self.clamped = self.aligning = False
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
 
     def measure(self, measurement: SwerveMeasurement) -> None:
@@ -97,6 +102,11 @@ class SwerveAgent:
         x = self.state()
         if plans.current is not None and self.planned_steering:
             x[state["steer"]] = plans.current.state(t + self.lag)[state["steer"]]
+        elif self.planned_steering:
+            # Wheels that have no common centre can only stand: the first plan starts from the nearest that have one.
+            aligned = aligned_steering(self.robot.base.geometry, self.leg if self.leg.size else 0.0, self.steer)
+            if np.abs(aligned - self.steer).max() > CROOKED:
+                x[state["steer"]] = aligned
         # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
         self._move(x, self._rates, self.lag, self.brakes(t))
         for k in range(round((until - t) / self.period)):
@@ -104,7 +114,7 @@ class SwerveAgent:
             policy = plans.at(now)
             if policy is None:
                 break
-            u = policy.feedforward(now + self.lag)
+            u = self._held(policy.feedforward(now + self.lag))
             self._move(x, u, self.period, self.brakes(now))
         return Observation(until + self.lag, x)
 
@@ -115,6 +125,14 @@ class SwerveAgent:
         for group in ("leg", "steer", "wheel", "arm"):
             if group in state:
                 x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
+
+    def _held(self, u: np.ndarray) -> np.ndarray:
+        """An input as it will act: while wheels are aligned the base stands."""
+        if self.aligning:
+            for group in ("base", "leg", "wheel"):
+                if group in self.robot.input:
+                    u[self.robot.input[group]] = 0.0
+        return u
 
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed."""
@@ -130,12 +148,16 @@ class SwerveAgent:
         assert policy is not None and self.measured is not None
         if t > policy.end:
             return self.stop()
-        u = policy.feedforward(t + self.lag)
         planned = policy.state(t + self.lag)[self.robot.state["steer"]]
+        error = planned - self.steer
+        off = float(np.abs(error).max()) if self.planned_steering else 0.0
+        self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
+        u = self._held(policy.feedforward(t + self.lag))
         self._rates += self._blend * (u - self._rates)
         if self.planned_steering:
             self._rates[given["steer"]] = 0.0
-        steer = u[given["steer"]] + self.steer_gain * (planned - self.steer)
+        most = self.robot.limits.input_upper[given["steer"]]
+        steer = np.clip(u[given["steer"]] + self.steer_gain * error, -most, most)
         self.wanted = u
         self.wanted[given["steer"]] = steer
         wheel, limit = u[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
