@@ -52,7 +52,7 @@ class Motion:
 @dataclass(frozen=True)
 class Drive:
     """What came out: planned base twists (n, 3) and true base poses (n, 3) over time; the end pose (3) that was asked for,
-    of the odometry, and the true one."""
+    of the odometry, and the true one. ``steer`` (n, modules): measured angles."""
 
     times: np.ndarray
     planned: np.ndarray
@@ -61,6 +61,7 @@ class Drive:
     odometry: np.ndarray
     truth: np.ndarray
     reason: str
+    steer: np.ndarray
 
 
 def drive(
@@ -102,13 +103,16 @@ def drive(
     timing = Timing.of(plant.timestep, 400.0, 50.0, 0.010)
     agent = SwerveAgent(robot, plant.truth().pose, timing.period, planned_steering=planned_steering)
     mpc.reset(home)
-    times, planned, true = [], [], []
+    times, planned, true, steered = [], [], [], []
 
     def record(now: float, command: object, plans: object) -> None:
         times.append(now)
         planned.append(plans.current.feedforward(now)[robot.input["base"]])
         true.append(plant.truth().pose)
+        steered.append(agent.steer)
 
     ending = run_lockstep(plant, agent, mpc, timing, motion.end + rest, record)
     end = np.array([poses[-1], agent.odometry.pose, plant.truth().pose])
-    return Drive(np.array(times), np.array(planned), np.array(true), end[0], end[1], end[2], ending.reason)
+    return Drive(
+        np.array(times), np.array(planned), np.array(true), end[0], end[1], end[2], ending.reason, np.array(steered)
+    )

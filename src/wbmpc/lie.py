@@ -152,9 +152,6 @@ def se2_step(pose: ArrayLike, delta: ArrayLike) -> Array:
     return se2_compose(pose, se2_exp(delta))
 
 
-se2_exp_step = se2_step
-
-
 def se2_log(a: ArrayLike, b: ArrayLike) -> Array:
     """Integral (dx, dy, dyaw) of the constant body twist that moves the pose ``a`` to ``b``; |dyaw| at most π."""
     a, b = np.asarray(a, float), np.asarray(b, float)

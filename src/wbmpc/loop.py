@@ -43,18 +43,25 @@ class Timing:
     @classmethod
     def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
         """Check rates [Hz] and delay [s] against the physics step [s]."""
-        steps = _whole("control.rate", 1.0 / control_rate, timestep, "physics steps")
+        steps = _whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
         period = steps * timestep
-        every = _whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods")
+        every = _whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
         return cls(period, steps, every, _whole("mpc.delay", delay, period, "controller periods", least=0))
 
 
-def _whole(key: str, length: float, unit: float, name: str, least: int = 1) -> int:
+def _whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
+    """``length`` [s] in units of ``unit`` [s]; ``rate`` [Hz]: what was given instead of the length."""
     if not (math.isfinite(length) and length / unit < _MOST):
         raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
     count = round(length / unit)
     if count < least or abs(length - count * unit) > 1e-9:
-        raise InputError(f"{key}: {length * 1e3:g} ms is not a whole number of {name} of {unit * 1e3:g} ms")
+        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
+        if rate is None:
+            valid = f"{below * unit:g} or {above * unit:g} s"
+        else:
+            valid = f"{1.0 / (above * unit):.6g} or {1.0 / (below * unit):.6g} Hz"
+        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
+        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
     return count
 
 

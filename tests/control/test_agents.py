@@ -12,8 +12,10 @@ from scipy.linalg import expm
 from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
 from wbmpc.errors import NotFinite
+from wbmpc.estimation import WheelCalibration
+from wbmpc.model import aligned_steering
 from wbmpc.mpc import Policy
-from wbmpc.plant import RezeroMeasurement, SwerveMeasurement
+from wbmpc.plant import GlobalPose, RezeroMeasurement, SwerveMeasurement
 
 PERIOD = 0.0025
 SWERVE = robot("swerve-ur10")
@@ -105,11 +107,46 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
     plans = Plans()
     plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
     agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
-    agent.measure(message(steer=np.full(4, 0.1)))
+    agent.measure(message(steer=np.full(4, 0.6)))
     command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
     np.testing.assert_allclose(command.wheel, 0.3)
     np.testing.assert_allclose(command.arm, 0.3)
-    np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.1))
+    np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.6))
+
+
+def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
+    """A wheel that points 0.5 rad beside the plan: the base stands, the wheel turns, and then everything goes on."""
+    u, plans = np.full(SWERVE.input.size, 0.2), Plans()
+    u[SWERVE.input["steer"]] = 0.0
+    times = np.linspace(0.0, 10.0, 11)
+    x = np.zeros((11, SWERVE.state.size))
+    plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
+    agent, steer, stood = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
+    for k in range(800):
+        agent.measure(message(k * PERIOD, steer=steer.copy()))
+        command = agent.command(k * PERIOD, plans)
+        if agent.aligning:
+            stood += 1
+            np.testing.assert_array_equal(command.wheel, 0.0)
+            now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
+            np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
+        np.testing.assert_array_equal(command.arm, 0.2)
+        steer = steer + PERIOD * command.steer
+    # an exponential of 5 / s from 0.5 to 0.02 rad
+    assert stood == pytest.approx(np.log(0.5 / 0.02) / 5.0 / PERIOD, abs=3)
+    np.testing.assert_allclose(command.wheel, 0.2)
+
+
+def test_first_plan_starts_from_wheels_that_agree() -> None:
+    """Wheels turned by hand: the state for the first plan has the nearest angles with a common centre, not the measured."""
+    crooked = np.array([0.6, -0.3, 0.2, 0.9])
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent.measure(message(steer=crooked))
+    steer = agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]]
+    np.testing.assert_allclose(steer, aligned_steering(SWERVE.base.geometry, np.zeros(4), crooked))
+    nearly = 0.01 * crooked
+    agent.measure(message(steer=nearly))
+    np.testing.assert_array_equal(agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]], nearly)
 
 
 def test_swerve_wheels_are_slowed_together() -> None:
@@ -132,19 +169,45 @@ def test_swerve_stops_when_its_plan_has_run_out() -> None:
     assert np.abs(agent.command(9.9, plans).arm).max() > 0.0
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_share_of_the_gyro_in_the_yaw(share: float) -> None:
-    """Wheels at rest, gyro turning: the odometry's yaw is the gyro's share of (reading − bias at rest)."""
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, gyro_share=share)
-    for k, reading in enumerate((0.01, 0.03)):
-        agent.rest(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([0.5, 0.5, reading])))
-    gyro = np.array([9.0, 9.0, 0.52])
-    for k in range(101):
-        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), gyro))
-    turned = agent.odometry.pose[2]
-    # the first message has nothing before it: 100 or 101 periods of turning
-    assert turned == pytest.approx(share * 0.5 * 100.5 * PERIOD, abs=share * 0.5 * PERIOD)
-    assert agent.wheels_alone.pose[2] == 0.0
+def test_gyro_bias_is_found_at_rest() -> None:
+    """Wheels at rest show that the base does not turn: the yaw stays, and the bias is the mean of the readings."""
+    agent, deaf = SwerveAgent(SWERVE, np.zeros(3), PERIOD), SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False)
+    rng = np.random.default_rng(0)
+    readings = 0.008 + 2e-4 / np.sqrt(PERIOD) * rng.normal(size=2000)
+    for k, reading in enumerate(readings):
+        for a in (agent, deaf):
+            a.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([9.0, 9.0, reading])))
+    assert agent.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
+    assert abs(agent.odometry.pose[2]) < 1e-6
+    assert deaf.odometry.gyro_bias == 0.0 and deaf.odometry.pose[2] == 0.0
+
+
+def test_calibration_corrects_angles_and_wheel_speeds() -> None:
+    """Zeros are taken off what the encoders say; a wheel of twice the radius turns half as fast for the same way."""
+    geometry, rng = SWERVE.base.geometry, np.random.default_rng(5)
+    leg_zero, steer_zero = rng.normal(size=(2, 4))
+    known = WheelCalibration(
+        steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
+    )
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, calibration=known), Plans()
+    agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
+    state = SWERVE.state.split(agent.state())
+    np.testing.assert_allclose(state["leg"], 0.1)
+    np.testing.assert_allclose(state["steer"], 0.2)
+    u = swerve_input(6)
+    plans.add(0.0, constant_policy(u, steer=0.2))
+    command = agent.command(0.0, plans)
+    np.testing.assert_allclose(command.wheel, u[SWERVE.input["wheel"]] / [1.0, 2.0, 1.0, 0.5])
+    np.testing.assert_allclose(command.steer, u[SWERVE.input["steer"]], atol=1e-12)
+
+
+def test_global_poses_reach_the_odometry() -> None:
+    agent, seen = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
+    agent.odometry._state.p[:3, :3] = np.eye(3)
+    for k in range(5):
+        place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
+        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
+    np.testing.assert_allclose(agent.odometry.pose, seen, atol=1e-6)
 
 
 # ---------------------------------------------------------------------- ball robot

@@ -86,9 +86,15 @@ def test_timing_counts_whole_steps() -> None:
 @pytest.mark.parametrize(
     ("rates", "message"),
     [
-        ((5e-4, 300.0, 50.0, 0.01), r"control\.rate: 3\.33333 ms is not a whole number of physics steps of 0\.5 ms"),
-        ((5e-4, 400.0, 60.0, 0.01), r"mpc\.rate: 16\.6667 ms is not a whole number of controller periods of 2\.5 ms"),
-        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.delay: 11 ms is not a whole number of controller periods"),
+        (
+            (5e-4, 300.0, 50.0, 0.01),
+            r"control\.rate: 300 Hz \(3\.33333 ms\) is not a whole number of physics steps of 0\.5 ms",
+        ),
+        (
+            (5e-4, 400.0, 60.0, 0.01),
+            r"mpc\.rate: 60 Hz \(16\.6667 ms\) is not a whole number of controller periods of 2\.5 ms",
+        ),
+        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.delay: 0\.011 s is not a whole number of controller periods"),
         ((5e-4, 4000.0, 50.0, 0.01), r"control\.rate"),
         ((5e-4, 400.0, 800.0, 0.01), r"mpc\.rate"),
         ((5e-4, 400.0, 1e-310, 0.01), r"mpc\.rate: inf s is too long, more than a million controller periods"),

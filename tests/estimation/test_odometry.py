@@ -141,17 +141,6 @@ def test_calibration_repairs_radii_and_zeros():
     assert np.hypot(*(wrong.pose - poses[-1])[:2]) > 5e-3
 
 
-def test_a_given_yaw_increment_replaces_that_of_the_wheels():
-    poses, samples = roll_out(GEOMETRY, 3.0, 0.0025, swinging, swing_rates)
-    bent = [(leg, steer + np.array([0.01, -0.01, -0.01, 0.01]), wheel) for leg, steer, wheel in samples]
-    wheels, fused = WheelOdometry(GEOMETRY, poses[0]), WheelOdometry(GEOMETRY, poses[0])
-    for k, sample in enumerate(bent):
-        wheels.update(*sample)
-        fused.update(*sample, yaw_increment=poses[k, 2] - poses[max(k - 1, 0), 2])
-    assert abs(fused.pose[2] - poses[-1, 2]) < 1e-12
-    assert np.hypot(*(fused.pose - poses[-1])[:2]) < np.hypot(*(wheels.pose - poses[-1])[:2])
-
-
 def test_the_releases_odometry_drifts_where_steering_turns_and_not_on_straight_lines():
     poses, samples = roll_out(GEOMETRY, 5.0, 0.0025, lambda t: CLOSED, lambda t: np.zeros(4))
     release, straight = ReleaseOdometry(GEOMETRY, poses[0], 0.0025), ReleaseOdometry(GEOMETRY, [0, 0, 0], 0.0025)

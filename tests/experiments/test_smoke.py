@@ -12,7 +12,7 @@ from wbmpc.experiments import REGISTRY
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 
-TRACK = SwerveTrackSettings(periods=1, rest=2.0)
+TRACK = SwerveTrackSettings(periods=1, rest=2.0, calibration="none")
 STEPS = RezeroStepsSettings(hold=3.5, settle=1.5)
 SHORT = RezeroStepsSettings(hold=1.5, settle=1.0, preview=False)
 

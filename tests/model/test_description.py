@@ -202,3 +202,36 @@ def test_importing_is_light() -> None:
     code = "import sys, wbmpc; print([m for m in ('casadi', 'mujoco', 'llvmlite') if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+SWERVE = (Path(load_description("swerve-ur10").source)).read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"name: \xff\xfe", "cannot be read as text in UTF-8"),
+        (b"1: 2\nname: r", "unknown key '1'; valid: name, model, base"),
+    ],
+)
+def test_files_that_are_no_descriptions(tmp_path: Path, text: bytes, message: str) -> None:
+    path = tmp_path / "r.yaml"
+    path.write_bytes(text)
+    with pytest.raises(InputError, match=message):
+        load_description(path)
+
+
+def test_a_joint_named_twice(tmp_path: Path) -> None:
+    data = yaml.safe_load(SWERVE)
+    data["arm"]["joints"][1] = data["arm"]["joints"][0]
+    path = tmp_path / "r.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match="every joint once, got 'shoulder_pan_joint' twice"):
+        load_description(path)
+    data = yaml.safe_load(SWERVE)
+    data["limits"] = {"effort": {"elbow_joint": -1.0}}
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=r"key 'limits.effort.elbow_joint': .* greater than 0, got -1"):
+        load_description(path)
+    with pytest.raises(InputError, match="a name or a path"):
+        load_robot(None)  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import pendulum, robot
-from wbmpc.errors import InputError, RunAborted
+from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
 from wbmpc.ocp import OptimalControlProblem, Reference
@@ -241,3 +241,10 @@ def test_guess_waits_for_a_motion() -> None:
     assert np.abs(solver.ws.u).max() == 0.0
     guess(solver, 4.5, model.home)
     assert np.abs(solver.ws.u).max() > 0.1
+
+
+def test_a_policy_refuses_what_is_not_finite() -> None:
+    policy = make().update(Observation(0.0, START))
+    for t, x in ((np.nan, START), (0.0, START * np.nan)):
+        with pytest.raises(NotFinite):
+            policy(t, x)

@@ -123,7 +123,6 @@ def test_boxes_become_rows_and_others_stay_symbolic() -> None:
     [
         (sets.Box([0.0, 0.0, 0.0], 1.0), "one number or 2"),
         (sets.Box(np.nan, 1.0), "NaN"),
-        (sets.Box([2.0, 0.0], 1.0), "lower bound is above"),
     ],
 )
 def test_bad_boxes(box: sets.Box, message: str) -> None:
@@ -298,3 +297,18 @@ def test_a_weight_changed_is_a_weight_given() -> None:
     changed.set_weight("input", 5.0)
     after = changed.solve(x0)
     assert np.abs(after.u).sum() < 0.8 * np.abs(before.u).sum()
+
+
+def test_a_cost_of_the_input_at_the_end_is_refused() -> None:
+    dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0]))
+    ocp = OptimalControlProblem(dynamics, 1.0, 5)
+    ocp.add(Cost("effort", Rows(1, lambda s: s.u), 1.0, at="terminal"))
+    with pytest.raises(InputError, match="cost 'effort', at: its residual depends on the input"):
+        Solver(ocp, SQP(backend="interpreted"))
+
+
+def test_boxes_and_schedules_that_mean_nothing() -> None:
+    with pytest.raises(InputError, match="above the upper one in row 1"):
+        sets.Box([0.0, 2.0], [1.0, 1.0])
+    with pytest.raises(InputError, match="modes must be Mode objects"):
+        ModeSchedule(["closed", "open"], [1.0])  # type: ignore[arg-type]

@@ -96,7 +96,31 @@ def test_encoders_are_quantised_with_their_offsets():
         assert np.abs(values - p.offsets[group] - true).max() <= step / 2 + 1e-12
     # the encoders see the start that was asked for
     assert np.abs(m.arm - ROBOT.home[ROBOT.state["arm"]]).max() < 1e-4
-    assert np.any(p.offsets["arm"]) and np.abs(p.offsets["steer"]).max() <= 0.003
+    # they are what was drawn, and nothing is drawn as zero
+    for group, drawn in (("steer", p.draw.steer_offset), ("leg", p.draw.leg_offset), ("arm", p.draw.arm_offset)):
+        np.testing.assert_array_equal(p.offsets[group], drawn)
+        assert np.abs(drawn).min() > 0.0
+    assert np.abs(p.offsets["steer"]).max() <= 0.003
+
+
+def test_wheels_are_as_large_as_drawn():
+    p = plant(Perturbation(wheel_radius=0.01, wheel_radius_each=0.01), seed=5)
+    assert np.unique(p.draw.radius).size == 4
+    for factor, module in zip(p.draw.radius, p.base.modules, strict=True):
+        size = p.model.geom(f"contact_{module.wheel}").size
+        np.testing.assert_allclose(size[[0, 2]], factor * p.base.wheel_radius, rtol=1e-12)
+
+
+def test_warnings_of_the_physics_go_to_the_log(tmp_path, monkeypatch, caplog):
+    """MuJoCo itself would write them into a file in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    caplog.set_level("WARNING", "wbmpc")
+    p = plant()
+    p.data.qvel[:] = 1e12
+    p.step(STOP, 20)
+    assert p.diverged
+    assert "MuJoCo" in caplog.text
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_message_has_one_age_of_up_to_two_milliseconds():

@@ -11,10 +11,20 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.estimation import BrakeFault, BrakeMonitor, WheelOdometry
-from wbmpc.model import RobotModel
+from wbmpc.estimation import (
+    BrakeFault,
+    BrakeMonitor,
+    FusedOdometry,
+    OdometryNoise,
+    WheelCalibration,
+    WheelOdometry,
+)
+from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
+
+#: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
+CROOKED, MISALIGNED, ALIGNED = 0.05, 0.15, 0.02
 
 
 class SwerveAgent:
@@ -22,9 +32,10 @@ class SwerveAgent:
 
     ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
-    ``gyro_share``: how much of the odometry's yaw comes from the gyro (its bias averaged at rest); the rest from the wheels.
-    ``monitor``: of brakes that do not answer; ``faulty`` is called with each fault that it finds.
-    ``clamped``: whether the wheels of the last command were slowed down to their limits.
+    ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
+    While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
+    slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
+    base stands until they do not. ``monitor``: of brakes that do not answer; ``faulty`` is called with each fault that it finds.
     """
 
     def __init__(
@@ -35,17 +46,25 @@ class SwerveAgent:
         brakes: Callable[[float], np.ndarray] | None = None,
         steer_gain: float = 5.0,
         planned_steering: bool = True,
-        gyro_share: float = 0.0,
         lag: float = 0.0,
+        *,
+        calibration: WheelCalibration | None = None,
+        noise: OdometryNoise | None = None,
+        use_gyro: bool = True,
         monitor: BrakeMonitor | None = None,
         faulty: Callable[[BrakeFault], None] | None = None,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
-        self.odometry = WheelOdometry(robot.base.geometry, pose)
-        self.wheels_alone = WheelOdometry(robot.base.geometry, pose)
-        self.gyro_share, self.gyro_bias = gyro_share, 0.0
-        self._rest: list[float] = []
+        geometry = robot.base.geometry
+        wheels = self.calibration = calibration or WheelCalibration.unknown(geometry)
+        self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=noise)
+        self.wheels_alone = WheelOdometry(
+            geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
+        )
+        self.use_gyro = use_gyro
+        # the model has one radius for all wheels
+        self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
         self.lag = lag
         self.monitor, self.faulty = monitor, faulty
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
@@ -53,28 +72,34 @@ class SwerveAgent:
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
-        self.clamped = False
+        self.clamped = self.aligning = False
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
 
     def measure(self, measurement: SwerveMeasurement) -> None:
-        """Take in the encoders of this tick."""
-        self.measured = measurement
-        encoders = (measurement.leg, measurement.steer, measurement.wheel)
-        self.wheels_alone.update(*encoders)
-        turn = (float(measurement.gyro[2]) - self.gyro_bias) * self.period
-        own = float(self.wheels_alone.increment[2])
-        self.odometry.update(*encoders, self.gyro_share * turn + (1.0 - self.gyro_share) * own)
+        """Take in the message of this tick."""
+        self.measured = m = measurement
+        self.wheels_alone.update(m.leg, m.steer, m.wheel)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, float(m.gyro[2]) if self.use_gyro else None)
+        if m.place is not None:
+            self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
 
-    def rest(self, measurement: SwerveMeasurement) -> None:
-        """Take in a message while the robot stands: the gyro's bias is the mean of what it reads then."""
-        self._rest.append(float(measurement.gyro[2]))
-        self.gyro_bias = float(np.mean(self._rest))
+    @property
+    def leg(self) -> np.ndarray:
+        """Measured leg angles less their zeros (empty for fixed legs)."""
+        assert self.measured is not None
+        return self.measured.leg - self.calibration.leg_zero if self.measured.leg.size else self.measured.leg
+
+    @property
+    def steer(self) -> np.ndarray:
+        """Measured steering angles (n) less their zeros."""
+        assert self.measured is not None
+        return self.measured.steer - self.calibration.steer_zero
 
     def state(self) -> np.ndarray:
         """Estimated state (nx), with the measured steering angles."""
         m = self.measured
         assert m is not None
-        parts = {"base": self.odometry.pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
+        parts = {"base": self.odometry.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": m.arm}
         return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
@@ -86,6 +111,11 @@ class SwerveAgent:
         x = self.state()
         if plans.current is not None and self.planned_steering:
             x[state["steer"]] = plans.current.state(t + self.lag)[state["steer"]]
+        elif self.planned_steering:
+            # Wheels that have no common centre can only stand: the first plan starts from the nearest that have one.
+            aligned = aligned_steering(self.robot.base.geometry, self.leg if self.leg.size else 0.0, self.steer)
+            if np.abs(aligned - self.steer).max() > CROOKED:
+                x[state["steer"]] = aligned
         # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
         self._move(x, self._rates, self.lag, self.brakes(t))
         for k in range(round((until - t) / self.period)):
@@ -93,7 +123,7 @@ class SwerveAgent:
             policy = plans.at(now)
             if policy is None:
                 break
-            u = policy.feedforward(now + self.lag)
+            u = self._held(policy.feedforward(now + self.lag))
             self._move(x, u, self.period, self.brakes(now))
         return Observation(until + self.lag, x)
 
@@ -105,6 +135,14 @@ class SwerveAgent:
             if group in state:
                 x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
 
+    def _held(self, u: np.ndarray) -> np.ndarray:
+        """An input as it will act: while wheels are aligned the base stands."""
+        if self.aligning:
+            for group in ("base", "leg", "wheel"):
+                if group in self.robot.input:
+                    u[self.robot.input[group]] = 0.0
+        return u
+
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed."""
         return SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
@@ -115,19 +153,23 @@ class SwerveAgent:
         The plan's inputs and a steering servo: the gains of the policy are not used, since drives that follow speeds hold
         a kinematic plan without them, and feedback on wheels from an estimated pose would break the rolling rows.
         """
-        policy, m, given = plans.current, self.measured, self.robot.input
-        assert policy is not None and m is not None
+        policy, given = plans.current, self.robot.input
+        assert policy is not None and self.measured is not None
         if t > policy.end:
             return self.stop()
-        u = policy.feedforward(t + self.lag)
         planned = policy.state(t + self.lag)[self.robot.state["steer"]]
+        error = planned - self.steer
+        off = float(np.abs(error).max()) if self.planned_steering else 0.0
+        self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
+        u = self._held(policy.feedforward(t + self.lag))
         self._rates += self._blend * (u - self._rates)
         if self.planned_steering:
             self._rates[given["steer"]] = 0.0
-        steer = u[given["steer"]] + self.steer_gain * (planned - m.steer)
+        most = self.robot.limits.input_upper[given["steer"]]
+        steer = np.clip(u[given["steer"]] + self.steer_gain * error, -most, most)
         self.wanted = u
         self.wanted[given["steer"]] = steer
-        wheel, limit = u[given["wheel"]], self.robot.limits.input_upper[given["wheel"]]
+        wheel, limit = u[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)

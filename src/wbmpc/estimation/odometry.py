@@ -7,6 +7,8 @@ the middle of the interval, and exact integration on SE(2).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +17,68 @@ from wbmpc.errors import InputError
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
+
+
+#: Row vectors times this: turned by a quarter to the left.
+_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+#: Positions (n) [rad] of legs, steering and wheels that were read together.
+Sample = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Increment:
+    """What the wheels say about a motion between two samples.
+
+    ``twist`` (dx, dy, dyaw) [m, rad]: integral of the body twist that fits best; ``residual`` (n, 2) [m]: by what each
+    wheel's displacement differs from it; ``rolled`` (n) [m] and ``heading`` (n) [rad]: length of each wheel's path, with
+    sign, and its direction in the body; ``fit`` (3, n, 2): derivative of the twist by the wheels' displacements.
+    """
+
+    twist: Array
+    residual: Array
+    rolled: Array
+    heading: Array
+    fit: Array
+
+    def by_steer_zero(self) -> Array:
+        """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
+        across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
+        return np.asarray(-across * self.rolled)
+
+    def by_radius(self) -> Array:
+        """Derivative (3, n) of the twist by the wheels' radii, relative."""
+        along = self.fit[:, :, 0] * np.cos(self.heading) + self.fit[:, :, 1] * np.sin(self.heading)
+        return np.asarray(along * self.rolled)
+
+
+def fit_twist(geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample) -> Increment:
+    """The motion that fits two samples of true angles best; ``radius`` (n) [m].
+
+    Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its heading
+    turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
+    solution follows from centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
+    """
+    (leg0, steer0, wheel0), (leg1, steer1, wheel1) = before, now
+    turn = (leg1 - leg0) + (steer1 - steer0)
+    heading = geometry.wheel_heading + 0.5 * (leg0 + leg1 + steer0 + steer1)
+    rolled = radius * (wheel1 - wheel0) * np.sinc(turn / (2.0 * np.pi))
+    s0 = geometry.steer_axes(leg0)
+    s1 = geometry.steer_axes(leg1) if (leg0 != leg1).any() else s0
+    b = s0 - s1
+    b[:, 0] += rolled * np.cos(heading)
+    b[:, 1] += rolled * np.sin(heading)
+    s = 0.5 * (s0 + s1)
+    middle = s.sum(axis=0) / len(s)
+    away = s - middle
+    fit = np.empty((3, *b.shape))
+    fit[2, :, 0], fit[2, :, 1] = -away[:, 1], away[:, 0]
+    fit[2] /= (away * away).sum()
+    fit[0], fit[1] = [1.0 / len(s), 0.0], [0.0, 1.0 / len(s)]
+    fit[0] += middle[1] * fit[2]
+    fit[1] -= middle[0] * fit[2]
+    twist = fit.reshape(3, -1) @ b.ravel()
+    residual = b - twist[:2] - twist[2] * (s @ _QUARTER_TURN)
+    return Increment(twist, residual, rolled, heading, fit)
 
 
 class WheelOdometry:
@@ -38,21 +102,22 @@ class WheelOdometry:
         n = self._n = geometry.modules
         self.geometry, self.pose = geometry, np.array(pose0, float)
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
-        self._radius = np.broadcast_to(np.asarray(radius, float), n)
+        self.radius = np.broadcast_to(np.asarray(radius, float), n)
         self._leg_zero = np.broadcast_to(np.asarray(leg_zero, float), n)
         self._steer_zero = np.broadcast_to(np.asarray(steer_zero, float), n)
-        self._last: tuple[Array, Array, Array] | None = None
+        self._last: Sample | None = None
         self.increment: Array = np.zeros(3)
         self.residual: Array = np.zeros((n, 2))
 
-    def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, yaw_increment: float | None = None) -> Array:
+    def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
         """The pose after positions (n) [rad] of legs (empty or ignored for fixed legs), steering and wheels.
 
-        The first call only stores them. ``yaw_increment`` [rad], e.g. of a gyro, replaces the wheels' own.
+        The first call only stores them.
         """
         now = self.checked(leg, steer, wheel)
         if self._last is not None:
-            self.increment = self.solve(self._last, now, yaw_increment)
+            moved = fit_twist(self.geometry, self.radius, self._last, now)
+            self.increment, self.residual = moved.twist, moved.residual
             self.pose = lie.se2_step(self.pose, self.increment)
         self._last = now
         return self.pose
@@ -62,7 +127,7 @@ class WheelOdometry:
         """Root mean square [m] of what the wheels of the last increment contradict each other: a detector of slip."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> tuple[Array, Array, Array]:
+    def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Sample:
         """True angles (leg, steer) and wheel angles (n each) of a message, or :class:`InputError`."""
         n = self._n
         parts = {"steer": np.asarray(steer, float), "wheel": np.asarray(wheel, float)}
@@ -72,31 +137,6 @@ class WheelOdometry:
             if values.shape != (n,) or not np.isfinite(values).all():
                 raise InputError(f"odometry: '{name}' needs {n} finite numbers, got {values}")
         return parts["leg"], parts["steer"] - self._steer_zero, parts["wheel"].copy()
-
-    def solve(
-        self, before: tuple[Array, Array, Array], now: tuple[Array, Array, Array], yaw: float | None = None
-    ) -> Array:
-        """Integral (dx, dy, dyaw) of the body twist that fits two samples (leg, steer, wheel) best; sets ``residual``.
-
-        Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its
-        heading turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The
-        least squares solution follows from centroids: ψ = Σ (s − s̄) × (b − b̄) / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
-        """
-        g = self.geometry
-        (leg0, steer0, wheel0), (leg1, steer1, wheel1) = before, now
-        turn = (leg1 - leg0) + (steer1 - steer0)
-        heading = g.wheel_heading + 0.5 * (leg0 + leg1 + steer0 + steer1)
-        rolled = self._radius * (wheel1 - wheel0) * np.sinc(turn / (2.0 * np.pi))
-        s0, s1 = g.steer_axes(leg0), g.steer_axes(leg1)
-        b = rolled[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1) - (s1 - s0)
-        s = 0.5 * (s0 + s1)
-        s_mean, b_mean = s.mean(axis=0), b.mean(axis=0)
-        if yaw is None:
-            ds, db = s - s_mean, b - b_mean
-            yaw = float(np.sum(ds[:, 0] * db[:, 1] - ds[:, 1] * db[:, 0]) / np.sum(ds * ds))
-        shift = b_mean - yaw * np.array([-s_mean[1], s_mean[0]])
-        self.residual = b - shift - yaw * np.stack([-s[:, 1], s[:, 0]], axis=1)
-        return np.array([shift[0], shift[1], yaw])
 
 
 class ReleaseOdometry:
@@ -121,7 +161,7 @@ class ReleaseOdometry:
             swing = now_leg - leg0
             before = (held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0)
             now = (held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel)
-            dx, dy, turn = self._fit.solve(before, now)
+            dx, dy, turn = fit_twist(self._fit.geometry, self._fit.radius, before, now).twist
             c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
             self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
         self._last = (now_leg, now_wheel)

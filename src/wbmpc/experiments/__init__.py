@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from wbmpc.experiments import (
     rezero_steps,
     swerve_brakes,
+    swerve_calibrate,
     swerve_fixed,
     swerve_stability,
     swerve_track,
@@ -35,6 +36,7 @@ REGISTRY: dict[str, Experiment] = {
     for m, settings in (
         (swerve_track, swerve_track.SwerveTrackSettings),
         (swerve_fixed, swerve_fixed.SwerveFixedSettings),
+        (swerve_calibrate, swerve_calibrate.SwerveCalibrateSettings),
         (rezero_steps, rezero_steps.RezeroStepsSettings),
         (swerve_brakes, swerve_brakes.SwerveBrakesSettings),
         (swerve_stability, swerve_stability.SwerveStabilitySettings),

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from wbmpc.log import Log
 from wbmpc.loop import Ending
 from wbmpc.mpc import MPC
+from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.solver import SQP, InteriorPoint
@@ -46,6 +47,19 @@ class ControlSettings(Settings):
     """``rate`` [Hz] of the tracking controller."""
 
     rate: float = Field(400.0, gt=0, le=10_000)
+
+
+class LocalisationSettings(Settings):
+    """A source of global poses: ``rate`` [Hz], ``age`` [s] at delivery, noise of ``position`` [m] and ``yaw`` [rad]."""
+
+    rate: float = Field(10.0, gt=0, le=1000)
+    age: float = Field(0.050, ge=0, le=0.4)
+    position: float = Field(0.005, gt=0)
+    yaw: float = Field(0.002, gt=0)
+
+    def source(self, seed: int) -> Localisation:
+        """The simulated source."""
+        return Localisation(self.rate, self.age, self.position, self.yaw, seed)
 
 
 class ExperimentSettings(Settings):

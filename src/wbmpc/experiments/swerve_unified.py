@@ -18,8 +18,9 @@ from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration
 from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, Weight, finished
+from wbmpc.experiments.swerve_calibrate import swerve_robot
 from wbmpc.experiments.swerve_problem import ROLLING_COMPLIANCE, StateCost, SwerveCost, swerve_problem
-from wbmpc.experiments.swerve_track import HAND_ORIENTATION, _in_frame, _stand, _swerve_robot
+from wbmpc.experiments.swerve_track import HAND_ORIENTATION, _in_frame, _stand
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel
@@ -50,7 +51,7 @@ REAR_TRIANGLES = ((0, 2, 3), (1, 2, 3))
 
 class SwerveUnifiedSettings(ExperimentSettings):
     """``legs``: by targets (X to A) or free, with the zero-moment point's margin in the two rear support triangles as the
-    objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]); ``gyro_share``,
+    objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]); ``use_gyro``,
     ``rest``, ``drive_lag``: as in swerve-track."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
@@ -58,7 +59,7 @@ class SwerveUnifiedSettings(ExperimentSettings):
     legs: Literal["targets", "support"] = "targets"
     support: Weight = 2.0
     reserve: float = Field(0.05, gt=0, le=0.5)
-    gyro_share: float = Field(0.4, ge=0, le=1)
+    use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
 
@@ -78,7 +79,7 @@ def _problem(robot: RobotModel, settings: SwerveUnifiedSettings) -> Any:
 
 def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run; metrics are those of section "Names of the metrics" in docs/experiments.md."""
-    robot = _swerve_robot(settings.robot)
+    robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
@@ -102,7 +103,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = SwerveAgent(
         robot, plant.truth().pose, timing.period, brakes.commanded,
-        gyro_share=settings.gyro_share if settings.rest > 0.0 else 0.0, lag=settings.drive_lag,
+        use_gyro=settings.use_gyro, lag=settings.drive_lag,
         monitor=BrakeMonitor(robot.state.groups["leg"]), faulty=brakes.accept,
     )  # fmt: skip
     _stand(plant, agent, timing, settings.rest)

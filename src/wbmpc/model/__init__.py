@@ -4,7 +4,7 @@ from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRa
 from wbmpc.model.equations import Equations
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
-from wbmpc.model.swerve import SwerveGeometry, rolling_inverse_kinematics, wheel_velocities
+from wbmpc.model.swerve import SwerveGeometry, aligned_steering, rolling_inverse_kinematics, wheel_velocities
 from wbmpc.model.symbolic import FramePose
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Limits",
     "RobotModel",
     "SwerveGeometry",
+    "aligned_steering",
     "load_robot",
     "rolling_inverse_kinematics",
     "wheel_velocities",

@@ -130,6 +130,20 @@ def rolling_inverse_kinematics(
     return target, speed
 
 
+def aligned_steering(geometry: SwerveGeometry, leg: ArrayLike, steer: ArrayLike) -> Array:
+    """Steering angles (n,) [rad] near ``steer`` that have a common centre: those of the twist that slips least there.
+
+    The twist is the last right singular vector of the side-slip rows; the turn is weighed with the modules' distance.
+    """
+    s, steer = geometry.steer_axes(leg), np.asarray(steer, float)
+    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+    lever = float(np.sqrt(np.mean(np.sum((s - s.mean(axis=0)) ** 2, axis=1))))
+    c, d = np.cos(heading), np.sin(heading)
+    rows = np.stack([-d, c, (c * s[:, 0] + d * s[:, 1]) / lever], axis=1)
+    twist = np.linalg.svd(rows)[2][-1] / [1.0, 1.0, lever]
+    return rolling_inverse_kinematics(geometry, leg, steer, twist)[0]
+
+
 class SwerveBase:
     """Kinematic model: the input is the wheels' body twist and all joint rates; rolling is a constraint."""
 

@@ -8,7 +8,7 @@ from wbmpc.mpc.plans import Agent, Plans
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.runner import RobotInterface, Runner
 from wbmpc.mpc.safety import RealTime
-from wbmpc.mpc.steering import SteeringGuess
+from wbmpc.mpc.steering import SteeringGuess, SteeringPlan, plan_steering
 
 __all__ = [
     "MPC",
@@ -24,6 +24,8 @@ __all__ = [
     "Runner",
     "Sizes",
     "SteeringGuess",
+    "SteeringPlan",
     "VirtualClock",
     "WallClock",
+    "plan_steering",
 ]

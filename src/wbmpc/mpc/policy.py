@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.errors import NotFinite
 from wbmpc.solver import Solution
 
 
@@ -49,7 +50,12 @@ class Policy:
         return self.u[self._interval(t)].copy()
 
     def __call__(self, t: float, x: np.ndarray | None = None) -> np.ndarray:
-        """Input (nu) at time t [s] for the measured state (nx); the feed-forward alone when x is left out."""
+        """Input (nu) at time t [s] for the measured state (nx); the feed-forward alone when x is left out.
+
+        Raises :class:`NotFinite` for a time or a state that is not finite.
+        """
+        if not np.isfinite(t) or (x is not None and not np.isfinite(x).all()):
+            raise NotFinite("policy: time and state must be finite")
         k = self._interval(t)
         if x is None:
             return self.u[k].copy()

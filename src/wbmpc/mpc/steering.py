@@ -1,4 +1,8 @@
-"""A guess for the steering of a swerve base that is to move from rest.
+"""Steering of a swerve base: which way round the wheels go, and a guess for a base that is to move from rest.
+
+A wheel rolls along a direction in two ways, ψ and ψ + π, and the steering's range ends at about ±π: which way round is a
+combinatorial choice that a local optimiser does not make. :func:`plan_steering` makes it by a dynamic programme over
+the previewed motion.
 
 At standstill the linearised rolling rows do not see the steering angles (their derivative is proportional to the speed):
 a sideways goal with straight wheels is an exact stationary point. So, once, when the previewed motion begins while the
@@ -8,11 +12,13 @@ plan stands still, the trajectories start from rolling inverse kinematics: wheel
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from wbmpc import lie
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
+from wbmpc.model.swerve import SwerveGeometry
 from wbmpc.solver import Solver
 
 #: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
@@ -29,13 +35,131 @@ def speed(twist: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(twist[..., 0], twist[..., 1]) + LEVER * np.abs(twist[..., 2]))
 
 
+#: Cost [m] of a stop besides the way that it loses: no stop without a reason.
+STOP = 1e-3
+#: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
+LATER = 1e-7
+#: Nodes of the programme; share of the horizon within which a stop is written into the trajectories; largest turn [rad] of
+#: a rolling wheel from one node of the horizon to the next.
+NODES, NEAR, BEND = 25, 0.6, 0.8
+
+
+@dataclass(frozen=True)
+class SteeringPlan:
+    """Steering angles ``steer`` (k, n) [rad] at ``times`` (k,) [s]; ``stops``: indices of the nodes before which the base
+    has to stand while wheels turn round."""
+
+    times: np.ndarray
+    steer: np.ndarray
+    stops: tuple[int, ...]
+
+    def nearest(self, t: float, steer: np.ndarray) -> np.ndarray:
+        """``steer`` (n), or the same direction of each wheel the other way round, as the plan has it at time ``t`` [s]."""
+        k = min(int(np.searchsorted(self.times, t - 1e-9)), len(self.times) - 1)
+        return np.asarray(steer + np.pi * np.round((self.steer[k] - steer) / np.pi))
+
+
+def plan_steering(
+    geometry: SwerveGeometry,
+    leg: np.ndarray,
+    steer: np.ndarray,
+    times: np.ndarray,
+    twists: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray],
+    rate: float,
+) -> SteeringPlan:
+    """The ways round that lose least of the motion's way: a dynamic programme over the nodes at which the base may stop.
+
+    ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``: lower and upper (n) [rad]; ``rate`` [rad/s] of
+    a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
+    times the speed there, nothing while the base rests; all wheels may turn round at it.
+    """
+    ways, speeds = _directions(geometry, leg, steer, twists)
+    ways[0] = steer + _wrapped(ways[0] - steer)
+    ways = np.unwrap(ways, axis=0, period=np.pi)
+    cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
+    low, high = _rounds(ways, *limits)
+    free = np.asarray((low <= high).all(axis=2))
+    kept = ((low[0] <= 0) & (high[0] >= 0)).all(axis=1)
+    starts = _cheapest(cost, free, np.asarray(kept))
+    steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
+    for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
+        # as few turns as possible; where the range is too small for a direction, the end is left to the limits
+        before, shift = shift, np.clip(shift, low[j, k - 1], np.maximum(high[j, k - 1], low[j, k - 1]))
+        steered[j:k] = ways[j:k] + np.pi * shift
+        if (shift != before).any() and cost[j] > STOP:
+            stops.append(j)
+    return SteeringPlan(times, steered, tuple(stops))
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    """Within ±π/2, by half turns."""
+    return np.asarray((angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+
+
+def _rounds(ways: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest number (k, k, n) of half turns that keep a wheel in its range from node j to node k, k ≥ j."""
+    count = len(ways)
+    after = np.arange(count) >= np.arange(count)[:, None]
+    least = np.minimum.accumulate(np.where(after[:, :, None], ways, np.inf), axis=1)
+    most = np.maximum.accumulate(np.where(after[:, :, None], ways, -np.inf), axis=1)
+    least, most = np.where(after[:, :, None], least, 0.0), np.where(after[:, :, None], most, 0.0)
+    return np.ceil((lower - least) / np.pi - 1e-9), np.floor((upper - most) / np.pi + 1e-9)
+
+
+def _cheapest(cost: np.ndarray, free: np.ndarray, kept: np.ndarray) -> list[int]:
+    """First nodes of the parts into which stops of ``cost`` (k) divide the way: shortest path over the nodes.
+
+    ``free`` (k, k): whether a part from j to k needs no flip inside; ``kept`` (k): the same from the start on without one
+    before it.
+    """
+    count = len(cost)
+    best, source = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=int)
+    start = np.full(count, np.inf)
+    start[0] = cost[0]
+    for k in range(1, count + 1):
+        # a part of one node is always possible: there may be no better way where the range is too small
+        ends = np.where(free[:k, k - 1], start[:k], np.inf)
+        ends[k - 1] = start[k - 1]
+        j = int((ends - LATER * np.arange(k)).argmin())
+        best[k], source[k] = (0.0, 0) if kept[k - 1] else (ends[j], j)
+        if k < count:
+            start[k] = best[k] + cost[k]
+    parts = [int(source[count])]
+    while parts[-1] > 0:
+        parts.append(int(source[parts[-1]]))
+    return parts[::-1]
+
+
+def _directions(
+    geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steering angles (k, n) of the wheels' directions, and the speed (k) [m/s] of the fastest. A wheel that rests already
+    has the direction that comes next (or keeps its last)."""
+    s = geometry.steer_axes(leg)
+    vx = twists[:, :1] - twists[:, 2:] * s[:, 1]
+    vy = twists[:, 1:2] + twists[:, 2:] * s[:, 0]
+    speeds = np.hypot(vx, vy)
+    angle = np.arctan2(vy, vx) - geometry.wheel_heading - geometry.leg_angles(leg)
+    count, moving = len(twists), speeds > MOVING
+    index = np.where(moving, np.arange(count)[:, None], count)
+    later = np.minimum.accumulate(index[::-1], axis=0)[::-1]
+    earlier = np.maximum.accumulate(np.where(moving, index, -1), axis=0)
+    source = np.where(later < count, later, earlier)
+    angle = np.where(source >= 0, np.take_along_axis(angle, np.maximum(source, 0), axis=0), steer)
+    return angle, np.where(moving, speeds, 0.0).max(axis=1)
+
+
 class SteeringGuess:
     """Callable for :class:`wbmpc.mpc.MPC` (``guess=``)."""
 
     def __init__(self, robot: RobotModel, preview: Preview) -> None:
         self.robot, self.preview = robot, preview
+        steer = robot.state["steer"]
         self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
+        self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
         self._armed, self._done = True, False
+        self._flip = -np.inf  # until when a flip that was written is being driven [s]
 
     def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         base = self.robot.input["base"]
@@ -45,6 +169,7 @@ class SteeringGuess:
         elif now < SLOW:
             self._armed = True
         if not self._armed or self._done:
+            self._turn_round(solver, t, x0)
             return
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
@@ -52,13 +177,36 @@ class SteeringGuess:
         if soon.max() < MOVING:
             return
         self._done = True
-        self._write(solver, twists, x0)
+        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0), rolling=False)
 
-    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> None:
+    def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
+        """Which way round the wheels go over a horizon [s] of the preview; times from ``t`` on."""
+        times = np.linspace(0.0, horizon, NODES)
+        twists = self.preview(t + times, x0[self.robot.state["base"]])
+        leg, steer = self._angles(x0)
+        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate)
+
+    def _turn_round(self, solver: Solver, t: float, x0: np.ndarray) -> None:
+        """Write the stop at which wheels turn round into the trajectories, once, when it comes near."""
+        grid = solver.ws.grid
+        if t < self._flip:
+            return
+        plan = self.plan(t, float(grid[-1]), x0)
+        if not plan.stops or plan.times[plan.stops[0]] > NEAR * grid[-1]:
+            return
+        self._flip = t + float(plan.times[plan.stops[0]]) + np.pi / self.rate + 1.0
+        self._write(solver, self.preview(t + grid, x0[self.robot.state["base"]]), x0, plan, rolling=True)
+
+    def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        state, modules = self.robot.state, self.robot.base.geometry.modules
+        return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
+
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, rolling: bool) -> None:
+        """Trajectories by rolling inverse kinematics, the wheels as in ``plan``; ``rolling``: the base moves now."""
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
-        leg = x0[state["leg"]] if "leg" in state else np.zeros(geometry.modules)
-        steer, pose = x0[state["steer"]].copy(), x0[state["base"]].copy()
+        leg, steer = self._angles(x0)
+        pose = x0[state["base"]].copy()
         moving = np.flatnonzero(speed(twists) > MOVING)
         if not moving.size:
             return
@@ -67,8 +215,11 @@ class SteeringGuess:
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
             wanted = twists[k] if k in moving else np.zeros(3)
             target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later])
+            target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
-            if np.abs(target - steer).max() > 0.03:
+            # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
+            rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
+            if not rolling:
                 wanted = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
             u[k, given["base"]], u[k, given["steer"]] = wanted, rate

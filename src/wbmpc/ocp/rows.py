@@ -144,8 +144,6 @@ def _sides(term: Constraint, rows: int) -> list[_Side]:
         return [_Side(i, 1.0, 0.0, 1.0, names[i]) for i in range(rows)]
     assert isinstance(term.set, Box)
     lower, upper = term.set.bounds(rows)
-    if np.any(lower > upper):
-        raise InputError(f"constraint '{term.name}': a lower bound is above its upper bound")
     width = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
     low = [
         _Side(int(i), 1.0, -float(lower[i]), float(width[i]), f"{names[i]} >= {lower[i]:g}")

@@ -40,6 +40,8 @@ class ModeSchedule:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "modes", tuple(self.modes))
+        if not all(isinstance(mode, Mode) for mode in self.modes):
+            raise InputError(f"mode schedule: modes must be Mode objects, got {list(self.modes)}")
         object.__setattr__(self, "events", tuple(float(t) for t in self.events))
         if len(self.modes) != len(self.events) + 1:
             raise InputError(

@@ -27,6 +27,16 @@ class Box:
     lower: ArrayLike
     upper: ArrayLike
 
+    def __post_init__(self) -> None:
+        lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
+        if lower.shape == upper.shape or not (lower.ndim and upper.ndim):
+            crossed = np.broadcast_to(lower > upper, np.broadcast_shapes(lower.shape, upper.shape))
+            if crossed.any():
+                row = f" in row {int(np.argmax(crossed))}" if crossed.ndim else ""
+                raise InputError(
+                    f"box: the lower bound is above the upper one{row}, got {lower.tolist()} and {upper.tolist()}"
+                )
+
     def bounds(self, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """``lower`` and ``upper`` as arrays of ``rows`` numbers."""
         sides = {"lower": np.asarray(self.lower, float), "upper": np.asarray(self.upper, float)}

@@ -184,6 +184,10 @@ class Transcription:
                 continue
             weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
             r, norm = self._residual(cost), cost.norm
+            if place == "terminal" and ca.depends_on(r, self.u):
+                raise InputError(
+                    f"cost '{cost.name}', at: its residual depends on the input, which ends before the horizon does; valid: path"
+                )
             out.append((r, weight * norm.value(r), weight * norm.gradient(r), weight * norm.curvature(r)))
         for term, h in (self.path if place == "path" else self.end).general_barriers:
             switch, b = self._switch(term.name), cast(RelaxedBarrier, term.penalty)

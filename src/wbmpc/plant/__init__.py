@@ -1,8 +1,10 @@
 """Simulated robots in MuJoCo, perturbed against the planner's model."""
 
 from wbmpc.plant.brakes import BRAKE_TORQUE, Brakes
+from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation
 from wbmpc.plant.protocol import (
+    GlobalPose,
     Plant,
     RezeroCommand,
     RezeroMeasurement,
@@ -20,6 +22,8 @@ __all__ = [
     "TIMESTEP",
     "Brakes",
     "Draw",
+    "GlobalPose",
+    "Localisation",
     "Perturbation",
     "Plant",
     "RezeroCommand",

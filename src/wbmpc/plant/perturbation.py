@@ -43,7 +43,7 @@ class Perturbation(BaseModel):
     joint_loss: float = Field(default=2.0, ge=0)
     brake_delay: float = Field(default=0.10, ge=0)
     friction: tuple[float, float] = (0.6, 0.9)
-    encoder_jitter: float = Field(default=0.002, ge=0)
+    encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
     encoder_counts: int = Field(default=2**14, ge=0)
     arm_counts: int = Field(default=2**17, ge=0)
     steer_noise: float = Field(default=0.0, ge=0)
@@ -53,7 +53,7 @@ class Perturbation(BaseModel):
     accel_noise: float = Field(default=1e-3, ge=0)
     accel_bias: float = Field(default=0.01, ge=0)
     accel_walk: float = Field(default=3e-3, ge=0)
-    state_age: float = Field(default=0.005, ge=0)
+    state_age: float = Field(default=0.005, ge=0, le=1.0)
     position_noise: float = Field(default=1e-3, ge=0)
     angle_noise: float = Field(default=2e-3, ge=0)
     speed_noise: float = Field(default=0.01, ge=0)
@@ -68,7 +68,7 @@ class Perturbation(BaseModel):
     @classmethod
     def _range_in_order(cls, value: tuple[float, float]) -> tuple[float, float]:
         if not 0.0 <= value[0] <= value[1]:
-            raise ValueError("needs 0 ≤ lower ≤ upper")
+            raise ValueError("one number, or two with 0 ≤ lower ≤ upper, are needed")
         return value
 
     @classmethod

@@ -49,10 +49,20 @@ class SwerveCommand:
 
 
 @dataclass(frozen=True)
+class GlobalPose:
+    """What a localisation says: ``pose`` (x, y, yaw) of the base at ``time`` [s], with its ``covariance`` (3, 3)."""
+
+    time: float
+    pose: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class SwerveMeasurement:
     """Positions [rad] as the encoders report them at ``time`` [s] (``leg`` is empty for fixed legs).
 
     ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: inertial unit, axes of the base; at rest ``accel`` points up.
+    ``place``: a global pose that has just come in, older than the message.
     """
 
     time: float
@@ -62,6 +72,7 @@ class SwerveMeasurement:
     arm: Array
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
+    place: GlobalPose | None = None
 
 
 @dataclass(frozen=True)

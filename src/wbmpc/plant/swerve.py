@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.brakes import Brakes
+from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
 from wbmpc.plant.world import (
@@ -56,6 +57,7 @@ class SwervePlant(InWorld):
     of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
     specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
     before time 0. ``external`` is called before every physics step with (model, data). ``brakes``: those of the hinges.
+    ``localisation``: a source of global poses, which come with the messages.
     """
 
     def __init__(
@@ -69,11 +71,12 @@ class SwervePlant(InWorld):
         edit: Edit | None = None,
         lift: float = 0.0,
         settle: float = 0.5,
+        localisation: Localisation | None = None,
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
-        self.perturbation = perturbation or Perturbation()
+        self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -198,16 +201,23 @@ class SwervePlant(InWorld):
 
     def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:
         d, (x, y, yaw) = self.data, state["base"]
-        higher = self.base.wheel_radius * (float(self.draw.radius.mean()) - 1.0)
-        d.qpos[0:3] = [x, y, float(self.model.body_pos[self.world.body][2]) + higher + lift]
+        d.qpos[0:3] = [x, y, 0.0]
         d.qpos[3:7] = lie.quaternion_about([0.0, 0.0, 1.0], yaw)
         for group, index in self._q.items():
             d.qpos[index] = state[group] - self.offsets[group]
+        d.qpos[2] = self._standing_height() + lift
         self._advance_brakes()
         for _ in range(round(settle / self.timestep)):
             self.world.advance(self._arm_weight)
         self.world.restart()
         self._history.append(d.qpos[self._all])
+
+    def _standing_height(self) -> float:
+        """Height [m] of the base at which its wheels touch the floor on average, for the joints as they are."""
+        mujoco.mj_kinematics(self.model, self.data)
+        wheels = [self.model.geom(f"contact_{m.wheel}").id for m in self.base.modules]
+        below = self.data.geom_xpos[wheels, 2] - self.model.geom_size[wheels, 0]
+        return float(self.data.qpos[2] - below.mean())
 
     # ------------------------------------------------------------------ running
     def _advance_brakes(self) -> None:
@@ -254,7 +264,10 @@ class SwervePlant(InWorld):
             start += len(index)
         interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
         imu = {name: self._inertial(name, interval) for name in ("gyro", "accel")}
-        self._last = SwerveMeasurement(self.time, **values, **imu)
+        place = None
+        if self.localisation is not None:
+            place = self.localisation.observe(self.time, np.array([*self.data.qpos[:2], self.world.yaw]))
+        self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
 
     def _inertial(self, name: str, interval: float) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 import mujoco
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError, unknown_name
 
+_LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
 #: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
 Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
@@ -99,6 +101,8 @@ class World:
     """
 
     def __init__(self, spec: mujoco.MjSpec, body: str, tool: str, joints: list[str]) -> None:
+        # MuJoCo's warnings go to the log, not into a file in the working directory
+        mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)

@@ -96,12 +96,20 @@ class LimitsDescription(_Model):
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels.
     """
 
-    velocity: dict[str, float] = {}
-    effort: dict[str, float] = {}
+    velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
+    effort: dict[str, Annotated[float, Field(gt=0)]] = {}
     position: dict[str, tuple[float, float]] = {}
     base_linear: float = Field(default=1.0, gt=0)
     base_angular: float = Field(default=1.0, gt=0)
     wheel_effort: float = Field(default=np.inf, gt=0)
+
+    @field_validator("position")
+    @classmethod
+    def _in_order(cls, value: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        for name, (low, high) in value.items():
+            if not low < high:
+                raise ValueError(f"'{name}' needs lower < upper")
+        return value
 
 
 class RobotDescription(_Model):
@@ -115,6 +123,14 @@ class RobotDescription(_Model):
     home: dict[str, float] = {}
     limits: LimitsDescription = LimitsDescription()
     source: str = Field(default="", exclude=True)
+
+    @model_validator(mode="after")
+    def _every_joint_once(self) -> Self:
+        names = self.joints()
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise ValueError(f"arm.joints and base.modules: every joint once, got '{twice[0]}' twice")
+        return self
 
     def joints(self) -> list[str]:
         """Names of all joints that the description uses."""
@@ -134,6 +150,8 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
 
     Raises :class:`InputError` naming file and key.
     """
+    if not isinstance(name_or_path, str | Path):
+        raise InputError(f"robot: a name or a path to a .yaml file is needed, got {name_or_path!r}")
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         if str(name_or_path) not in available_robots():
@@ -145,8 +163,13 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         data = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    except (UnicodeDecodeError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as text in UTF-8: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping of keys is needed")
+    strange = [key for key in data if not isinstance(key, str)]
+    if strange:
+        raise unknown_name("key", str(strange[0]), _sibling_keys((strange[0],), ""), where=str(path))
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
         _refuse_contact(data["base"], path)
@@ -245,7 +268,7 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
     try:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:
-        raise InputError(f"{path}: cannot be read: {str(error).strip().splitlines()[0]}") from error
+        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     for name, angle in description.lock.items():
         _lock(spec, name, angle, description.source)
     return spec

@@ -1,0 +1,125 @@
+"""What is known of a swerve base's wheels: zeros of the steering encoders and radii, and its file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.swerve import SwerveGeometry
+
+Array = NDArray[np.float64]
+
+#: Standard deviations of a base that nobody calibrated: steering zero (with the leg's, which turns the wheel as well)
+#: [rad], radius of one wheel and of all of them, relative.
+ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
+
+
+@dataclass(frozen=True)
+class WheelCalibration:
+    """Corrections of a swerve base with n modules: true angle = measured − zero.
+
+    ``steer_zero``, ``leg_zero`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
+    zeros [rad] and of the radii (relative), in this order. The heading of a wheel shows only the sum of both zeros:
+    a calibration from driving leaves the legs' as they are and has the sum in ``steer_zero``.
+    """
+
+    steer_zero: Array
+    leg_zero: Array
+    wheel_radius: Array
+    covariance: Array
+
+    @classmethod
+    def unknown(
+        cls,
+        geometry: SwerveGeometry,
+        zero: float = ZERO_STD,
+        radius: float = RADIUS_STD,
+        common_radius: float = COMMON_RADIUS_STD,
+    ) -> WheelCalibration:
+        """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
+        n = geometry.modules
+        covariance = np.diag(np.repeat([zero**2, radius**2], n))
+        covariance[n:, n:] += common_radius**2
+        return cls(np.zeros(n), np.zeros(n), np.full(n, geometry.wheel_radius), covariance)
+
+    @classmethod
+    def exact(cls, geometry: SwerveGeometry) -> WheelCalibration:
+        """The description's numbers, without any doubt."""
+        return cls.unknown(geometry, 0.0, 0.0, 0.0)
+
+    @property
+    def modules(self) -> int:
+        """Number of modules n."""
+        return len(self.steer_zero)
+
+    @property
+    def std(self) -> tuple[Array, Array]:
+        """Standard deviations (n) of the steer zeros [rad] and of the radii (relative)."""
+        s = np.sqrt(np.diag(self.covariance))
+        return s[: self.modules], s[self.modules :]
+
+    def save(self, path: Path, modules: list[str]) -> None:
+        """Write a YAML file with one entry for each of the named modules (their steer joints)."""
+        std = self.std
+        rows = {
+            name: {
+                "steer_zero": float(self.steer_zero[i]),
+                "leg_zero": float(self.leg_zero[i]),
+                "wheel_radius": float(self.wheel_radius[i]),
+                "steer_zero_std": float(std[0][i]),
+                "wheel_radius_std": float(std[1][i]),
+            }
+            for i, name in enumerate(modules)
+        }
+        head = "# Wheels of a swerve base: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
+        path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False))
+
+    @classmethod
+    def load(cls, path: Path | str, geometry: SwerveGeometry, modules: list[str]) -> WheelCalibration:
+        """Read such a file; keys that are left out are the description's. Raises :class:`InputError` naming the key."""
+        rows = _read(Path(path), modules)
+        value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
+        std = np.concatenate([value("steer_zero_std", 0.0), value("wheel_radius_std", 0.0)])
+        radius = value("wheel_radius", geometry.wheel_radius)
+        if (radius <= 0.0).any() or (std < 0.0).any():
+            raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
+        return cls(value("steer_zero", 0.0), value("leg_zero", 0.0), radius, np.diag(std**2))
+
+
+_KEYS = ("steer_zero", "leg_zero", "wheel_radius", "steer_zero_std", "wheel_radius_std")
+
+
+def _read(path: Path, modules: list[str]) -> dict[str, dict[str, object]]:
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; 'wbmpc calibrate' writes one")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    rows = data.get("modules") if isinstance(data, Mapping) else None
+    if not isinstance(rows, Mapping) or len(data) > 1:
+        raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")
+    for name in rows:
+        if name not in modules:
+            raise InputError(f"{path}: {unknown_name('module', str(name), modules)}")
+        if not isinstance(rows[name], Mapping):
+            raise InputError(f"{path}: key 'modules.{name}': a mapping is needed; valid keys: {', '.join(_KEYS)}")
+        for key in rows[name]:
+            if key not in _KEYS:
+                raise InputError(f"{path}: {unknown_name('key', f'modules.{name}.{key}', _KEYS)}")
+    missing = [n for n in modules if n not in rows]
+    if missing:
+        raise InputError(f"{path}: key 'modules': there is no entry for {', '.join(missing)}")
+    return {n: dict(rows[n]) for n in modules}
+
+
+def _number(path: Path | str, module: str, key: str, value: object) -> float:
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value):
+        return float(value)
+    raise InputError(f"{path}: key 'modules.{module}.{key}': a finite number is needed, got {value!r}")

@@ -1,0 +1,226 @@
+"""`swerve-calibrate`: a short reference drive with global poses, from which the wheels are calibrated.
+
+No MPC: between strokes the base stands and the wheels turn to the next direction, then they roll. Brakes stay closed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.control import SwerveAgent
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.estimation import WheelCalibration, WheelRecord, calibrate
+from wbmpc.experiments.settings import ControlSettings, LocalisationSettings, Settings
+from wbmpc.log import Log
+from wbmpc.loop import Progress
+from wbmpc.model import RobotModel, load_robot, rolling_inverse_kinematics
+from wbmpc.plant import Perturbation, SwerveCommand, SwerveMeasurement, SwervePlant
+from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
+
+NAME = "swerve-calibrate"
+SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"
+
+IDEALISATIONS = [
+    "global poses have independent normal noise; a real localisation has errors that last as well",
+    "the robot may drive about 2 m in each direction",
+]
+
+
+class SwerveCalibrateSettings(Settings):
+    """``speed`` [m/s] and ``stroke`` [m] of the straight parts; ``turn`` [rad] of the others; ``pause`` [s] of standing
+    before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
+
+    robot: str = "swerve-ur10"
+    speed: float = Field(0.4, ge=0.02, le=0.8)
+    stroke: float = Field(2.0, gt=0, le=20)
+    turn: float = Field(np.pi, gt=0, le=7)
+    pause: float = Field(0.5, ge=0, le=60)
+    rounds: int = Field(1, ge=1, le=20)
+    rest: float = Field(5.0, ge=0, le=120)
+    localisation: LocalisationSettings = LocalisationSettings()
+    control: ControlSettings = ControlSettings()
+    plant: Perturbation = Perturbation()
+
+
+#: Directions (x, y, yaw) of the strokes, in the body.
+STROKES = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+#: Largest steering speed [rad/s], gain of its servo [1/s], acceleration [m/s²], lever [m] of a turn.
+STEER_SPEED, STEER_GAIN, ACCELERATION, LEVER = 2.0, 5.0, 0.4, 0.8
+
+
+class WheelLog:
+    """Writes the channels that a calibration reads: one row for ``every`` messages."""
+
+    def __init__(self, log: Log, every: int = 4) -> None:
+        self.log, self.every = log, every
+        self._count, self._gyro = 0, list[float]()
+
+    def add(self, t: float, m: SwerveMeasurement) -> None:
+        """Take in the message of time ``t`` [s] on the log's clock."""
+        self._gyro.append(float(m.gyro[2]))
+        if m.place is not None:
+            row = np.concatenate([m.place.pose, np.sqrt(np.diag(m.place.covariance))])
+            self.log.add("place", m.place.time - m.time + t, row)
+        if self._count % self.every == 0:
+            self.log.add("steer", t, m.steer)
+            self.log.add("wheel", t, m.wheel)
+            if m.leg.size:
+                self.log.add("leg", t, m.leg)
+            self.log.add("gyro", t, np.mean(self._gyro))
+            self._gyro = []
+        self._count += 1
+
+
+class _Phase(NamedTuple):
+    """``length`` [s] with the wheels at ``steer`` (n), rolling the twist direction with a trapezium up to ``speed``."""
+
+    length: float
+    steer: np.ndarray
+    twist: np.ndarray
+
+    def share(self, t: float) -> float:
+        """Speed over full speed at ``t`` [s] of this phase: smooth, rests at both ends."""
+        ramp = min(float(np.hypot(np.hypot(*self.twist[:2]), LEVER * self.twist[2])) / ACCELERATION, 0.5 * self.length)
+        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * min(max(s / ramp, 0.0), 1.0)) if ramp > 0.0 else 0.0
+        return float(rise(t) * rise(self.length - t))
+
+
+def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
+    geometry, home = robot.base.geometry, robot.state.split(robot.home)
+    leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
+    most = robot.limits.state_upper[robot.state["steer"]] - 0.01
+    phases = [_Phase(s.rest, steer, np.zeros(3))]
+    for stroke in STROKES * s.rounds:
+        direction = np.array(stroke, float)
+        straight = float(np.hypot(*direction[:2]))
+        twist = direction * (s.speed / straight if straight else s.speed / LEVER)
+        way = s.stroke if straight else s.turn * LEVER
+        target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
+        target = target - np.pi * np.sign(target) * (np.abs(target) > most)
+        turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
+        ramp = s.speed / ACCELERATION
+        steer = target
+        phases += [
+            _Phase(turning + s.pause, steer, np.zeros(3)),
+            _Phase(way / s.speed + ramp, steer, twist),
+            _Phase(s.pause, steer, np.zeros(3)),
+        ]
+    return phases
+
+
+def swerve_robot(name: str) -> RobotModel:
+    """The robot of that name or file, which must have a swerve base."""
+    robot = load_robot(name)
+    if robot.description.base.type != "swerve":
+        raise InputError(f"robot: '{name}' has a base of type '{robot.description.base.type}'; valid: swerve")
+    return robot
+
+
+def drive(
+    robot: RobotModel,
+    settings: SwerveCalibrateSettings,
+    seed: int,
+    calibration: WheelCalibration | None = None,
+    progress: Progress | None = None,
+) -> tuple[Log, SwerveAgent, str]:
+    """The reference drive: what was recorded, the agent with its odometry, and why it ended early (empty: it did not)."""
+    plant = SwervePlant(
+        robot.description, robot.state.split(robot.home), settings.plant, seed,
+        localisation=settings.localisation.source(seed),
+    )  # fmt: skip
+    steps = round(1.0 / settings.control.rate / plant.timestep)
+    period, geometry = steps * plant.timestep, robot.base.geometry
+    agent = SwerveAgent(robot, plant.truth().pose, period, calibration=calibration)
+    log, phases = Log(), _phases(robot, settings)
+    wheels, total, t0 = WheelLog(log), sum(p.length for p in phases), 0.0
+    arm, closed = np.zeros(len(robot.input.groups["arm"])), np.zeros(len(geometry.hinge))
+    legs = robot.state.split(robot.home).get("leg", np.zeros(geometry.modules))
+    for phase in phases:
+        for k in range(round(phase.length / period)):
+            m = plant.measure()
+            agent.measure(m)
+            wheels.add(plant.time, m)
+            if len(log.channels) and round(plant.time / period) % 4 == 0:
+                log.add("base", plant.time, plant.truth().pose)
+                log.add("base_odometry", plant.time, agent.odometry.pose)
+                log.add("base_wheels", plant.time, agent.wheels_alone.pose)
+            twist = phase.twist * phase.share(k * period)
+            _, wheel = rolling_inverse_kinematics(geometry, legs, phase.steer, twist)
+            steer = np.clip(STEER_GAIN * (phase.steer - agent.steer), -STEER_SPEED, STEER_SPEED)
+            plant.step(SwerveCommand(wheel * agent.wheel_scale, steer, arm, closed), steps)
+            if plant.fell:
+                return log, agent, f"the robot fell at {plant.time:.2f} s"
+        t0 += phase.length
+        if progress is not None:
+            progress(t0 / total, f"{t0:.1f} of {total:.1f} s")
+    return log, agent, ""
+
+
+def steer_joints(robot: RobotModel) -> list[str]:
+    """The names by which a calibration file knows the modules."""
+    return list(robot.state.groups["steer"])
+
+
+def record_of(log: Log) -> WheelRecord:
+    """What a calibration reads of a log."""
+    return WheelRecord.of({c: log.array(c) for c in log.channels} | {f"{c}.time": log.times(c) for c in log.channels})
+
+
+def calibrated(
+    robot: RobotModel, how: str, plant: Perturbation, localisation: LocalisationSettings, seed: int
+) -> WheelCalibration:
+    """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
+    geometry = robot.base.geometry
+    if how == "none":
+        return WheelCalibration.unknown(geometry)
+    if how == "drive":
+        log, _, reason = drive(robot, SwerveCalibrateSettings(plant=plant, localisation=localisation), seed)
+        if reason:
+            raise RunAborted(f"the reference drive for the calibration: {reason}")
+        return calibrate(geometry, record_of(log))
+    return WheelCalibration.load(how, geometry, steer_joints(robot))
+
+
+def run(settings: SwerveCalibrateSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """The drive, and what a calibration finds in it; the log is the input of 'wbmpc calibrate'."""
+    robot = swerve_robot(settings.robot)
+    log, _, reason = drive(robot, settings, seed, progress=progress)
+    metrics = _metrics(robot, log) if not reason else {}
+    return RunResult(
+        NAME, seed, not reason, reason, metrics, MpcStatistics.of(1.0, []), log, _plots(log), IDEALISATIONS,
+        settings.model_dump(mode="json"),
+    )  # fmt: skip
+
+
+def _metrics(robot: RobotModel, log: Log) -> dict[str, Metric]:
+    found = calibrate(robot.base.geometry, record_of(log))
+    base, odometry, wheels = (log.array(n) for n in ("base", "base_odometry", "base_wheels"))
+    way = float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T)))
+    return {
+        "base_error_rms_world": Metric(
+            float(np.sqrt(np.mean(np.sum((odometry - base)[:, :2] ** 2, axis=1)))), "m", goal=0.010
+        ),
+        "yaw_error_rms_world": Metric(float(np.sqrt(np.mean((odometry - base)[:, 2] ** 2))), "rad"),
+        "base_path_length": Metric(way, "m"),
+        "odometry_drift_ratio_wheels": Metric(float(np.hypot(*(wheels - base)[-1, :2])) / max(way, 1e-9), "1"),
+        "steer_zero_mean": Metric(float(found.steer_zero.mean()), "rad"),
+        "steer_zero_mean_std": Metric(float(np.sqrt(found.covariance[: found.modules, : found.modules].mean())), "rad"),
+        "wheel_radius_mean": Metric(float(found.wheel_radius.mean()), "m"),
+    }
+
+
+def _plots(log: Log) -> list[Plot]:
+    base, odometry, wheels = (log.array(n) for n in ("base", "base_odometry", "base_wheels"))
+    place, t = log.array("place"), log.times("base")
+    apart = lambda p: 1e3 * np.hypot(*(p - base)[:, :2].T)
+    return [
+        Plot("Base path", "x [m]", "y [m]", [
+            Series("true", base[:, 0], base[:, 1]), Series("global poses", place[:, 0], place[:, 1], dashed=True),
+        ], equal_axes=True),
+        Plot("Error of the estimated position", "time [s]", "error [mm]", [
+            Series("wheels, gyro and global poses", t, apart(odometry)), Series("wheels alone", t, apart(wheels)),
+        ]),
+    ]  # fmt: skip

@@ -1,0 +1,183 @@
+"""Self-calibration of wheels. Truth: zeros and radii put into a base that moves by formula; chi-square bounds for what is
+found over its covariance; weighted least squares on the whole record, by finite differences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+from wheels_on_paper import Drawn, ring
+
+from wbmpc.errors import InputError
+from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate
+
+#: Modules that are not on one circle: every zero and every radius shows in some motion.
+UNEVEN = ring(4)
+UNEVEN.hinge[:] += [[0.3, 0.0], [0.0, 0.1], [-0.1, -0.2], [0.1, 0.0]]
+CALM = OdometryNoise(along=1e-5, across=1e-5, gyro_bias=0.01)
+
+
+def everywhere(t: float) -> np.ndarray:
+    """Forwards, sideways and turning, one after the other, never at rest."""
+    phase = 0.25 * t
+    return np.array([0.3 * np.cos(phase), 0.3 * np.sin(phase), 0.3 * np.sin(0.6 * t) + 0.05])
+
+
+def record(base: Drawn, std: tuple[float, float, float], every: int = 5) -> WheelRecord:
+    """What a localisation and the encoders of that base say."""
+    messages = list(base)
+    times, leg, steer, wheel, gyro = (np.array(part) for part in zip(*messages, strict=True))
+    places = np.array(base.poses[::every])
+    seen = places + np.array(std) * base.rng.normal(size=places.shape)
+    return WheelRecord(times, leg, steer, wheel, times[::every], seen, np.tile(std, (len(seen), 1)), gyro)
+
+
+def drawn(seed: int, length: float = 30.0, **more: float) -> Drawn:
+    return Drawn(UNEVEN, seed, zero=2e-3, radius=2e-3, motion=everywhere, length=length, period=0.04, **more)
+
+
+def prior() -> WheelCalibration:
+    return WheelCalibration.unknown(UNEVEN, 2e-3, 2e-3, 0.0)
+
+
+def test_zeros_and_radii_are_found_within_their_covariance() -> None:
+    """Over bases: errors over covariance are chi-square with 2n degrees, and much smaller than what was known before."""
+    values, left = [], []
+    for seed in range(20):
+        base = drawn(seed)
+        found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
+        error = np.concatenate([found.steer_zero - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors])
+        values.append(error @ np.linalg.solve(found.covariance, error))
+        left.append(error[:4].mean())
+    low, high = chi2.ppf([0.001, 0.999], 8 * len(values))
+    assert low < sum(values) < high, np.mean(values)
+    assert np.sqrt(np.mean(np.square(left))) < 0.4 * 2e-3 / 2.0  # the mean zero was uncertain by 2 mrad / √4
+
+
+def test_it_is_the_least_squares_fit_of_the_whole_record() -> None:
+    """Without slip the filter's answer is that of a fit of (zeros, radii) to all poses at once, to a part of its std: the
+    filter takes what wrong radii make wheels contradict each other for slip."""
+    base = drawn(3, length=20.0, gyro=0.0)
+    data = record(base, (0.002, 0.002, 0.001))
+    known = prior()
+
+    def apart(parameters: np.ndarray) -> np.ndarray:
+        zeros, factors, start = parameters[:4], parameters[4:8], parameters[8:]
+        odometry = WheelOdometry(UNEVEN, start, wheel_radius=UNEVEN.wheel_radius * (1.0 + factors), steer_zero=zeros)
+        poses = [odometry.update(*sample) for sample in zip(data.leg, data.steer, data.wheel, strict=True)]
+        at = np.array(poses)[::5]
+        std = np.sqrt(np.diag(known.covariance))
+        return np.concatenate([((at - data.places) / data.place_std).ravel(), parameters[:8] / std])
+
+    fit = least_squares(apart, np.concatenate([np.zeros(8), data.places[0]])).x
+    data = WheelRecord(data.times, data.leg, data.steer, data.wheel, data.place_times, data.places, data.place_std)
+    found = calibrate(UNEVEN, data, prior=known, noise=OdometryNoise(along=1e-6, across=1e-6))
+    std = found.std
+    assert np.abs((found.steer_zero - fit[:4]) / std[0]).max() < 0.6
+    assert np.abs((found.wheel_radius / UNEVEN.wheel_radius - 1.0 - fit[4:8]) / std[1]).max() < 0.6
+    assert std[0].max() < 1.5e-3
+
+
+def test_two_surveyed_poses_show_the_direction() -> None:
+    """A straight stroke of 2 m between two poses known to 0.5 mm: the mean zero to a fraction of a mrad, not each zero."""
+    base = Drawn(UNEVEN, 1, motion=lambda t: np.array([0.25, 0.0, 0.0]), length=8.0, zero=2e-3, gyro=0.0)
+    data = record(base, (5e-4, 5e-4, 2e-4), every=400)
+    assert len(data.places) == 2
+    found = calibrate(UNEVEN, WheelRecord(*[getattr(data, f) for f in FIELDS]), prior=prior(), noise=CALM)
+    assert abs(found.steer_zero.mean() - base.zeros.mean()) < 1e-3
+    assert found.covariance[:4, :4].mean() ** 0.5 < 0.5e-3 < 2e-3 / 2.0
+    assert found.std[0].max() > 1e-3  # what the drive did not show stays uncertain
+
+
+FIELDS = ("times", "leg", "steer", "wheel", "place_times", "places", "place_std")
+
+
+def test_calibrated_odometry_drifts_less() -> None:
+    errors = {"before": [], "after": []}
+    for seed in range(5):
+        base = drawn(seed)
+        found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
+        again = drawn(seed, length=40.0)
+        samples = list(again)
+        np.testing.assert_array_equal(again.zeros, base.zeros)
+        for name, known in (("before", WheelCalibration.exact(UNEVEN)), ("after", found)):
+            odometry = WheelOdometry(
+                UNEVEN, again.poses[0], wheel_radius=known.wheel_radius, steer_zero=known.steer_zero
+            )
+            for _, leg, steer, wheel, _ in samples:
+                odometry.update(leg, steer, wheel)
+            errors[name].append(np.hypot(*(odometry.pose - again.poses[-1])[:2]))
+    assert np.median(errors["after"]) < 0.5 * np.median(errors["before"])
+    assert np.median(errors["before"]) > 5e-3
+
+
+# ---------------------------------------------------------------------- files
+NAMES = ["a", "b", "c", "d"]
+
+
+def test_file_keeps_the_numbers(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    saved = WheelCalibration(*rng.normal(size=(2, 4)), 0.1 + 0.01 * rng.uniform(size=4), np.diag(rng.uniform(size=8)))
+    saved.save(tmp_path / "c.yaml", NAMES)
+    loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
+    for name in ("steer_zero", "leg_zero", "wheel_radius", "covariance"):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(saved, name), rtol=1e-12)
+
+
+ROWS = "{a: {}, b: {}, c: {}, d: {}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("wheels: {}", "one key 'modules'"),
+        ("modules: {a: {}}", "no entry for b, c, d"),
+        ("modules: {aa: {}, b: {}, c: {}, d: {}}", "did you mean 'a'"),
+        ("modules: {a: {steer_zeros: 1}, b: {}, c: {}, d: {}}", "did you mean 'modules.a.steer_zero'|steer_zero"),
+        ("modules: {a: {steer_zero: x}, b: {}, c: {}, d: {}}", "modules.a.steer_zero': a finite number"),
+        ("modules: {a: {steer_zero: .nan}, b: {}, c: {}, d: {}}", "a finite number"),
+        ("modules: {a: {wheel_radius: -0.1}, b: {}, c: {}, d: {}}", "positive"),
+        ("modules: {a: 3, b: {}, c: {}, d: {}}", "a mapping is needed"),
+        ("modules: [", "not valid YAML"),
+    ],
+)
+def test_bad_files_are_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as error:
+        WheelCalibration.load(path, UNEVEN, NAMES)
+    assert "c.yaml" in str(error.value)
+
+
+def test_keys_that_are_left_out_are_the_descriptions(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(f"modules: {ROWS}")
+    loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
+    np.testing.assert_array_equal(loaded.wheel_radius, 0.1)
+    with pytest.raises(InputError, match="wbmpc calibrate"):
+        WheelCalibration.load(tmp_path / "none.yaml", UNEVEN, NAMES)
+
+
+@pytest.mark.parametrize(("drop", "message"), [("place", "no channel 'place'"), ("wheel.time", "no channel 'wheel'")])
+def test_a_log_without_the_channels_is_refused(drop: str, message: str) -> None:
+    times = np.arange(5.0)
+    channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.zeros((5, 6))}
+    channels |= {f"{name}.time": times for name in tuple(channels)}
+    assert len(WheelRecord.of(channels).times) == 5
+    del channels[drop]
+    with pytest.raises(InputError, match=message):
+        WheelRecord.of(channels)
+
+
+def test_wrong_shapes_are_refused() -> None:
+    times = np.arange(5.0)
+    channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.zeros((5, 3))}
+    channels |= {f"{name}.time": times for name in tuple(channels)}
+    with pytest.raises(InputError, match="standard deviations"):
+        WheelRecord.of(channels)
+    with pytest.raises(InputError, match="same times"):
+        WheelRecord.of({**channels, "place": np.zeros((5, 6)), "wheel": np.zeros((4, 4))})
+    with pytest.raises(InputError, match="4 modules"):
+        calibrate(UNEVEN, WheelRecord.of({**channels, "place": np.ones((5, 6)), "steer": np.zeros((5, 3))}))

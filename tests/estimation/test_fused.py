@@ -1,0 +1,237 @@
+"""The filter over wheels, gyro and global poses. Truth: bases moved by formula (rigid-body motion, exact on SE(2)),
+chi-square bounds for the error over the covariance, finite differences, batch least squares for the linear case."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from wheels_on_paper import Drawn, ring
+
+from wbmpc.errors import InputError
+from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration
+from wbmpc.estimation.fused import PATIENCE
+from wbmpc.estimation.odometry import fit_twist
+
+FOUR = ring(4)
+
+
+def calm(**changes: float) -> OdometryNoise:
+    return OdometryNoise(**{"along": 0.0, "across": 0.0, **changes})
+
+
+def filtered(
+    base: Drawn, noise: OdometryNoise | None = None, known: WheelCalibration | None = None, lidar=None, **more
+):  # type: ignore[no-untyped-def]
+    """The filter after the whole way; ``lidar``: (period in messages, messages late, standard deviations (3))."""
+    doubt = WheelCalibration.unknown(base.geometry, base.zero, base.radius, 0.0)
+    noise = noise or calm(gyro=base.gyro, gyro_bias=base.bias)
+    odometry = FusedOdometry(base.geometry, [0.4, -0.3, 0.2], calibration=known or doubt, noise=noise, **more)
+    for k, (t, leg, steer, wheel, gyro) in enumerate(base):
+        odometry.update(t, leg, steer, wheel, gyro if base.gyro else None)
+        if lidar and k >= lidar[1] and (k - lidar[1]) % lidar[0] == 0:
+            seen = base.poses[k - lidar[1]] + np.array(lidar[2]) * base.rng.normal(size=3)
+            odometry.correct(t - lidar[1] * base.period, seen, np.diag(np.square(lidar[2])))
+    return odometry
+
+
+def squared(error: np.ndarray, covariance: np.ndarray) -> float:
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def consistent(values: list[float], degrees: int, level: float = 0.998) -> bool:
+    """Whether the sum of normalised errors squared lies within its two-sided chi-square bounds."""
+    low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], degrees * len(values))
+    return bool(low < sum(values) < high)
+
+
+# ---------------------------------------------------------------------- derivatives
+@pytest.mark.parametrize("geometry", [FOUR, ring(2), ring(3, hinged=False), ring(6)], ids=["4", "2", "3 fixed", "6"])
+def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # type: ignore[no-untyped-def]
+    rng, n = np.random.default_rng(1), geometry.modules
+    before = tuple(rng.normal(size=(3, n)))
+    now = tuple(b + 0.05 * rng.normal(size=n) for b in before)
+    radius = geometry.wheel_radius * (1.0 + 0.01 * rng.normal(size=n))
+    moved = fit_twist(geometry, radius, before, now)
+    zeros, factors = np.empty((3, n)), np.empty((3, n))
+    for i, unit in enumerate(1e-6 * np.eye(n)):
+        at = lambda s, u=unit: (
+            fit_twist(
+                geometry, radius, (before[0], before[1] - s * u, before[2]), (now[0], now[1] - s * u, now[2])
+            ).twist
+        )
+        zeros[:, i] = (at(1) - at(-1)) / 2e-6
+        of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), before, now).twist
+        factors[:, i] = (of(1) - of(-1)) / 2e-6
+    np.testing.assert_allclose(moved.by_steer_zero(), zeros, atol=1e-10)
+    np.testing.assert_allclose(moved.by_radius(), factors, atol=1e-10)
+    assert np.abs(moved.twist).max() > 1e-3
+
+
+# ---------------------------------------------------------------------- consistency
+LEVELS = {
+    "slip of 0.2 mm/√s": {"slip": 2e-4},
+    "slip of 2 mm/√s": {"slip": 2e-3},
+    "slip of 6 mm/√s": {"slip": 6e-3},
+    "no gyro": {"slip": 2e-3, "gyro": 0.0},
+    "zeros of 3 mrad": {"slip": 5e-4, "zero": 3e-3},
+    "radii of 0.3 %": {"slip": 5e-4, "radius": 0.003},
+    "a bad gyro": {"slip": 2e-3, "gyro": 5e-3, "bias": 0.1},
+    "everything": {"slip": 3e-3, "zero": 3e-3, "radius": 0.003, "gyro": 5e-4},
+}
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_covariance_fits_the_errors(level: str) -> None:
+    """Slip is found from the wheels' contradiction alone: the filter is told nothing of its size."""
+    pose, bias = [], []
+    for seed in range(40):
+        base = Drawn(FOUR, seed, **LEVELS[level])
+        odometry = filtered(base)
+        pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
+        if base.gyro:
+            bias.append((odometry.gyro_bias - base.drift) ** 2 / odometry._state.p[3, 3])
+    assert consistent(pose, 3), np.mean(pose)
+    assert not bias or consistent(bias, 1), np.mean(bias)
+
+
+@pytest.mark.parametrize("geometry", [ring(2), ring(3, hinged=False), ring(6)], ids=["2", "3 fixed", "6"])
+def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: ignore[no-untyped-def]
+    pose = []
+    for seed in range(25):
+        base = Drawn(geometry, seed, slip=2e-3, zero=2e-3, length=8.0)
+        odometry = filtered(base)
+        pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
+    assert consistent(pose, 3), np.mean(pose)
+
+
+def test_covariance_grows_with_what_the_wheels_contradict() -> None:
+    """A wheel that spins for a moment: the standard deviation jumps by about its way over the wheels' number."""
+    growth = []
+    for spin in (0.0, 0.05):
+        base = Drawn(FOUR, 3, motion=lambda t: np.array([0.3, 0.0, 0.0]), length=4.0)
+        odometry = FusedOdometry(FOUR, noise=calm(), calibration=WheelCalibration.exact(FOUR))
+        extra = np.zeros(4)
+        for t, leg, steer, wheel, gyro in base:
+            extra[1] = spin / FOUR.wheel_radius * np.clip((t - 2.0) / 0.1, 0.0, 1.0)
+            odometry.update(t, leg, steer, wheel + extra, gyro)
+        growth.append(np.sqrt(odometry.covariance[0, 0]))
+    assert growth[0] < 1e-4
+    # 50 mm in one of eight components with five degrees of freedom: 50 / √5 each, over √4 wheels, at least once
+    assert 0.5 * 0.05 / np.sqrt(20.0) < growth[1] < 2.0 * 0.05 / np.sqrt(20.0)
+
+
+# ---------------------------------------------------------------------- exact motion, gyro
+def test_exact_data_give_the_pose() -> None:
+    base = Drawn(FOUR, 0, gyro=0.0, bias=0.0, period=0.0025, length=5.0)
+    odometry = filtered(base, calm())
+    np.testing.assert_allclose(odometry.pose, base.poses[-1], atol=1e-5)
+    assert odometry.slip < 1e-4
+
+
+def test_gyro_takes_over_where_the_wheels_are_bad() -> None:
+    """Zeros of 10 mrad that nobody told: with the gyro, whose bias was known, the pose is far better than without."""
+    lost = {}
+    for gyro in (2e-4, 0.0):
+        errors = []
+        for seed in range(5):
+            base = Drawn(FOUR, seed, zero=0.01, gyro=gyro, bias=1e-5)
+            odometry = filtered(base)
+            errors.append(abs(base.poses[-1][2] - odometry.pose[2]))
+        lost[gyro] = np.mean(errors)
+    assert lost[2e-4] < 0.3 * lost[0.0]
+
+
+def test_age_of_the_encoders_does_not_bias_radii() -> None:
+    """Messages whose encoders are up to 2 ms old, gyro on time, fast turns: what is learned of the wheels stays small.
+
+    A filter that took the age for noise of each interval made 1 % of it.
+    """
+    rng, period, rate = np.random.default_rng(0), 0.0025, 0.5
+    leg, wheel0 = np.zeros(4), np.zeros(4)
+    odometry = FusedOdometry(FOUR)
+    speed = np.array([0.0, 0.0, rate])
+    base = Drawn(FOUR, 0)
+    velocity = base.velocities(leg, leg, speed)
+    steer = np.angle(velocity) - FOUR.wheel_heading
+    for k in range(4000):
+        at = k * period - rng.uniform(0.0, 0.002)
+        gyro = rate + 2e-4 / np.sqrt(period) * rng.normal()
+        odometry.update(k * period, leg, steer, wheel0 + np.abs(velocity) * at / FOUR.wheel_radius, gyro)
+    radius = odometry.calibration.wheel_radius / FOUR.wheel_radius - 1.0
+    assert np.abs(radius).max() < 3.0 * odometry.calibration.std[1].max()
+    assert odometry.pose[2] == pytest.approx(4000 * period * rate, abs=5e-3)
+
+
+# ---------------------------------------------------------------------- global poses
+LIDAR = (5, 3, (0.005, 0.005, 0.002))
+
+
+def test_late_global_poses_bound_the_error() -> None:
+    """10 Hz, 60 ms late, 5 mm and 2 mrad on a base that slips and is not calibrated: 10 mm rms; covariance consistent."""
+    errors, pose = [], []
+    for seed in range(15):
+        base = Drawn(FOUR, seed, slip=1e-3, zero=2e-3, radius=2e-3, length=20.0)
+        odometry = filtered(base, lidar=LIDAR)
+        errors.append(base.poses[-1] - odometry.pose)
+        pose.append(squared(errors[-1], odometry.covariance))
+        assert odometry.refused == 0
+    assert np.sqrt(np.mean(np.sum(np.square(errors)[:, :2], axis=1))) < 0.010
+    assert consistent(pose, 3), np.mean(pose)
+
+
+def test_a_late_pose_counts_as_if_it_had_come_in_time() -> None:
+    """Going back in time is exact: the same messages in the order of truth give the same estimate."""
+    results = []
+    for late in (0, 6):
+        base = Drawn(FOUR, 2, slip=1e-3, zero=2e-3, length=3.0)
+        messages = list(base)
+        odometry = FusedOdometry(FOUR, [0.4, -0.3, 0.2])
+        for k, (t, *encoders) in enumerate(messages):
+            odometry.update(t, *encoders)
+            if k - late == 100:
+                odometry.correct(messages[100][0], base.poses[100] + [0.01, -0.02, 0.005], np.diag([1e-6, 1e-6, 1e-6]))
+        results.append(odometry)
+    # the slip is judged by the residual at the wheels' calibration of that moment, which the pose has changed a little
+    np.testing.assert_allclose(results[0].pose, results[1].pose, atol=1e-7)
+    np.testing.assert_allclose(results[0].covariance, results[1].covariance, rtol=1e-3, atol=1e-10)
+
+
+def test_a_pose_that_cannot_be_is_refused_and_a_lost_filter_finds_back() -> None:
+    base = Drawn(FOUR, 4, length=4.0)
+    odometry = FusedOdometry(FOUR, [0.4, -0.3, 0.2])
+    small = np.diag([25e-6, 25e-6, 4e-6])
+    for k, (t, *encoders) in enumerate(base):
+        odometry.update(t, *encoders)
+        if k == 50:
+            before = odometry.pose.copy()
+            assert not odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
+            np.testing.assert_array_equal(odometry.pose, before)
+        if k >= 100 and k % 5 == 0:  # the world says again and again that the base was carried away
+            odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
+    assert odometry.refused == PATIENCE  # in a row: nothing was taken in between
+    np.testing.assert_allclose(odometry.pose, base.poses[-1] + [1.0, 0.0, 0.0], atol=0.01)
+
+
+def test_a_pose_older_than_the_history_is_not_used() -> None:
+    odometry = FusedOdometry(FOUR, history=0.1)
+    for t, *encoders in Drawn(FOUR, 0, length=1.0):
+        odometry.update(t, *encoders)
+    before = odometry.pose.copy()
+    assert not odometry.correct(0.5, before + 0.001, np.eye(3))
+    np.testing.assert_array_equal(odometry.pose, before)
+
+
+def test_bad_input_is_refused() -> None:
+    odometry = FusedOdometry(FOUR)
+    odometry.update(1.0, *np.zeros((3, 4)), 0.0)
+    with pytest.raises(InputError, match="time must not go back"):
+        odometry.update(0.5, *np.zeros((3, 4)), 0.0)
+    with pytest.raises(InputError, match="gyro must be finite"):
+        odometry.update(1.5, *np.zeros((3, 4)), np.nan)
+    with pytest.raises(InputError, match="wheel"):
+        odometry.update(1.5, np.zeros(4), np.zeros(4), np.full(4, np.inf), 0.0)
+    with pytest.raises(InputError, match="global pose"):
+        odometry.correct(1.0, [0.0, np.nan, 0.0], np.eye(3))
+    with pytest.raises(InputError, match="3 by 3"):
+        odometry.correct(1.0, np.zeros(3), np.ones(3))

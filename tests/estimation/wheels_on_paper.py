@@ -1,0 +1,94 @@
+"""Swerve bases that move by formula: what their encoders and gyro say, with slip and errors of known size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.model.swerve import SwerveGeometry
+
+
+def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> SwerveGeometry:
+    """Modules on a circle of 0.5 m, legs of 0.3 m that point outwards."""
+    angle = 2.0 * np.pi * np.arange(modules) / modules + 0.3
+    return SwerveGeometry(
+        hinge=0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        leg_length=np.full(modules, 0.3),
+        leg_heading=angle,
+        wheel_heading=angle,
+        wheel_radius=radius,
+        has_hinge=hinged,
+    )
+
+
+def wandering(t: float) -> np.ndarray:
+    """Body twist (vx, vy, ω) of a drive that turns left and right; never slow."""
+    return np.array([0.30 + 0.05 * np.sin(1.1 * t), 0.12 * np.sin(0.7 * t), 0.25 * np.cos(0.5 * t)])
+
+
+@dataclass
+class Drawn:
+    """One base on its way. ``slip`` [m/√s]: intensity of each wheel's displacement, along and across; ``zero`` [rad],
+    ``radius`` (relative): standard deviations of what the encoders hide; gyro as in a data sheet; ``seed`` of all."""
+
+    geometry: SwerveGeometry
+    seed: int
+    slip: float = 0.0
+    zero: float = 0.0
+    radius: float = 0.0
+    gyro: float = 2e-4
+    bias: float = 0.01
+    motion: object = wandering
+    period: float = 0.02
+    length: float = 15.0
+    poses: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        n = self.geometry.modules
+        self.zeros, self.factors = self.zero * self.rng.normal(size=n), 1.0 + self.radius * self.rng.normal(size=n)
+        self.drift = self.bias * self.rng.normal()
+
+    def velocities(self, leg: np.ndarray, rate: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Of the steer axes, as complex numbers in the body."""
+        g = self.geometry
+        arm = g.leg_length * np.exp(1j * (g.leg_heading + leg))
+        return v[0] + 1j * v[1] + 1j * v[2] * (g.hinge @ [1, 1j] + arm) + 1j * rate * arm
+
+    def legs(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Angles and rates: at rest, unless the legs have hinges."""
+        phase = 0.4 * t + np.arange(self.geometry.modules)
+        return 0.2 * np.sin(phase) * self.geometry.has_hinge, 0.08 * np.cos(phase) * self.geometry.has_hinge
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        """Yields (time, leg, steer, wheel, gyro); ``poses`` has the truth of each message."""
+        g, h, n = self.geometry, self.period, self.geometry.modules
+        pose, wheel, heading = np.array([0.4, -0.3, 0.2]), np.zeros(n), None
+        turned = np.zeros(n)
+        for k in range(round(self.length / h) + 1):
+            t = k * h
+            leg, rate = self.legs(t)
+            angle = np.angle(self.velocities(leg, rate, self.motion(t)))
+            old, heading = (
+                heading,
+                angle if heading is None else heading + (angle - heading + np.pi) % (2 * np.pi) - np.pi,
+            )
+            if k:
+                twist = self.motion(t - 0.5 * h)
+                pose = lie.se2_step(pose, twist * h)
+                before, after = self.legs(t - h)[0], leg
+                middle = self.velocities(0.5 * (before + after), (after - before) / h, twist)
+                way = np.abs(middle) * h
+                gyro = twist[2] + self.drift + self.gyro / np.sqrt(h) * self.rng.normal()
+                # slip across: the wheel points beside its way; slip along: it rolls farther or less far than it goes
+                beside, turned = turned, self.slip * np.sqrt(h) / way * self.rng.normal(size=n)
+                lost = self.slip * np.sqrt(h) * self.rng.normal(size=n)
+                chord = (way + lost) / np.cos(0.5 * (beside + turned))
+                arc = chord / np.sinc((heading - old + turned - beside) / (2.0 * np.pi))
+                wheel = wheel + arc / (g.wheel_radius * self.factors)
+            else:
+                gyro = self.motion(t)[2] + self.drift
+            self.poses.append(pose)
+            yield t, leg, heading + turned - g.wheel_heading - leg + self.zeros, wheel, gyro
