@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -265,6 +267,16 @@ def test_the_driver_is_compiled_once_and_reloaded(tmp_path, monkeypatch: pytest.
     assert third.address("test_translate_fill.entry") > 0
     with pytest.raises(KernelError, match="no function 'nothing'"):
         third.address("nothing")
+
+
+def test_the_driver_is_whole_whichever_function_comes_first() -> None:
+    """In a fresh process that has imported one module of it only."""
+    program = (
+        "from wbmpc.solver.rows import log_of_product\n"
+        "from wbmpc.solver.compilation import LIBRARY\n"
+        "assert LIBRARY.address('receding_receding_solve.entry') > 0"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
 def test_every_function_of_the_driver_is_in_the_library() -> None:

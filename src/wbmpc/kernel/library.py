@@ -7,6 +7,7 @@ import hashlib
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -106,10 +107,11 @@ class Library:
     """Functions that are compiled together, when the first of them is called, and kept in the cache.
 
     ``rooms``: folders of the package whose source decides whether a cached build is still right; none: no cache.
+    ``modules`` are imported first, so that the library is whole whichever of its functions is called first.
     """
 
-    def __init__(self, name: str, rooms: tuple[str, ...] = ()) -> None:
-        self.name, self.rooms = name, rooms
+    def __init__(self, name: str, rooms: tuple[str, ...] = (), modules: tuple[str, ...] = ()) -> None:
+        self.name, self.rooms, self.modules = name, rooms, modules
         self.functions: list[Function] = []
         self._engine: Any = None
         self._lock = threading.Lock()
@@ -136,13 +138,16 @@ class Library:
     def _key(self) -> str:
         from wbmpc.kernel.machine import target_text
 
-        text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()}"
+        functions = " ".join(sorted(f.signature.symbol for f in self.functions))
+        text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
         return hashlib.sha256(text.encode()).hexdigest()
 
     def build(self) -> None:
         """Compile, or load from the cache."""
         from wbmpc.kernel.machine import compile_module, load_object, target_text
 
+        for module in self.modules:
+            import_module(module)
         with self._lock:
             if self._engine is not None:
                 return

@@ -22,7 +22,7 @@ from wbmpc.kernel.translate import (
     PointerCall,
 )
 
-LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"))
+LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled
 call2, call3, call5, call7 = PointerCall(2), PointerCall(3), PointerCall(5), PointerCall(7)
 

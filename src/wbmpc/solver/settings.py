@@ -26,7 +26,7 @@ class InteriorPoint:
     mu_start: float = 0.1
     least_slack: float | None = None
     tau: float = 0.995
-    extra_when_cut: int = 3
+    extra_when_cut: int = 10
     reset: bool = True
 
     def __post_init__(self) -> None:
