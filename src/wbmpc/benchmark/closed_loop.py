@@ -25,7 +25,7 @@ from wbmpc.solver import SQP
 
 BUDGETS_MS = (0.4, 1.0, 3.0, 10.0)
 PERIODS, EVERY, KICK, MOST = 150, 25, 0.15, 20
-SECONDS = 60.0
+SECONDS = 300.0
 Plan = tuple[np.ndarray, np.ndarray]
 #: (state, guess, iterations) to a plan.
 Planner = Callable[[np.ndarray, Plan, int], Plan]
