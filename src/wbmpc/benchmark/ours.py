@@ -12,7 +12,6 @@ import numpy as np
 from wbmpc.benchmark.problems import Problem
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
-
 #: Real time, but never a second iteration in one call.
 ONE_ITERATION = SQP.real_time(interior_point=InteriorPoint("real_time", extra_when_cut=0))
 
