@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -188,6 +189,7 @@ BAD = {
     ("run", "fake", "--jsn"): ["No such option: --jsn"],
     ("walk",): ["No such command 'walk'"],
     ("bench", "--repeat", "0"): ["--repeat"],
+    ("bench", "--out", "a-file"): ["--out: 'a-file' is a file"],
 }
 
 
@@ -282,9 +284,16 @@ def test_demo_runs_both_and_prints_one_table(capsys: pytest.CaptureFixture[str])
 def test_bench_prints_one_object(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import wbmpc.benchmark as benchmark
 
-    monkeypatch.setattr(benchmark, "run_benchmark", lambda *args, **kwargs: {"rows": []})
+    def fake(repeat: int, progress: Any, peers: bool) -> dict[str, Any]:
+        progress(0.5, "half")
+        return {"rows": [], "repeat": repeat, "peers": peers}
+
+    monkeypatch.setattr(benchmark, "run_benchmark", fake)
     assert call("bench", "--json") == 0
-    assert json.loads(capsys.readouterr().out) == {"rows": []}
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == {"rows": [], "repeat": 200, "peers": False} and captured.err == ""
+    assert call("bench", "--json", "--peers", "--repeat", "7") == 0
+    assert json.loads(capsys.readouterr().out) == {"rows": [], "repeat": 7, "peers": True}
 
 
 def test_the_commands_are_the_documented_ones() -> None:

@@ -238,7 +238,7 @@ def test_a_peer_without_a_compiler_runs_interpreted(monkeypatch: pytest.MonkeyPa
 # ---------------------------------------------------------------------- closed loop
 def test_late_plans_cost_more_and_more_iterations_do_not() -> None:
     problem = zoo_bench(double_integrator(20))
-    planner = closed_loop.our_planner(problem)
+    planner = closed_loop.our_planner(problem, [])
     cost = lambda iterations, late: closed_loop.drive(problem, planner, iterations, late, 0, 80, slice(1, 2))
     best = cost(10, 0)
     assert best <= cost(1, 0) * (1.0 + 1e-9)

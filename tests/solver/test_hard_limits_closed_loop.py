@@ -46,7 +46,8 @@ def settings_for(variant: str, settings: MpcSettings) -> tuple[MpcSettings, SQP]
     """Settings of problem and solver: "hard", "kept" (slacks kept) or "soft"."""
     settings = settings.model_copy(update={"limits": "soft" if variant == "soft" else "hard"})
     solver = settings.solver()
-    return settings, replace(solver, interior_point=replace(solver.interior_point, reset=variant != "kept"))
+    more = {"reset": False, "extra_when_cut": 3} if variant == "kept" else {}
+    return settings, replace(solver, interior_point=replace(solver.interior_point, **more))
 
 
 def drive(

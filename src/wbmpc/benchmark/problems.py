@@ -63,11 +63,15 @@ def swerve_bench(
 
 
 def rezero_bench(
-    intervals: int = 65, settings: SQP | None = None, step: float = 0.1, limits: Limits = "hard"
+    intervals: int = 65,
+    settings: SQP | None = None,
+    step: float = 0.1,
+    limits: Limits = "hard",
+    horizon: float | None = None,
 ) -> Problem:
-    """Ball robot with arm and a hand force as an input, a step of the hand: nx 16, nu 9, 1.3 s."""
+    """Ball robot with arm and a hand force as an input, a step of the hand: nx 16, nu 9, 20 ms per interval (or ``horizon``)."""
     robot = load_robot("rezero", contact="force")
-    horizon = 0.02 * intervals if intervals > 40 else 1.3
+    horizon = horizon or (0.02 * intervals if intervals > 40 else 1.3)
     mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)
     solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])

@@ -308,7 +308,7 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc")
 
 
-def compiled_library(functions: dict[str, ca.Function], seconds: float = 400.0) -> Path | str:
+def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) -> Path | str:
     """A shared library of the functions, kept beside the kernels' cache; a sentence when it cannot be made."""
     found = compiler()
     if found is None:

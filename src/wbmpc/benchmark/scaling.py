@@ -19,7 +19,7 @@ from wbmpc.zoo.multibody import Multibody
 
 INTERVALS = (25, 50, 100, 200, 400)
 JOINTS = (6, 12, 18)
-LIMITS = (0, 12, 24, 36)
+LIMITS = {"boxes": (0, 12, 24, 36), "general": (12, 36)}
 Note = Callable[[str], None]
 
 
@@ -85,7 +85,7 @@ def over_intervals(repeat: int, peers: Iterable[str], note: Note) -> list[dict[s
         problem = zoo_bench(torque_arm(6, n))
         rows += _all(problem, repeat, peers)
         specs.append((problem, torque_arm_spec(6, n)))
-        rows += _all(swerve_bench(n), repeat, ()) + _all(rezero_bench(n), repeat, ())
+        rows += _all(swerve_bench(n), repeat, ()) + _all(rezero_bench(n, horizon=1.3), repeat, ())
     return rows + _crocoddyl(specs)
 
 
@@ -103,8 +103,8 @@ def over_joints(repeat: int, peers: Iterable[str], note: Note) -> list[dict[str,
 def over_limits(repeat: int, peers: Iterable[str], note: Note) -> list[dict[str, Any]]:
     """The arm of six joints with 0 to 36 hard limits per node. crocoddyl has no hard limits of this kind."""
     rows = []
-    for kind in ("boxes", "general"):
-        for count in LIMITS:
+    for kind, counts in LIMITS.items():
+        for count in counts:
             note(f"{count} hard limits ({kind})")
             rows += _all(limited_arm(count, kind), repeat, peers, limits=count, kind=kind)
     return rows

@@ -136,9 +136,9 @@ def tables(figures: dict[str, Any]) -> list[Table]:
 
 
 NOTES = (
-    "Least of many, for others may use the machine. wbmpc: warm iterations, trial point included. IPOPT and Fatrop: the least of "
-    "five solves without CasADi's set-up, divided by the iterations; the difference is to their solution from a guess 1e-3 "
-    "beside ours."
+    "Processor time, least of many, for others may use the machine. wbmpc: warm iterations, trial point included. IPOPT and "
+    "Fatrop: the least of five solves without CasADi's set-up, divided by the iterations; the difference is to their solution "
+    "from a guess 1e-3 beside ours."
 )
 
 
