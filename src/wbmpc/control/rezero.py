@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
 from wbmpc.errors import NotFinite
-from wbmpc.estimation import DisturbanceObserver
+from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
@@ -16,14 +17,16 @@ from wbmpc.plant import RezeroCommand, RezeroMeasurement
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
-    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
+    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
+    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True
-    ) -> None:
-        self.robot, self.mpc, self.period = robot, mpc, period
+        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
+        estimator: RezeroEstimator | None = None,
+    ) -> None:  # fmt: skip
+        self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.limit = robot.limits.input_upper[: torque.size]
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._torques: deque[np.ndarray] = deque([torque.copy()] * 64, maxlen=64)
@@ -40,6 +43,9 @@ class RezeroAgent:
 
     def measure(self, measurement: RezeroMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
+        if self.estimator is not None:
+            m = measurement
+            measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
         self.measured = measurement
         if self.observer is not None:
             past = self._torques[-1 - self._late()]

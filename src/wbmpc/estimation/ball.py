@@ -7,6 +7,7 @@ of the ball without slip, wheel encoders, and the floor's height. docs/derivatio
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,9 +42,10 @@ class BallNoise:
 
     Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
     encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling, about
-    horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre. Priors: ``tilt`` [rad],
-    ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the wheels'
-    radius.
+    horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the way between two messages that a
+    straight line of velocities does not describe. Priors: ``tilt`` [rad],
+    ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the
+    wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
     """
 
     gyro: float = 2e-4
@@ -56,12 +58,14 @@ class BallNoise:
     creep: float = 5e-4
     spin: float = 3e-3
     floor: float = 1e-3
+    path: float = 5e-6
     tilt: float = 0.02
     start: float = 1e-4
     speed: float = 1e-3
     gyro_bias: float = 0.01 / np.sqrt(3.0)
     accel_bias: float = 0.01 / np.sqrt(3.0)
     scale: float = 0.002 / np.sqrt(3.0)
+    scale_time: float = 1.0
 
 
 @dataclass
@@ -150,30 +154,34 @@ class BallFilter:
 
     def _explained(self, r: Array, jx: Array, jy: Array, q: Array) -> Array:
         """Error of the newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
-        wheel slips, the ball slips."""
-        n, rolling = self._n, slice(16, 16 + self._n)
-        known = np.zeros((n, n)) + np.diag(np.where(self._stalled, ANY, 0.0))
-        names = tuple(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled))
-        spin = self.geometry.turn @ self.state.rotation[2]  # of the base about the vertical
-        explanations: list[tuple[tuple[str, ...], Array]] = [((), np.zeros((n, n)))]
-        explanations.append((("ball spins",), ANY * np.outer(spin, spin)))
-        explanations += [((f"wheel_{i} slips",), ANY * np.diag(np.eye(n)[i])) for i in range(n) if not self._stalled[i]]
-        explanations.append((("ball slips",), ANY * np.eye(n)))
-        best: tuple[float, Array, Array, tuple[str, ...]] | None = None
-        plain = q[rolling, rolling].copy()
-        for faults, more in explanations:
+        wheel slips, the ball slips. If none is good enough the best one counts."""
+        rolling = slice(16, 16 + self._n)
+        plain, known = q[rolling, rolling].copy(), np.diag(np.where(self._stalled, ANY, 0.0))
+        stalled = tuple(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled))
+        best: tuple[Array, Array, tuple[str, ...]] | None = None
+        lowest = np.inf
+        for faults, more in self._explanations():
             q[rolling, rolling] = plain + known + more
-            error, covariance, surprise = self._solved(r, jx, jy, q)
+            result = self._solved(r, jx, jy, q)
             if not faults:
-                self.surprise = surprise
-            if best is None or surprise < best[0]:
-                best = (surprise, error, covariance, names + faults)
-            if surprise < self._gate:
-                best = (surprise, error, covariance, names + faults)
+                self.surprise = result[2]
+            if result[2] < lowest:
+                lowest, best = result[2], (*result[:2], stalled + faults)
+            if lowest < self._gate:
                 break
         assert best is not None
-        _, error, self.covariance, self.faults = best
+        error, self.covariance, self.faults = best
         return error
+
+    def _explanations(self) -> Iterator[tuple[tuple[str, ...], Array]]:
+        """Faults of rolling, the likely ones first, and the variance [rad²] that they give to the wheels' increments."""
+        n = self._n
+        yield (), np.zeros((n, n))
+        spin = self.geometry.turn @ self.state.rotation[2]  # of the base about the vertical
+        yield ("ball spins",), ANY * np.outer(spin, spin)
+        for i in np.flatnonzero(~self._stalled):
+            yield (f"wheel_{i} slips",), ANY * np.diag(np.eye(n)[i])
+        yield ("ball slips",), ANY * np.eye(n)
 
     def _look_for_stalled(self, wheel: Array, expected: Array) -> None:
         """An encoder that reads the same while its wheel must have turned by more than :data:`STALLED`."""
@@ -219,12 +227,14 @@ class BallFilter:
         # shift: py − px − h/2 (vx + vy) + (Ry − Rx) mount: zero at the guess
         jy[6:9, P], jx[6:9, P], jy[6:9, V], jx[6:9, V] = one, -one, -0.5 * h * one, -0.5 * h * one
         jy[6:9, A], jx[6:9, A] = -y.rotation @ skew(g.mount), x.rotation @ skew(g.mount)
-        q[6:9, 6:9] = one * (1e-7 + 1e-3 * s.accel * h) ** 2
+        q[6:9, 6:9] = one * s.path**2
         # walks of the biases, and the scale
         for k, (part, walk) in enumerate(((BG, s.gyro_walk), (BA, s.accel_walk))):
             rows = slice(9 + 3 * k, 12 + 3 * k)
             jy[rows, part], jx[rows, part], q[rows, rows] = one, -one, one * walk**2 * h
-        jy[15, 15], jx[15, 15], q[15, 15] = 1.0, -1.0, 1e-12 * h
+        kept = np.exp(-h / s.scale_time)
+        r[15], jy[15, 15], jx[15, 15] = y.scale - kept * x.scale, 1.0, -kept
+        q[15, 15] = s.scale**2 * (1.0 - kept**2)
         # rolling: wheel increments − turn · (ball's turning − base's): zero at the guess
         shift = y.position - x.position
         across = middle.T @ UP / g.radius

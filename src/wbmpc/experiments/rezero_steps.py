@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
 from wbmpc.control import RezeroAgent
+from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
@@ -17,15 +18,15 @@ from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.plant import RezeroPlant
+from wbmpc.plant import RezeroPlant, Truth
 from wbmpc.result import Metric, Plot, RunResult, Series
 
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
 
 IDEALISATIONS = [
-    "there is no state estimator yet: the controller gets the simulator's state, 5 ms old, with noise of 1 mm and 2 mrad "
-    "(speeds 0.01 m/s and 0.02 rad/s); the estimated frame is therefore the world",
+    "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
+    "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
     "with preview (the default) the MPC sees a step coming one horizon ahead",
     "the arm's geometry and masses are assumed (not published)",
     "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
@@ -67,7 +68,8 @@ class RezeroStepsSettings(ExperimentSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
     ``preview``: whether the MPC sees a step before it comes; ``observer``: whether constant disturbances are estimated;
-    ``drive_lag`` [s] that the controller assumes.
+    ``drive_lag`` [s] that the controller assumes; ``estimator``: the state from the sensors (filter), or from the simulator with
+    noise (truth); ``payload`` [kg]: an unknown mass at the hand.
     """
 
     mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
@@ -78,6 +80,8 @@ class RezeroStepsSettings(ExperimentSettings):
     preview: bool = True
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    estimator: Literal["filter", "truth"] = "filter"
+    payload: float = Field(0.0, ge=0, le=5.0)
 
     @property
     def lead(self) -> float:
@@ -145,9 +149,10 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = schedule.reference()
-    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed)
+    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
+    estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer)
+    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator)
     mpc.reset(home, torque)
     log = Log()
 
@@ -157,6 +162,8 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
         truth = plant.truth()
         log.add("state", t, plant.state())
         log.add("hand", t, truth.tool)
+        if estimator is not None:
+            _record_estimate(log, t, agent.state(), truth, estimator.filter)
         log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
         log.add("tilt", t, truth.tilt)
         log.add("torque", t, command.torque)
@@ -168,6 +175,14 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
         metrics=lambda: _metrics(log, schedule, settings, ending.fell), plots=lambda: _plots(log, schedule, robot, mpc),
         idealisations=IDEALISATIONS,
     )  # fmt: skip
+
+
+def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:
+    """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
+    rotation = lie.euler_zyx_to_rotation(*state[2:5])
+    log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
+    log.add("estimate", t, state)
+    log.add("rolling_fault", t, float(bool(estimator.faults)))
 
 
 def _hide_future(mpc: MPC, schedule: _Schedule, t: float) -> None:
@@ -208,7 +223,8 @@ def _rise(t: np.ndarray, done: np.ndarray) -> float:
 
 def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
     t, hand = log.times("hand"), log.array("hand")
-    rises, steady, turned = [], [], []
+    felt = log.array("hand_estimated") if "hand_estimated" in log.channels else hand
+    rises, steady, world, turned = [], [], [], []
     lead = settings.lead
     for k in range(len(STEPS)):
         start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
@@ -218,7 +234,8 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         rises.append(_rise(t[window], _progress_of(k, log, schedule, window)))
         # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
         last = (t >= end - lead - STEADY) & (t < end - lead)
-        steady.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
+        steady.append(float(np.linalg.norm(felt[last] - schedule.positions[k + 1], axis=1).mean()))
+        world.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
         turned.append(_orientation_error(log, schedule, k + 1, last))
     start = schedule.times[len(STEPS) + 1]
     roll = (t >= start + settings.hold - lead - STEADY) & (t < start + settings.hold - lead)
@@ -227,12 +244,26 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
     return {
         "rise_time_max": Metric(worst(rises), "s", goal=1.2),
         "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),
-        "steady_position_error_world_max": Metric(worst(steady), "m"),
+        "steady_position_error_world_max": Metric(worst(world), "m"),
         "steady_orientation_error_max": Metric(worst(turned), "rad"),
         "unreachable_rotation_error": Metric(unreachable, "rad"),
         "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
         "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),
         "fell": Metric(float(fell), "1", goal=0.0),
+        **_estimator_metrics(log),
+    }
+
+
+def _estimator_metrics(log: Log) -> dict[str, Metric]:
+    """Largest errors of the estimate, and the share of messages in which the ball was found not to roll."""
+    if "estimate" not in log.channels:
+        return {}
+    error = np.abs(log.array("estimate") - log.array("state"))
+    return {
+        "estimated_position_error_max": Metric(float(np.hypot(error[:, 0], error[:, 1]).max()), "m"),
+        "estimated_tilt_error_max": Metric(float(error[:, 3:5].max()), "rad"),
+        "estimated_yaw_error_max": Metric(float(error[:, 2].max()), "rad"),
+        "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
     }
 
 

@@ -45,10 +45,7 @@ def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Arra
     (MuJoCo's convention), ``position`` (3) of the ball's centre.
     """
     yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
-    wx, wy, wz = velocity[3:6]
-    s, c = np.sin(roll), np.cos(roll)
-    yaw_rate = (s * wy + c * wz) / np.cos(pitch)
-    rates = [yaw_rate, c * wy - s * wz, wx + np.sin(pitch) * yaw_rate]
+    rates = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
     return np.array([position[0], position[1], yaw, pitch, roll, *arm, velocity[0], velocity[1], *rates, *arm_rate])
 
 
