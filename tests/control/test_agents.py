@@ -234,3 +234,20 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
     assert given is agent.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance is not finite"):
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+
+
+class Fixed:
+    """An estimator that always says the same."""
+
+    def update(self, time, wheel, arm, gyro, accel):  # type: ignore[no-untyped-def]
+        self.given = (time, *wheel, *arm, *gyro, *accel)
+        return np.arange(2.0 * N)
+
+
+def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
+    agent, fixed = ball_agent(), Fixed()
+    agent.estimator = fixed  # type: ignore[assignment]
+    readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
+    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
+    np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
+    assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)

@@ -6,4 +6,15 @@ from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 
-__all__ = ["BallFilter", "BallGeometry", "BallNoise", "BallState", "DisturbanceObserver", "DriftObserver", "JointTracker", "ReleaseOdometry", "RezeroEstimator", "WheelOdometry"]
+__all__ = [
+    "BallFilter",
+    "BallGeometry",
+    "BallNoise",
+    "BallState",
+    "DisturbanceObserver",
+    "DriftObserver",
+    "JointTracker",
+    "ReleaseOdometry",
+    "RezeroEstimator",
+    "WheelOdometry",
+]

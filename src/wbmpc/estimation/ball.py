@@ -41,11 +41,11 @@ class BallNoise:
     """What the filter believes of its sensors (standard deviations, SI units).
 
     Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
-    encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling, about
-    horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the way between two messages that a
-    straight line of velocities does not describe. Priors: ``tilt`` [rad],
-    ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the
-    wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
+    encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
+    about horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the
+    way between two messages, what a straight line of velocities does not describe. Priors: ``tilt`` [rad], ``start`` ([m],
+    [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the wheels' radius, which
+    does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
     """
 
     gyro: float = 2e-4
@@ -266,6 +266,24 @@ class BallFilter:
         covariance = cho_solve((information, True), np.eye(slope.shape[1]), check_finite=False)
         left = rest + slope @ error
         return error, 0.5 * (covariance + covariance.T), float(left @ left)
+
+    def know_lean(self, up: ArrayLike, spread: float) -> None:
+        """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
+
+        Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        """
+        up = np.asarray(up, float)
+        if up.shape != (3,) or not np.isfinite(up).all() or not spread > 0.0:
+            raise InputError(f"ball filter: a lean needs a direction (3) and a positive spread, got {up} ± {spread}")
+        # up = Rᵀ ẑ turns by up × error; of its three rows the horizontal ones of the base count
+        slope = np.zeros((2, self.covariance.shape[0]))
+        expected = self.state.rotation[2]
+        slope[:, A] = skew(expected)[:2]
+        spread_now = slope @ self.covariance @ slope.T + spread**2 * np.eye(2)
+        gain = np.linalg.solve(spread_now, slope @ self.covariance).T
+        self.state = self.state.moved(gain @ (up / np.linalg.norm(up) - expected)[:2])
+        keep = np.eye(len(gain)) - gain @ slope
+        self.covariance = keep @ self.covariance @ keep.T + spread**2 * gain @ gain.T  # Joseph form
 
     # ------------------------------------------------------------------ what is asked for
     @property

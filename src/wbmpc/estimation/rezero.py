@@ -12,15 +12,15 @@ from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
 
 Array = NDArray[np.float64]
+#: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
+SLOW, STANDS = 0.05, 2.0
 
 
 class JointTracker:
     """Angles (n) [rad] and rates (n) [rad/s] of joints from encoders alone: a Kalman filter of each joint, whose
     acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old."""
 
-    def __init__(
-        self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0
-    ) -> None:
+    def __init__(self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0) -> None:
         self.angle = np.array(angles, float)
         self.rate = np.zeros_like(self.angle)
         self._encoder, self._age, self._jitter, self._density = encoder, age, jitter, acceleration
@@ -44,9 +44,14 @@ class RezeroEstimator:
     """The state (2 nq) of a ball robot's minimal model from encoders and inertial unit, without anything of the simulator.
 
     ``start`` (2 nq): where the robot stands when it is switched on, at rest; its position and heading define the world.
+    ``balance`` [rad]: how well the lean at which the model balances is known. The first time that the robot has stood still for
+    :data:`STANDS`, its lean is taken to be that one. (10 mm of the robot's centre of mass are 30 mrad; an accelerometer
+    bias of 0.01 m/s² is 1 mrad: it helps only against a bias that was not calibrated, or with a model that was.)
     """
 
-    def __init__(self, robot: RobotModel, start: ArrayLike, noise: BallNoise | None = None) -> None:
+    def __init__(
+        self, robot: RobotModel, start: ArrayLike, noise: BallNoise | None = None, balance: float = 0.03
+    ) -> None:
         if not isinstance(robot.base, BallBase):
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
         base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
@@ -56,6 +61,8 @@ class RezeroEstimator:
         self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise)
         n = self.noise
         self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter)
+        self._robot, self._balance, self._balanced = robot, balance, False
+        self._stood = 0.0
         self._time: float | None = None
         self._yaw = float(x[2])
 
@@ -66,7 +73,22 @@ class RezeroEstimator:
         self.filter.update(interval, wheel, gyro, accel)
         if interval > 0.0:
             self.arm.update(interval, np.asarray(arm, float))
+            self._look_for_balance(interval)
         return self.state
+
+    def _look_for_balance(self, interval: float) -> None:
+        """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
+        f = self.filter
+        if self._balanced:
+            return
+        if np.abs(f.ball_velocity[:2]).max() > SLOW or np.abs(self.arm.rate).max(initial=0.0) > SLOW:
+            self._stood = 0.0
+            return
+        self._stood += interval
+        if self._stood >= STANDS:
+            pitch, roll = self._robot.equilibrium(self.arm.angle)[0][3:5]
+            f.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
+            self._balanced = True
 
     @property
     def state(self) -> Array:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
+from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
 from wbmpc.plant.world import (
     ROBOT,
