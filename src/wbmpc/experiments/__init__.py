@@ -8,7 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_steps, swerve_track
+from wbmpc.experiments import rezero_circle, rezero_steps, swerve_track
+from wbmpc.experiments import rezero_push as push
 from wbmpc.result import RunResult
 
 
@@ -23,9 +24,12 @@ class Experiment:
 
 
 REGISTRY: dict[str, Experiment] = {
-    m.NAME: Experiment(m.NAME, m.SUMMARY, settings, m.run)  # type: ignore[attr-defined]
-    for m, settings in (
-        (swerve_track, swerve_track.SwerveTrackSettings),
-        (rezero_steps, rezero_steps.RezeroStepsSettings),
+    e.name: e
+    for e in (
+        Experiment(swerve_track.NAME, swerve_track.SUMMARY, swerve_track.SwerveTrackSettings, swerve_track.run),
+        Experiment(rezero_steps.NAME, rezero_steps.SUMMARY, rezero_steps.RezeroStepsSettings, rezero_steps.run),
+        Experiment(push.BALL, push.SUMMARY.format("ball"), push.RezeroPushBallSettings, push.run_ball),
+        Experiment(push.HAND, push.SUMMARY.format("hand"), push.RezeroPushHandSettings, push.run_hand),
+        Experiment(rezero_circle.NAME, rezero_circle.SUMMARY, rezero_circle.RezeroCircleSettings, rezero_circle.run),
     )
 }

@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
-from wbmpc.estimation import BallFilter, RezeroEstimator
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, run_task
 from wbmpc.log import Log
-from wbmpc.loop import Progress, Timing, run_lockstep
+from wbmpc.loop import Progress, Timing
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.plant import RezeroPlant, Truth
 from wbmpc.result import Metric, Plot, RunResult, Series
 
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
 
-IDEALISATIONS = [
-    "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
-    "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
-    "with preview (the default) the MPC sees a step coming one horizon ahead",
-    "the arm's geometry and masses are assumed (not published)",
-    "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
-    "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
-]
+IDEALISATIONS = ["with preview (the default) the MPC sees a step coming one horizon ahead"]
 
 
 @dataclass(frozen=True)
@@ -64,24 +53,16 @@ IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=
 STEADY, MOVING = 1.0, 0.5
 
 
-class RezeroStepsSettings(ExperimentSettings):
+class RezeroStepsSettings(RezeroSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
-    ``preview``: whether the MPC sees a step before it comes; ``observer``: whether constant disturbances are estimated;
-    ``drive_lag`` [s] that the controller assumes; ``estimator``: the state from the sensors (filter), or from the simulator with
-    noise (truth); ``payload`` [kg]: an unknown mass at the hand.
+    ``preview``: whether the MPC sees a step before it comes.
     """
 
-    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
-    cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle: float = Field(5.0, ge=0.5, le=600.0)
     rest: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
-    observer: bool = True
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
-    estimator: Literal["filter", "truth"] = "filter"
-    payload: float = Field(0.0, ge=0, le=5.0)
 
     @property
     def lead(self) -> float:
@@ -134,61 +115,22 @@ class _Schedule:
         return int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
 
 
-def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray) -> None:
-    """Rest at home for body, twist and torques."""
-    mpc.reference["body"] = Reference.constant(robot.home)
-    mpc.reference["twist"] = Reference.constant(np.zeros(6))
-    mpc.reference["torque"] = Reference.constant(torque)
-
-
 def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run over all steps."""
     robot = load_robot("rezero")
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     schedule = _Schedule.of(settings, robot)
-    mpc = rezero_mpc(robot, settings.mpc, settings.cost)
-    set_home_references(mpc, robot, torque)
-    mpc.reference["hand"] = schedule.reference()
-    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
-    estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator)
-    mpc.reset(home, torque)
-    log = Log()
 
-    def record(t: float, command: Any, plans: Any) -> None:
-        if not settings.preview:
-            _hide_future(mpc, schedule, t + timing.delay * timing.period)
-        truth = plant.truth()
-        log.add("state", t, plant.state())
-        log.add("hand", t, truth.tool)
-        if estimator is not None:
-            _record_estimate(log, t, agent.state(), truth, estimator.filter)
-        log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
-        log.add("tilt", t, truth.tilt)
-        log.add("torque", t, command.torque)
-        log.add("disturbance", t, agent.disturbance)
+    def hide_future(mpc: MPC, timing: Timing, t: float) -> None:
+        """Without preview the present target holds for the whole horizon."""
+        i = schedule.at(t + timing.delay * timing.period)
+        mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
 
-    ending = run_lockstep(plant, agent, mpc, timing, schedule.duration, record, progress)
-    return finished(
-        NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, schedule, settings, ending.fell), plots=lambda: _plots(log, schedule, robot, mpc),
-        idealisations=IDEALISATIONS,
+    return run_task(
+        NAME, settings, seed,
+        Task(robot.home[robot.state["arm"]], schedule.duration, {"hand": schedule.reference()}),
+        lambda log, ending: _metrics(log, schedule, settings, ending.fell), lambda log: _plots(log, schedule, robot),
+        IDEALISATIONS, progress, None if settings.preview else hide_future,
     )  # fmt: skip
-
-
-def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:
-    """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
-    rotation = lie.euler_zyx_to_rotation(*state[2:5])
-    log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
-    log.add("estimate", t, state)
-    log.add("rolling_fault", t, float(bool(estimator.faults)))
-
-
-def _hide_future(mpc: MPC, schedule: _Schedule, t: float) -> None:
-    """Without preview the present target holds for the whole horizon."""
-    i = schedule.at(t)
-    mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
 
 
 def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> np.ndarray:
@@ -223,7 +165,7 @@ def _rise(t: np.ndarray, done: np.ndarray) -> float:
 
 def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
     t, hand = log.times("hand"), log.array("hand")
-    felt = log.array("hand_estimated") if "hand_estimated" in log.channels else hand
+    felt = hand_felt(log)
     rises, steady, world, turned = [], [], [], []
     lead = settings.lead
     for k in range(len(STEPS)):
@@ -250,27 +192,12 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
         "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),
         "fell": Metric(float(fell), "1", goal=0.0),
-        **_estimator_metrics(log),
     }
 
 
-def _estimator_metrics(log: Log) -> dict[str, Metric]:
-    """Largest errors of the estimate, and the share of messages in which the ball was found not to roll."""
-    if "estimate" not in log.channels:
-        return {}
-    error = np.abs(log.array("estimate") - log.array("state"))
-    return {
-        "estimated_position_error_max": Metric(float(np.hypot(error[:, 0], error[:, 1]).max()), "m"),
-        "estimated_tilt_error_max": Metric(float(error[:, 3:5].max()), "rad"),
-        "estimated_yaw_error_max": Metric(float(error[:, 2].max()), "rad"),
-        "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
-    }
-
-
-def _plots(log: Log, schedule: _Schedule, robot: RobotModel, mpc: MPC) -> list[Plot]:
+def _plots(log: Log, schedule: _Schedule, robot: RobotModel) -> list[Plot]:
     t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
     asked = schedule.positions[[schedule.at(v) for v in t]]
-    solve = 1e3 * np.array(mpc.statistics.solve_times)
     limit = robot.limits.input_upper[: torque.shape[1]]
     lines = [Series(n, t, hand[:, i]) for i, n in enumerate("xyz")]
     goals = [Series(f"{n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
@@ -291,5 +218,4 @@ def _plots(log: Log, schedule: _Schedule, robot: RobotModel, mpc: MPC) -> list[P
         Plot("Estimated disturbance", "time [s]", "generalised force [N, N m]", [
             Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])
         ]),
-        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
     ]  # fmt: skip
