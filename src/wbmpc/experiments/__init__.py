@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_circle, rezero_steps, swerve_track
+from wbmpc.experiments import rezero_circle, rezero_steps, rezero_wholebody, swerve_track
 from wbmpc.experiments import rezero_push as push
 from wbmpc.result import RunResult
 
@@ -30,6 +30,12 @@ REGISTRY: dict[str, Experiment] = {
         Experiment(rezero_steps.NAME, rezero_steps.SUMMARY, rezero_steps.RezeroStepsSettings, rezero_steps.run),
         Experiment(push.BALL, push.SUMMARY.format("ball"), push.RezeroPushBallSettings, push.run_ball),
         Experiment(push.HAND, push.SUMMARY.format("hand"), push.RezeroPushHandSettings, push.run_hand),
+        Experiment(
+            rezero_wholebody.NAME,
+            rezero_wholebody.SUMMARY,
+            rezero_wholebody.RezeroWholebodySettings,
+            rezero_wholebody.run,
+        ),
         Experiment(rezero_circle.NAME, rezero_circle.SUMMARY, rezero_circle.RezeroCircleSettings, rezero_circle.run),
     )
 }
