@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from pydantic import Field
 
@@ -40,7 +42,7 @@ class RezeroWholebodySettings(RezeroSettings):
 def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) [s] and positions (n, 3) [m] of the hand: straight lines at constant speed, and holds."""
     times, places, t = [0.0], [home], settings.settle
-    for before, after in zip(CORNERS[:-1], CORNERS[1:], strict=True):
+    for before, after in itertools.pairwise(CORNERS):
         times += [t, t + settings.move]
         places += [home + before, home + after]
         t += settings.move + settings.hold
