@@ -14,7 +14,8 @@ import numpy as np
 from wbmpc.control import RezeroAgent, SwerveAgent
 from wbmpc.experiments.paths import SinePath
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings, set_home_references
+from wbmpc.experiments.rezero_steps import RezeroStepsSettings
+from wbmpc.experiments.rezero_task import set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_problem
 from wbmpc.loop import Timing

@@ -24,7 +24,8 @@ from wbmpc import lie
 from wbmpc.control import RezeroAgent, SwerveAgent
 from wbmpc.experiments.paths import SinePath
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.rezero_steps import STEPS, set_home_references, target
+from wbmpc.experiments.rezero_steps import STEPS, target
+from wbmpc.experiments.rezero_task import set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
 from wbmpc.model import load_robot

@@ -51,7 +51,7 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
         leave = s["settle"] + (k + 1) * s["hold"] - lead
         goal = home + np.array(step.move)
         last = (t >= leave - 1.0) & (t < leave)
-        worst.append(np.linalg.norm(hand[last] - goal, axis=1).mean())
+        worst.append(np.linalg.norm(log["hand_estimated"][last] - goal, axis=1).mean())
         if any(step.move):
             before = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
             window = (t >= leave - s["hold"]) & (t < leave)

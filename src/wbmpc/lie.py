@@ -127,6 +127,14 @@ def rotation_to_euler_zyx(r: ArrayLike) -> Array:
     return np.array([np.arctan2(r[1, 0], r[0, 0]), pitch, np.arctan2(r[2, 1], r[2, 2])])
 
 
+def euler_zyx_rates(pitch: float, roll: float, omega: ArrayLike) -> Array:
+    """Rates of (yaw, pitch, roll) [rad/s] for an angular velocity (3) in body axes, |pitch| < 90°."""
+    wx, wy, wz = np.asarray(omega, float)
+    s, c = np.sin(roll), np.cos(roll)
+    yaw_rate = (s * wy + c * wz) / np.cos(pitch)
+    return np.array([yaw_rate, c * wy - s * wz, wx + np.sin(pitch) * yaw_rate])
+
+
 def rotation_angle(a: ArrayLike, b: ArrayLike) -> float:
     """Angle [rad] between two rotation matrices."""
     return float(np.linalg.norm(quaternion_log(rotation_to_quaternion(np.asarray(a).T @ np.asarray(b)))))

@@ -283,7 +283,15 @@ def test_ball_robot_clips_torques_and_stops_without() -> None:
     agent.measure(RezeroMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild = feedback_policy(0)
     plans.add(0.0, Policy(wild.times, wild.x, 1e3 * np.sign(wild.u), wild.gain))
-    np.testing.assert_allclose(np.abs(agent.command(0.0, plans).torque), [4, 4, 4, 20, 20, 20])
+    torque = agent.command(0.0, plans).torque
+    np.testing.assert_allclose(np.abs(torque[3:]), [20, 20, 20])
+    assert np.abs(torque[:3]).max() < 4.0 + 1e-9
+    # balance before yaw: what tilts (the part without a common share) keeps its direction and is as large as it can be,
+    # what spins the ball stays below the floor's friction
+    asked, given = agent.wanted[:3] - agent.wanted[:3].mean(), torque[:3] - torque[:3].mean()
+    assert np.abs(given).max() == pytest.approx(4.0)
+    np.testing.assert_allclose(given / np.abs(given).max(), asked / np.abs(asked).max(), atol=1e-9)
+    assert abs(0.125 / 0.064 * np.sin(np.pi / 4) * torque[:3].sum()) <= 2.0 + 1e-9
     np.testing.assert_array_equal(agent.stop().torque, np.zeros(TORQUES))
 
 
@@ -297,3 +305,20 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
     assert given is agent.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance is not finite"):
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+
+
+class Fixed:
+    """An estimator that always says the same."""
+
+    def update(self, time, wheel, arm, gyro, accel):  # type: ignore[no-untyped-def]
+        self.given = (time, *wheel, *arm, *gyro, *accel)
+        return np.arange(2.0 * N)
+
+
+def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
+    agent, fixed = ball_agent(), Fixed()
+    agent.estimator = fixed  # type: ignore[assignment]
+    readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
+    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
+    np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
+    assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)

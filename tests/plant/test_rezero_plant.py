@@ -13,6 +13,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
+from wbmpc.plant.inertial import SensorFault
 from wbmpc.plant.rezero import body_rates, minimal_state
 
 ROBOT = load_robot("rezero")
@@ -215,3 +216,51 @@ def test_planner_and_plant_share_no_numbers() -> None:
     plant.model.body_inertia[:] *= 2.0
     np.testing.assert_array_equal(robot.mass_matrix(home[:8]), before)
     np.testing.assert_array_equal(load_robot("rezero").mass_matrix(home[:8]), before)
+
+
+def test_inertial_unit_reads_what_mujocos_own_sensors_read() -> None:
+    """MuJoCo's gyro and accelerometer at the same place, averaged over the same steps, while torques and a push act."""
+
+    def add(spec: mujoco.MjSpec) -> None:
+        for name, kind in (("g", mujoco.mjtSensor.mjSENS_GYRO), ("a", mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
+
+    p = plant(edit=add)
+    for k in range(40):
+        if k == 20:
+            p.push([30.0, -20.0, 0.0])
+        gyro, accel = np.zeros(3), np.zeros(3)
+        for _ in range(5):
+            p.step(RezeroCommand(TORQUE + [0.5, -0.3, 0.2, 1.0, -1.0, 0.5]))
+            accel += p.data.sensordata[3:6] / 5
+            gyro += p.data.qvel[3:6] / 5
+        m = p.measure()
+        assert m.gyro == pytest.approx(gyro, abs=1e-9)
+        assert m.accel == pytest.approx(accel, abs=2e-2)
+    assert np.abs(m.gyro).max() > 0.1
+
+
+def test_wheel_encoders_follow_the_kinematics_of_the_model() -> None:
+    """Increments against the integral of the symbolic wheel speeds W(q) v of the minimal model."""
+    q, v = ca.SX.sym("q", 8), ca.SX.sym("v", 8)
+    speeds = ca.Function("w", [q, v], [ROBOT.base.wheel_speeds(q, v)])
+    p, turned = plant(), np.zeros(3)
+    for _ in range(400):
+        p.step(RezeroCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]))
+        x = p.state()
+        turned += p.timestep * np.array(speeds(x[:8], x[8:])).ravel()
+    assert np.abs(turned).max() > 0.1
+    assert p.measure().wheel == pytest.approx(turned, rel=5e-3, abs=1e-3)
+
+
+def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
+    p = plant(Perturbation.none(drive_lag=0.0, state_age=0.005))
+    p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)
+    seen = []
+    for _ in range(120):
+        p.step(RezeroCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]), 5)
+        seen.append((p.measure().wheel, p.sensors._wheel.copy()))
+    assert seen[20][0] == pytest.approx(seen[18][1], abs=1e-12)  # 5 ms are two messages
+    stands = np.array([w[0] for w, _ in seen])[45:75]
+    assert np.ptp(stands) == 0.0 and np.ptp([w[1] for w, _ in seen[45:75]]) > 1e-3
+    assert seen[100][0] == pytest.approx(seen[98][1], abs=1e-12)

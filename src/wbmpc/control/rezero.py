@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
 from wbmpc.errors import NotFinite
-from wbmpc.estimation import DisturbanceObserver
+from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
@@ -16,15 +17,18 @@ from wbmpc.plant import RezeroCommand, RezeroMeasurement
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
-    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated.
+    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
+    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True
-    ) -> None:
-        self.robot, self.mpc, self.period = robot, mpc, period
+        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
+        estimator: RezeroEstimator | None = None,
+    ) -> None:  # fmt: skip
+        self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.limit = robot.limits.input_upper[: torque.size]
+        self._spin = robot.base.wheel_torque_map()[2]
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._torques: deque[np.ndarray] = deque([torque.copy()] * 64, maxlen=64)
         self.observer: DisturbanceObserver | None = None
@@ -40,6 +44,9 @@ class RezeroAgent:
 
     def measure(self, measurement: RezeroMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
+        if self.estimator is not None:
+            m = measurement
+            measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
         self.measured = measurement
         if self.observer is not None:
             past = self._torques[-1 - self._late()]
@@ -67,10 +74,27 @@ class RezeroAgent:
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            wanted = np.clip(policy(t + k * self.period, x)[: self.limit.size], -self.limit, self.limit)
+            wanted = self._possible(policy(t + k * self.period, x)[: self.limit.size])
             torque = torque + self._blend * (wanted - torque)
             x = self._step(x, torque, self.period)
         return Observation(until, x)
+
+    def _possible(self, torque: np.ndarray) -> np.ndarray:
+        """Torques within the drives' limits. Balance comes before yaw: wheels that are clipped one by one would spin the ball.
+
+        What spins the ball is limited first; if the rest is still too large, it is scaled as a whole, and the spin fills up
+        what is left.
+        """
+        n = self._spin.size
+        along, limit = self._spin / np.linalg.norm(self._spin), self.limit[:n]
+        spin = float(along @ torque[:n])
+        lean = torque[:n] - spin * along
+        lean = lean / max(1.0, float(np.max(np.abs(lean) / limit)))
+        most = self.robot.description.limits.spin_effort / np.linalg.norm(self._spin)
+        room = np.where(along > 0.0, (limit - lean) / np.abs(along), (limit + lean) / np.abs(along))
+        back = np.where(along > 0.0, (limit + lean) / np.abs(along), (limit - lean) / np.abs(along))
+        spin = float(np.clip(spin, -min(most, back.min()), min(most, room.min())))
+        return np.concatenate([lean + spin * along, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
 
     def stop(self) -> RezeroCommand:
         """No torque."""
@@ -80,7 +104,7 @@ class RezeroAgent:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
         self.wanted = plans.current(t, self.state())[: self.limit.size]
-        torque = np.clip(self.wanted, -self.limit, self.limit)
+        torque = self._possible(self.wanted)
         self.clamped = bool(np.any(torque != self.wanted))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

@@ -1,21 +1,29 @@
-"""Estimators: where the base is, and which forces disturb it, whether brakes answer."""
+"""Estimators: where the base is, how it moves, which forces disturb it, whether brakes answer."""
 
+from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
 from wbmpc.estimation.calibration import WheelRecord, calibrate
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
 
 __all__ = [
+    "BallFilter",
+    "BallGeometry",
+    "BallNoise",
+    "BallState",
     "BrakeFault",
     "BrakeMonitor",
     "DisturbanceObserver",
     "DriftObserver",
     "FusedOdometry",
+    "JointTracker",
     "OdometryNoise",
     "ReleaseOdometry",
+    "RezeroEstimator",
     "WheelCalibration",
     "WheelOdometry",
     "WheelRecord",

@@ -9,7 +9,10 @@ from typing import Any
 from pydantic import BaseModel
 
 from wbmpc.experiments import (
+    rezero_circle,
+    rezero_push,
     rezero_steps,
+    rezero_wholebody,
     swerve_brakes,
     swerve_calibrate,
     swerve_fixed,
@@ -31,16 +34,34 @@ class Experiment:
     run: Callable[[Any, int, Callable[[float, str], None] | None], RunResult]
 
 
+def _of(module: Any, settings: type[BaseModel]) -> Experiment:
+    return Experiment(module.NAME, module.SUMMARY, settings, module.run)
+
+
 REGISTRY: dict[str, Experiment] = {
-    m.NAME: Experiment(m.NAME, m.SUMMARY, settings, m.run)  # type: ignore[attr-defined]
-    for m, settings in (
-        (swerve_track, swerve_track.SwerveTrackSettings),
-        (swerve_fixed, swerve_fixed.SwerveFixedSettings),
-        (swerve_calibrate, swerve_calibrate.SwerveCalibrateSettings),
-        (rezero_steps, rezero_steps.RezeroStepsSettings),
-        (swerve_brakes, swerve_brakes.SwerveBrakesSettings),
-        (swerve_stability, swerve_stability.SwerveStabilitySettings),
-        (swerve_unified, swerve_unified.SwerveUnifiedSettings),
-        (swerve_wobble, swerve_wobble.SwerveWobbleSettings),
+    e.name: e
+    for e in (
+        _of(swerve_track, swerve_track.SwerveTrackSettings),
+        _of(swerve_fixed, swerve_fixed.SwerveFixedSettings),
+        _of(swerve_calibrate, swerve_calibrate.SwerveCalibrateSettings),
+        _of(swerve_brakes, swerve_brakes.SwerveBrakesSettings),
+        _of(swerve_stability, swerve_stability.SwerveStabilitySettings),
+        _of(swerve_unified, swerve_unified.SwerveUnifiedSettings),
+        _of(swerve_wobble, swerve_wobble.SwerveWobbleSettings),
+        _of(rezero_steps, rezero_steps.RezeroStepsSettings),
+        _of(rezero_circle, rezero_circle.RezeroCircleSettings),
+        _of(rezero_wholebody, rezero_wholebody.RezeroWholebodySettings),
+        Experiment(
+            rezero_push.BALL,
+            rezero_push.SUMMARY.format("ball"),
+            rezero_push.RezeroPushBallSettings,
+            rezero_push.run_ball,
+        ),
+        Experiment(
+            rezero_push.HAND,
+            rezero_push.SUMMARY.format("hand"),
+            rezero_push.RezeroPushHandSettings,
+            rezero_push.run_hand,
+        ),
     )
 }

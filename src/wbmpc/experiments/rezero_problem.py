@@ -100,6 +100,9 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     ocp.add(
         Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)
     )
+    spin = robot.description.limits.spin_effort
+    if np.isfinite(spin):
+        ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
     return ocp
 
 

@@ -240,6 +240,19 @@ class WheelRolling:
 
 
 @dataclass(frozen=True)
+class BallSpin:
+    """Torque (1) [N m] of the wheels on a ball about the base's z axis: more than the floor's spin friction spins the ball."""
+
+    robot: RobotModel
+
+    size, reference = 1, 0
+    groups = {"torque": slice(0, 1)}  # noqa: RUF012
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return ca.DM(self.robot.base.wheel_torque_map()[2:]) @ s.u[self.robot.input["wheel"]]
+
+
+@dataclass(frozen=True)
 class BrakedLegs:
     """Leg rates [rad/s] where the brake is closed, zero where it is open."""
 

@@ -84,11 +84,19 @@ class RezeroCommand:
 
 @dataclass(frozen=True)
 class RezeroMeasurement:
-    """State (16) of the minimal model as the simulator gives it, ``age`` [s] old, with noise: idealised."""
+    """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealised, its state (16) with noise.
+
+    ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
+    force in the axes of the base, averages since the message before (the inertial unit integrates between messages).
+    """
 
     time: float
     state: Array
     age: float
+    wheel: Array = field(default_factory=lambda: np.zeros(3))
+    arm: Array = field(default_factory=lambda: np.zeros(3))
+    gyro: Array = field(default_factory=lambda: np.zeros(3))
+    accel: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
 from wbmpc.plant.world import (
@@ -44,10 +45,7 @@ def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Arra
     (MuJoCo's convention), ``position`` (3) of the ball's centre.
     """
     yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
-    wx, wy, wz = velocity[3:6]
-    s, c = np.sin(roll), np.cos(roll)
-    yaw_rate = (s * wy + c * wz) / np.cos(pitch)
-    rates = [yaw_rate, c * wy - s * wz, wx + np.sin(pitch) * yaw_rate]
+    rates = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
     return np.array([position[0], position[1], yaw, pitch, roll, *arm, velocity[0], velocity[1], *rates, *arm_rate])
 
 
@@ -71,7 +69,8 @@ class RezeroPlant(InWorld):
     ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm
     at the description's home); ``torque`` (6): what the drives give at the start (left out: none on the ball, the arm's
     weight on the arm). ``payload`` [kg]: a mass at the tool. ``edit`` changes the specification before it is compiled;
-    ``external`` is called before every physics step with (model, data).
+    ``external`` is called before every physics step with (model, data). ``sensors``: the encoders and the inertial unit,
+    whose faults can be set.
     """
 
     def __init__(
@@ -90,7 +89,7 @@ class RezeroPlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
         p = self.perturbation = perturbation or Perturbation()
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
@@ -106,7 +105,11 @@ class RezeroPlant(InWorld):
         # a constant error of the arm's encoders; they are not in the state's speeds
         self.offset = np.zeros(10 + 2 * n)
         self.offset[5 : 5 + n] = self.draw.arm_offset
-        self._history: deque[tuple[Array, Array]] = deque(maxlen=1 + round(p.state_age / timestep))
+        self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
+        self._history: deque[tuple[Array, Array, Inertial, Array]] = deque(maxlen=1 + self._late + jitter)
+        mount = np.array(spec.site("imu").pos) if any(s.name == "imu" for s in spec.sites) else np.zeros(3)
+        wheels = WheelGeometry.of(self.base, self.draw.radius)
+        self.sensors = RezeroSensors(p, self.draw, wheels, mount, timestep, jitter, sensor_rng)
         self._last: RezeroMeasurement | None = None
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
@@ -180,10 +183,15 @@ class RezeroPlant(InWorld):
         if d.act.size:
             d.act[:] = d.ctrl if d.act.size == self.model.nu else 0.0
         self.world.restart()
+        self.sensors.restart()
+        self._history.clear()
         self._record()
 
     def _record(self) -> None:
-        self._history.append((self.data.qpos.copy(), self.data.qvel.copy()))
+        q, v, ball = self.data.qpos.copy(), self.data.qvel.copy(), self._ball
+        q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])
+        inertial, wheel = self.sensors.advance(q[0:7], v[0:6], q[q_ball : q_ball + 4], v[v_ball : v_ball + 3])
+        self._history.append((q, v, inertial, wheel))
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
@@ -196,13 +204,19 @@ class RezeroPlant(InWorld):
         return state
 
     def measure(self) -> RezeroMeasurement:
-        """The state of ``state_age`` ago with noise. Asking twice at the same time gives the same message."""
+        """Sensors and state of ``state_age`` ago with noise. Asking twice at the same time gives the same message."""
         if self._last is not None and self._last.time == self.time:
             return self._last
-        state = self._state_of(*self._history[0])
+        now = max(len(self._history) - 1 - self._late, 0)
+        q, v, inertial, _ = self._history[now]
+        state = self._state_of(q, v)
         state[2] = unwrap(state[2], self.world.yaw)
         state = state + self.offset + self._spread * self._noise.normal(size=state.size)
-        self._last = RezeroMeasurement(self.time, state, (len(self._history) - 1) * self.timestep)
+        gyro, accel = self.sensors.inertial(inertial)
+        then = self._history[max(now - self.sensors.jitter(), 0)]
+        wheel, arm = self.sensors.encoders(then[3], then[0][self._arm_q])
+        age = (len(self._history) - 1 - now) * self.timestep
+        self._last = RezeroMeasurement(self.time, state, age, wheel, arm, gyro, accel)
         return self._last
 
     def step(self, command: RezeroCommand, steps: int = 1) -> None:

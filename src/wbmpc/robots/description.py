@@ -93,7 +93,8 @@ class ArmDescription(_Model):
 class LimitsDescription(_Model):
     """Limits by joint: velocity [rad/s], effort [N m], position [rad] (overrides the file's range).
 
-    ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels.
+    ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels;
+    ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
     """
 
     velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
@@ -102,6 +103,7 @@ class LimitsDescription(_Model):
     base_linear: float = Field(default=1.0, gt=0)
     base_angular: float = Field(default=1.0, gt=0)
     wheel_effort: float = Field(default=np.inf, gt=0)
+    spin_effort: float = Field(default=np.inf, gt=0)
 
     @field_validator("position")
     @classmethod

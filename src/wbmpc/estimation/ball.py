@@ -1,0 +1,308 @@
+"""State of a ball-balancing base from wheel encoders and an inertial unit, in the manner of the two-state implicit filter.
+
+Source: Bloesch, Burri, Sommer, Siegwart, Hutter: "The Two-State Implicit Filter", RA-L 2018: no prediction, only residuals
+between two consecutive states; the older one is marginalised. Here the residuals are inertial increments (strapdown), rolling
+of the ball without slip, wheel encoders, and the floor's height. docs/derivations.md has the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.stats import chi2
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+GRAVITY = np.array([0.0, 0.0, 9.81])
+#: Probability of more than this surprise without a fault; variance [rad²] of rows that count for nothing; what a wheel must
+#: have turned [rad] before an encoder that does not move is called stalled.
+GATE, ANY, STALLED = 1e-4, 1.0, 5e-3
+UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
+
+
+@dataclass(frozen=True)
+class BallGeometry:
+    """``radius`` [m] of the ball; ``turn`` (n, 3): wheel speeds over the ball's rate relative to the base, base axes;
+    ``mount`` (3) [m] of the inertial unit in the base's frame, whose origin is the ball's centre."""
+
+    radius: float
+    turn: Array
+    mount: Array
+
+
+@dataclass(frozen=True)
+class BallNoise:
+    """What the filter believes of its sensors (standard deviations, SI units).
+
+    Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
+    encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
+    about horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the
+    way between two messages, what a straight line of velocities does not describe. Priors: ``tilt`` [rad], ``start`` ([m],
+    [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the wheels' radius, which
+    does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
+    """
+
+    gyro: float = 2e-4
+    accel: float = 1e-3
+    gyro_walk: float = 2e-5
+    accel_walk: float = 3e-3
+    encoder: float = 2.0 * np.pi / 2**17 / np.sqrt(12.0)
+    age: float = 1e-3
+    jitter: float = 7e-4
+    creep: float = 5e-4
+    spin: float = 3e-3
+    floor: float = 1e-3
+    path: float = 5e-6
+    tilt: float = 0.02
+    start: float = 1e-4
+    speed: float = 1e-3
+    gyro_bias: float = 0.01 / np.sqrt(3.0)
+    accel_bias: float = 0.01 / np.sqrt(3.0)
+    scale: float = 0.002 / np.sqrt(3.0)
+    scale_time: float = 1.0
+
+
+@dataclass
+class BallState:
+    """``position`` (3) [m] of the ball's centre, ``velocity`` (3) [m/s] of the inertial unit, ``rotation`` of the base, all in
+    the world; biases (3) of gyro and accelerometer; ``wheel`` (n) [rad] angles; ``scale``: log of the radius factor."""
+
+    position: Array
+    velocity: Array
+    rotation: Array
+    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    accel_bias: Array = field(default_factory=lambda: np.zeros(3))
+    wheel: Array = field(default_factory=lambda: np.zeros(3))
+    scale: float = 0.0
+
+    def moved(self, d: Array) -> BallState:
+        """With an error (16 + n) added: see :class:`BallFilter` for its order."""
+        n = self.wheel.size
+        return BallState(
+            self.position + d[P], self.velocity + d[V], self.rotation @ rotation_of(d[A]), self.gyro_bias + d[BG],
+            self.accel_bias + d[BA], self.wheel + d[16 : 16 + n], self.scale + float(d[15]),
+        )  # fmt: skip
+
+    def minus(self, other: BallState) -> Array:
+        """The error (16 + n) that moves ``other`` to this state."""
+        turned = lie.quaternion_log(lie.rotation_to_quaternion(other.rotation.T @ self.rotation))
+        return np.concatenate([
+            self.position - other.position, self.velocity - other.velocity, turned, self.gyro_bias - other.gyro_bias,
+            self.accel_bias - other.accel_bias, [self.scale - other.scale], self.wheel - other.wheel,
+        ])  # fmt: skip
+
+
+P, V, A, BG, BA = (slice(k, k + 3) for k in (0, 3, 6, 9, 12))
+
+
+class BallFilter:
+    """Error state (16 + wheels): position, velocity of the inertial unit, attitude (base axes), gyro and accelerometer bias,
+    log of the wheels' radius factor, wheel angles. ``covariance`` belongs to it.
+
+    ``surprise``: what the redundant rows cost at the last update, chi-square with ``freedom`` = wheels + 1 degrees.
+    ``faults`` of the last update: where rolling contradicts the inertial unit beyond :data:`GATE`, or an encoder stands while
+    its wheel turns; those rows then count for nothing.
+    """
+
+    def __init__(self, geometry: BallGeometry, position: ArrayLike, rotation: ArrayLike, noise: BallNoise) -> None:
+        n = self._n = len(geometry.turn)
+        self.geometry, self.noise = geometry, noise
+        position = np.array([*np.asarray(position, float)[:2], 0.0])
+        self.state = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
+        s = noise
+        spread = np.concatenate([
+            [s.start, s.start, s.floor], [s.speed] * 3, [s.tilt] * 3, [s.gyro_bias] * 3, [s.accel_bias] * 3, [s.scale], [1.0] * n,
+        ])  # fmt: skip
+        self.covariance = np.diag(spread**2)
+        # what is known of the start is its heading: the uncertain axes are those of the world's horizontal
+        about = self.state.rotation.T @ np.diag([s.tilt, s.tilt, s.start]) ** 2 @ self.state.rotation
+        self.covariance[A, A] = about
+        self.freedom, self.surprise = n + 1, 0.0
+        self.faults: tuple[str, ...] = ()
+        self._gate = float(chi2.isf(GATE, self.freedom))
+        self._read, self._turned, self._stalled = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+        self._rows = 16 + 2 * n + 1  # bias walks 6, scale 1, turning 3, push 3, shift 3, rolling n, encoders n, floor 1
+        self._first = True
+        self.rate = np.zeros(3)
+
+    # ------------------------------------------------------------------ update
+    def update(self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> BallState:
+        """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s]."""
+        readings = [np.asarray(v, float) for v in (wheel, gyro, accel)]
+        for name, value, size in zip(("wheel", "gyro", "accel"), readings, (self._n, 3, 3), strict=True):
+            if value.shape != (size,) or not np.isfinite(value).all():
+                raise InputError(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
+        w, g, a = readings
+        if self._first:
+            self.state.wheel, self._read, self._first = w.copy(), w.copy(), False
+            self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
+        if interval <= 0.0:
+            return self.state
+        last = self.state
+        guess = self._integrated(last, interval, g, a)
+        error = self._explained(*self._linearised(last, guess, interval, w, a))
+        self.state = guess.moved(error)
+        self.rate = g - self.state.gyro_bias
+        self._look_for_stalled(w, guess.wheel - last.wheel)
+        return self.state
+
+    def _explained(self, r: Array, jx: Array, jy: Array, q: Array) -> Array:
+        """Error of the newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
+        wheel slips, the ball slips. If none is good enough the best one counts."""
+        rolling = slice(16, 16 + self._n)
+        plain, known = q[rolling, rolling].copy(), np.diag(np.where(self._stalled, ANY, 0.0))
+        stalled = tuple(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled))
+        best: tuple[Array, Array, tuple[str, ...]] | None = None
+        lowest = np.inf
+        for faults, more in self._explanations():
+            q[rolling, rolling] = plain + known + more
+            result = self._solved(r, jx, jy, q)
+            if not faults:
+                self.surprise = result[2]
+            if result[2] < lowest:
+                lowest, best = result[2], (*result[:2], stalled + faults)
+            if lowest < self._gate:
+                break
+        assert best is not None
+        error, self.covariance, self.faults = best
+        return error
+
+    def _explanations(self) -> Iterator[tuple[tuple[str, ...], Array]]:
+        """Faults of rolling, the likely ones first, and the variance [rad²] that they give to the wheels' increments."""
+        n = self._n
+        yield (), np.zeros((n, n))
+        spin = self.geometry.turn @ self.state.rotation[2]  # of the base about the vertical
+        yield ("ball spins",), ANY * np.outer(spin, spin)
+        for i in np.flatnonzero(~self._stalled):
+            yield (f"wheel_{i} slips",), ANY * np.diag(np.eye(n)[i])
+        yield ("ball slips",), ANY * np.eye(n)
+
+    def _look_for_stalled(self, wheel: Array, expected: Array) -> None:
+        """An encoder that reads the same while its wheel must have turned by more than :data:`STALLED`."""
+        changed = wheel != self._read
+        self._turned = np.where(changed, 0.0, self._turned + expected)
+        self._stalled = ~changed & (np.abs(self._turned) > STALLED)
+        self._read = wheel.copy()
+
+    def _integrated(self, x: BallState, h: float, gyro: Array, accel: Array) -> BallState:
+        """The next state by strapdown integration and rolling: where the residuals are linearised."""
+        turn = h * (gyro - x.gyro_bias)
+        rotation = x.rotation @ rotation_of(turn)
+        middle = x.rotation @ rotation_of(0.5 * turn)
+        velocity = x.velocity + h * (middle @ (accel - x.accel_bias) - GRAVITY)
+        shift = 0.5 * h * (x.velocity + velocity) - (rotation - x.rotation) @ self.geometry.mount
+        rolled = self._rolled(middle, shift, turn)
+        wheel = x.wheel + np.exp(-x.scale) * (self.geometry.turn @ rolled)
+        return BallState(x.position + shift, velocity, rotation, x.gyro_bias, x.accel_bias, wheel, x.scale)
+
+    def _rolled(self, middle: Array, shift: Array, turn: Array) -> Array:
+        """Turning (3) [rad] of the ball relative to the base, base axes, when it rolls by ``shift`` (3) [m]."""
+        rolled: Array = middle.T @ (UP @ shift) / self.geometry.radius - turn
+        return rolled
+
+    def _linearised(
+        self, x: BallState, y: BallState, h: float, wheel: Array, accel: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Residuals r between the states x and y, their slopes by the errors of x and of y, the covariance of their noise."""
+        s, g, n, m = self.noise, self.geometry, self._n, self._rows
+        size = 16 + n
+        r, jx, jy, q = np.zeros(m), np.zeros((m, size)), np.zeros((m, size)), np.zeros((m, m))
+        turned = x.rotation.T @ y.rotation
+        turn = lie.quaternion_log(lie.rotation_to_quaternion(turned))
+        middle = x.rotation @ rotation_of(0.5 * turn)
+        one = np.eye(3)
+        # turning: Log(Rxᵀ Ry) − h (gyro − bias): zero at the guess
+        jx[0:3, A], jy[0:3, A], jx[0:3, BG] = -turned.T, one, h * one
+        q[0:3, 0:3] = one * s.gyro**2 * h
+        # push: vy − vx − h (R (accel − bias) − g): zero at the guess
+        jy[3:6, V], jx[3:6, V] = one, -one
+        jx[3:6, A], jx[3:6, BA] = h * middle @ skew(accel - x.accel_bias), h * middle
+        q[3:6, 3:6] = one * s.accel**2 * h
+        # shift: py − px − h/2 (vx + vy) + (Ry − Rx) mount: zero at the guess
+        jy[6:9, P], jx[6:9, P], jy[6:9, V], jx[6:9, V] = one, -one, -0.5 * h * one, -0.5 * h * one
+        jy[6:9, A], jx[6:9, A] = -y.rotation @ skew(g.mount), x.rotation @ skew(g.mount)
+        q[6:9, 6:9] = one * s.path**2
+        # walks of the biases, and the scale
+        for k, (part, walk) in enumerate(((BG, s.gyro_walk), (BA, s.accel_walk))):
+            rows = slice(9 + 3 * k, 12 + 3 * k)
+            jy[rows, part], jx[rows, part], q[rows, rows] = one, -one, one * walk**2 * h
+        kept = np.exp(-h / s.scale_time)
+        r[15], jy[15, 15], jx[15, 15] = y.scale - kept * x.scale, 1.0, -kept
+        q[15, 15] = s.scale**2 * (1.0 - kept**2)
+        # rolling: wheel increments − turn · (ball's turning − base's): zero at the guess
+        shift = y.position - x.position
+        across = middle.T @ UP / g.radius
+        factor = np.exp(-x.scale) * g.turn
+        rolling, by_half = slice(16, 16 + n), 0.5 * skew(across @ shift)
+        jy[rolling, 16:], jx[rolling, 16:] = np.eye(n), -np.eye(n)
+        jy[rolling, P], jx[rolling, P] = -factor @ across, factor @ across
+        jy[rolling, A], jx[rolling, A] = factor @ (one - by_half), -factor @ (turned.T + by_half)
+        jx[rolling, 15] = factor @ self._rolled(middle, shift, turn)
+        slip = g.turn @ middle.T
+        q[rolling, rolling] = slip @ np.diag([s.creep**2, s.creep**2, s.spin**2]) @ slip.T * h
+        # encoders: what they read was true a little before
+        speed = (y.wheel - x.wheel) / h
+        encoders = slice(16 + n, 16 + 2 * n)
+        r[encoders] = y.wheel - s.age * speed - wheel
+        jy[encoders, 16:], jx[encoders, 16:] = (1.0 - s.age / h) * np.eye(n), s.age / h * np.eye(n)
+        q[encoders, encoders] = np.eye(n) * s.encoder**2 + s.jitter**2 * np.outer(speed, speed)
+        # floor
+        r[-1], jy[-1, 2], q[-1, -1] = y.position[2], 1.0, s.floor**2
+        return r, jx, jy, q
+
+    def _solved(self, r: Array, jx: Array, jy: Array, q: Array) -> tuple[Array, Array, float]:
+        """Error of the newer state, its covariance and the cost of the redundant rows: the older one is marginalised."""
+        factor = cholesky(q + jx @ self.covariance @ jx.T, lower=True, check_finite=False)
+        white = solve_triangular(factor, np.column_stack([jy, r]), lower=True, check_finite=False)
+        slope, rest = white[:, :-1], white[:, -1]
+        information = cholesky(slope.T @ slope, lower=True, check_finite=False)
+        error = -cho_solve((information, True), slope.T @ rest, check_finite=False)
+        covariance = cho_solve((information, True), np.eye(slope.shape[1]), check_finite=False)
+        left = rest + slope @ error
+        return error, 0.5 * (covariance + covariance.T), float(left @ left)
+
+    def know_lean(self, up: ArrayLike, spread: float) -> None:
+        """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
+
+        Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        """
+        up = np.asarray(up, float)
+        if up.shape != (3,) or not np.isfinite(up).all() or not spread > 0.0:
+            raise InputError(f"ball filter: a lean needs a direction (3) and a positive spread, got {up} ± {spread}")
+        # up = Rᵀ ẑ turns by up × error; of its three rows the horizontal ones of the base count
+        slope = np.zeros((2, self.covariance.shape[0]))
+        expected = self.state.rotation[2]
+        slope[:, A] = skew(expected)[:2]
+        spread_now = slope @ self.covariance @ slope.T + spread**2 * np.eye(2)
+        gain = np.linalg.solve(spread_now, slope @ self.covariance).T
+        self.state = self.state.moved(gain @ (up / np.linalg.norm(up) - expected)[:2])
+        keep = np.eye(len(gain)) - gain @ slope
+        self.covariance = keep @ self.covariance @ keep.T + spread**2 * gain @ gain.T  # Joseph form
+
+    # ------------------------------------------------------------------ what is asked for
+    @property
+    def ball_velocity(self) -> Array:
+        """Velocity (3) [m/s] of the ball's centre, world axes."""
+        x = self.state
+        velocity: Array = x.velocity - x.rotation @ np.cross(self.rate, self.geometry.mount)
+        return velocity
+
+
+def skew(a: Array) -> Array:
+    """The matrix of a ×."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def rotation_of(vector: Array) -> Array:
+    """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
+    angle = float(np.sqrt(vector @ vector))
+    k = skew(vector)
+    a, b = (np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2) if angle > 1e-4 else (1.0 - angle**2 / 6.0, 0.5)
+    rotation: Array = np.eye(3) + a * k + b * (k @ k)
+    return rotation

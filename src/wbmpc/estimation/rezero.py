@@ -1,0 +1,102 @@
+"""From a ball robot's sensors to the state of its minimal model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
+from wbmpc.model import RobotModel
+from wbmpc.model.ball import BallBase
+
+Array = NDArray[np.float64]
+#: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
+SLOW, STANDS = 0.05, 2.0
+
+
+class JointTracker:
+    """Angles (n) [rad] and rates (n) [rad/s] of joints from encoders alone: a Kalman filter of each joint, whose
+    acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old."""
+
+    def __init__(self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0) -> None:
+        self.angle = np.array(angles, float)
+        self.rate = np.zeros_like(self.angle)
+        self._encoder, self._age, self._jitter, self._density = encoder, age, jitter, acceleration
+        one = np.ones_like(self.angle)
+        self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, 1e-2 * one
+
+    def update(self, interval: float, reading: Array) -> None:
+        """``interval`` [s] since the reading before."""
+        h, s = interval, self._density**2
+        aa = self._aa + 2.0 * h * self._ar + h * h * self._rr + s * h**3 / 3.0
+        ar, rr = self._ar + h * self._rr + s * h * h / 2.0, self._rr + s * h
+        expected = self.angle + h * self.rate
+        late = self._age * self.rate
+        variance = aa + self._encoder**2 + (self._jitter * self.rate) ** 2
+        wrong, gain, gain_rate = reading + late - expected, aa / variance, ar / variance
+        self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
+        self._aa, self._ar, self._rr = (1.0 - gain) * aa, (1.0 - gain) * ar, rr - gain_rate * ar
+
+
+class RezeroEstimator:
+    """The state (2 nq) of a ball robot's minimal model from encoders and inertial unit, without anything of the simulator.
+
+    ``start`` (2 nq): where the robot stands when it is switched on, at rest; its position and heading define the world.
+    ``balance`` [rad]: how well the lean at which the model balances is known. The first time that the robot has stood still for
+    :data:`STANDS`, its lean is taken to be that one. (10 mm of the robot's centre of mass are 30 mrad; an accelerometer
+    bias of 0.01 m/s² is 1 mrad: it helps only against a bias that was not calibrated, or with a model that was.)
+    """
+
+    def __init__(
+        self, robot: RobotModel, start: ArrayLike, noise: BallNoise | None = None, balance: float = 0.03
+    ) -> None:
+        if not isinstance(robot.base, BallBase):
+            raise InputError(f"{robot.description.name}: this estimator needs a ball base")
+        base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
+        frame = base.tree.frames.get("imu")
+        mount = np.zeros(3) if frame is None else np.asarray(frame.position, float)
+        geometry = BallGeometry(base.radius, base.wheel_torque_map().T, mount)
+        self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise)
+        n = self.noise
+        self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter)
+        self._robot, self._balance, self._balanced = robot, balance, False
+        self._stood = 0.0
+        self._time: float | None = None
+        self._yaw = float(x[2])
+
+    def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array) -> Array:
+        """The state (2 nq) at ``time`` [s], at which the sensors were read."""
+        interval = 0.0 if self._time is None else time - self._time
+        self._time = time
+        self.filter.update(interval, wheel, gyro, accel)
+        if interval > 0.0:
+            self.arm.update(interval, np.asarray(arm, float))
+            self._look_for_balance(interval)
+        return self.state
+
+    def _look_for_balance(self, interval: float) -> None:
+        """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
+        f = self.filter
+        if self._balanced:
+            return
+        if np.abs(f.ball_velocity[:2]).max() > SLOW or np.abs(self.arm.rate).max(initial=0.0) > SLOW:
+            self._stood = 0.0
+            return
+        self._stood += interval
+        if self._stood >= STANDS:
+            pitch, roll = self._robot.equilibrium(self.arm.angle)[0][3:5]
+            f.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
+            self._balanced = True
+
+    @property
+    def state(self) -> Array:
+        """The last estimate (2 nq), yaw not wrapped."""
+        f = self.filter
+        yaw, pitch, roll = lie.rotation_to_euler_zyx(f.state.rotation)
+        self._yaw += float(np.remainder(yaw - self._yaw + np.pi, 2.0 * np.pi) - np.pi)
+        rates = lie.euler_zyx_rates(pitch, roll, f.rate)
+        x, y = f.state.position[:2]
+        vx, vy = f.ball_velocity[:2]
+        return np.array([x, y, self._yaw, pitch, roll, *self.arm.angle, vx, vy, *rates, *self.arm.rate])

@@ -1,0 +1,84 @@
+"""The push map: the impulse at which the ball robot falls, over directions and lengths of pushes.
+
+One bisection for each direction and length; results are written after each, so that a map that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wbmpc.experiments.rezero_push import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings, survives
+
+MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}
+#: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.
+MOST, FINE = 80.0, 5.0
+
+
+@dataclass(frozen=True)
+class Point:
+    """A push: held "ball" or "hand", ``direction`` [rad] in the horizontal plane, ``length`` [s]; ``seed`` of the plant."""
+
+    mode: str
+    direction: float
+    length: float
+    seed: int
+
+    @property
+    def key(self) -> str:
+        return f"{self.mode}, {np.rad2deg(self.direction):.1f} deg, {self.length:g} s, seed {self.seed}"
+
+
+def points(mode: str, directions: int, lengths: tuple[float, ...], seed: int) -> list[Point]:
+    """All pushes of a map."""
+    angles = 2.0 * np.pi * np.arange(directions) / directions
+    return [Point(mode, float(a), length, seed) for length in lengths for a in angles]
+
+
+def impulse_at_failure(point: Point, stands: Callable[[Point, float], bool]) -> tuple[float, float]:
+    """Largest impulse [N s] after which the robot stands, and the smallest after which it falls, by bisection.
+
+    (MOST, infinite) when it always stands. A robot that falls after less and stands after more is not looked for.
+    """
+    low, high = 0.0, MOST
+    if stands(point, high):
+        return high, float("inf")
+    while high - low > FINE:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stands(point, middle) else (low, middle)
+    return low, high
+
+
+def simulated(point: Point, impulse: float) -> bool:
+    """Whether the robot stands after a push with that impulse [N s]."""
+    result = survives(MODES[point.mode](), point.seed, impulse / point.length, point.direction, point.length)
+    return bool(result["stands"])
+
+
+def _measure(point: Point) -> tuple[str, tuple[float, float]]:
+    return point.key, impulse_at_failure(point, simulated)
+
+
+def push_map(todo: list[Point], file: Path, workers: int | None = None) -> Iterator[tuple[str, list[float | None]]]:
+    """Impulses [N s] of (stands, falls) by push, as they come (falls: None if it never does); what ``file`` has is kept.
+
+    ``workers`` processes (all cores when left out).
+    """
+    done: dict[str, list[float | None]] = json.loads(file.read_text()) if file.exists() else {}
+    left = [p for p in todo if p.key not in done]
+    yield from ((p.key, done[p.key]) for p in todo if p.key in done)
+    if not left:
+        return
+    with multiprocessing.get_context("spawn").Pool(workers or os.cpu_count() or 1) as pool:
+        for key, (stands, falls) in pool.imap_unordered(_measure, left):
+            done[key] = [stands, falls if np.isfinite(falls) else None]
+            part = file.with_suffix(".part")
+            part.write_text(json.dumps(done, indent=1) + "\n")
+            part.replace(file)  # a file that is half written never stands there
+            yield key, done[key]

@@ -1,0 +1,81 @@
+"""`rezero-circle`: the ball drives a circle while the hand stays where it is (Minniti et al. 2019, video)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, ball_felt, common_plots, hand_felt, rms, run_task
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress
+from wbmpc.model import load_robot
+from wbmpc.ocp import Reference
+from wbmpc.result import Metric, Plot, RunResult
+
+NAME = "rezero-circle"
+SUMMARY = "the ball drives a circle while the hand stays still (Minniti et al. 2019, video)"
+#: Arm angles [rad] from which the hand stays inside 85 % of its reach all the way round.
+ARM = np.array([0.0, 0.5, 2.0])
+IDEALISATIONS = ["the hand's orientation is free but for a small weight: three joints hold its position"]
+
+
+class RezeroCircleSettings(RezeroSettings):
+    """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
+
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=100.0, yaw=20.0)
+    )
+    radius: float = Field(0.15, gt=0, le=1.0)
+    lap: float = Field(6.0, ge=1.0, le=60.0)
+    rounds: int = Field(3, ge=1, le=50)
+    settle: float = Field(3.0, ge=0.5, le=60.0)
+    yaw: Literal["held", "free"] = "held"
+
+
+def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
+    """Ball positions (n, 2) [m]: it starts and ends at rest, a second each of constant angular acceleration, in between at
+    constant speed."""
+    rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
+    end = settings.settle + total / rate + 1.0
+    t = np.clip(times, settings.settle, end) - settings.settle
+    last = end - settings.settle
+    angle = np.where(t < 1.0, 0.5 * rate * t**2, rate * (t - 0.5))
+    angle = np.where(t > last - 1.0, total - 0.5 * rate * (last - t) ** 2, angle)
+    return settings.radius * np.stack([np.cos(angle) - 1.0, np.sin(angle)], axis=1)
+
+
+def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run."""
+    if settings.yaw == "free":
+        free = settings.cost.body.model_copy(update={"yaw": 0.0})
+        settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
+    robot = load_robot("rezero")
+    home = robot.equilibrium(ARM)[0]
+    duration = settings.settle + settings.rounds * settings.lap + 3.0
+    grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
+    body = np.tile(home, (grid.size, 1))
+    body[:, :2] = ball_path(settings, grid)
+    velocity = robot.state["base_velocity"].start
+    body[:, velocity : velocity + 2] = np.gradient(body[:, :2], grid, axis=0)
+    hand = robot.pose(home)[0]
+
+    def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
+        t = log.times("state")
+        use = t >= settings.settle
+        wanted = ball_path(settings, t)
+        return {
+            "hand_error_rms": Metric(rms((hand_felt(log) - hand)[use]), "m", goal=0.005),
+            "hand_error_rms_world": Metric(rms((log.array("hand") - hand)[use]), "m"),
+            "ball_error_rms": Metric(rms((ball_felt(log) - wanted)[use]), "m"),
+            "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+            "fell": Metric(float(ending.fell), "1", goal=0.0),
+        }
+
+    def plots(log: Log) -> list[Plot]:
+        return common_plots(log, hand, ball_path(settings, log.times("state")))
+
+    task = Task(ARM, duration, {"body": Reference(grid, body)})
+    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

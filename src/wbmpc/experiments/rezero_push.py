@@ -1,0 +1,100 @@
+"""`rezero-push-ball` and `rezero-push-hand`: pushes while ball or hand are held (Minniti et al. 2019, Fig. 5)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
+from wbmpc.experiments.rezero_task import Push, RezeroSettings, Task, ball_felt, common_plots, hand_felt, run_task
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress
+from wbmpc.model import load_robot
+from wbmpc.result import Metric, Plot, RunResult
+
+BALL, HAND = "rezero-push-ball", "rezero-push-hand"
+SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
+IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
+#: Recovered: in the last half second before the next push ball or hand are nearer than this [m] to their place.
+NEAR, LAST = 0.05, 0.5
+
+
+class RezeroPushSettings(RezeroSettings):
+    """``forces`` [N], each along x and then along y, for ``length`` [s]; ``pause`` [s] from one push to the next."""
+
+    forces: tuple[float, ...] = (50.0, 100.0, 200.0)
+    length: float = Field(0.2, gt=0, le=5.0)
+    pause: float = Field(7.0, ge=2.0, le=60.0)
+    settle: float = Field(3.0, ge=0.5, le=60.0)
+
+
+class RezeroPushBallSettings(RezeroPushSettings):
+    """The ball is held and, of the hand, only its orientation (the paper's first task)."""
+
+    cost: RezeroCost = RezeroCost(hand=HandCost(weight=0.0, orientation=10.0), body=BodyCost(ball=60.0, ball_speed=5.0))
+
+
+class RezeroPushHandSettings(RezeroPushSettings):
+    """The hand is held: the weights of the steps."""
+
+
+def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
+    pushes, t = [], settings.settle
+    for force in settings.forces:
+        for direction in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+            pushes.append(Push(t, settings.length, tuple(force * np.array(direction))))
+            t += settings.pause
+    return Task(arm, t, pushes=tuple(pushes))
+
+
+def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress: Progress | None) -> RunResult:
+    robot = load_robot("rezero")
+    task = _task(settings, robot.home[robot.state["arm"]])
+    hand, ball = robot.pose(robot.home)[0], robot.home[:2]
+
+    def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
+        t = log.times("state")
+        away = np.linalg.norm(hand_felt(log) - hand if held == "hand" else ball_felt(log) - ball, axis=1)
+        back = []
+        for push in task.pushes:
+            end = push.start + settings.pause
+            window = (t >= end - LAST) & (t < end)
+            back.append(bool(window.any() and t[-1] >= end - 0.1 and away[window].max() < NEAR))
+        travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
+        return {
+            "not_recovered": Metric(float(len(back) - sum(back)), "1", goal=0.0),
+            "recovered": Metric(float(all(back)), "1"),
+            "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+            "ball_travel_max": Metric(float(travel.max()), "m"),
+            "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),
+            "fell": Metric(float(ending.fell), "1", goal=0.0),
+        }
+
+    def plots(log: Log) -> list[Plot]:
+        return common_plots(log, hand, ball)
+
+    return run_task(name, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+
+
+def run_ball(settings: RezeroPushBallSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """Pushes while the ball is held."""
+    return _run(BALL, "ball", settings, seed, progress)
+
+
+def run_hand(settings: RezeroPushHandSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """Pushes while the hand is held."""
+    return _run(HAND, "hand", settings, seed, progress)
+
+
+def survives(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> dict[str, Any]:
+    """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s]: whether the robot stays up for 4 s after it."""
+    robot = load_robot("rezero")
+    along = force * np.array([np.cos(direction), np.sin(direction), 0.0])
+    push = Push(1.0, length, tuple(along))
+    task = Task(robot.home[robot.state["arm"]], 1.0 + length + 4.0, pushes=(push,))
+    figures = lambda log, ending: {"tilt_max": Metric(float(log.array("tilt").max()), "rad")}
+    result = run_task("rezero-push", settings, seed, task, figures, lambda log: [], IDEALISATIONS)
+    tilt = result.metrics["tilt_max"].value if result.metrics else float("inf")
+    return {"stands": result.completed, "tilt_max": tilt}

@@ -1,0 +1,187 @@
+"""What the ball robot's experiments share: settings, the closed loop, pushes, recorded channels, figures of the estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.control import RezeroAgent
+from wbmpc.estimation import BallFilter, RezeroEstimator
+from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress, Timing, run_lockstep
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.plant import RezeroPlant, Truth
+from wbmpc.result import Metric, Plot, RunResult, Series
+
+IDEALISATIONS = [
+    "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
+    "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
+    "the arm's geometry and masses are assumed (not published)",
+    "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
+    "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
+]
+
+
+class RezeroSettings(ExperimentSettings):
+    """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
+    ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
+    unknown mass at the hand."""
+
+    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
+    cost: RezeroCost = RezeroCost()
+    observer: bool = True
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    estimator: Literal["filter", "truth"] = "filter"
+    payload: float = Field(0.0, ge=0, le=5.0)
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force (3) [N] in world axes at the base's centre of mass, from ``start`` for ``length`` [s]."""
+
+    start: float
+    length: float
+    force: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A start (arm angles), how long it goes on [s], references by term beside rest at the start, and pushes."""
+
+    arm: np.ndarray
+    duration: float
+    references: dict[str, Reference] = field(default_factory=dict)
+    pushes: tuple[Push, ...] = ()
+
+
+def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
+    """Rest at home for body, twist and torques."""
+    mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)
+
+
+def run_task(
+    name: str,
+    settings: RezeroSettings,
+    seed: int,
+    task: Task,
+    metrics: Callable[[Log, Ending], dict[str, Metric]],
+    plots: Callable[[Log], list[Plot]],
+    idealisations: list[str],
+    progress: Progress | None = None,
+    before: Callable[[MPC, Timing, float], None] | None = None,
+) -> RunResult:
+    """One run: the MPC of the settings, a perturbed plant, the estimator in the loop. ``before`` is called at every tick."""
+    robot = load_robot("rezero")
+    home, torque = robot.equilibrium(task.arm)
+    mpc = rezero_mpc(robot, settings.mpc, settings.cost)
+    set_home_references(mpc, robot, torque, home)
+    position, quaternion = robot.pose(home)
+    mpc.reference["hand"] = Reference.poses([0.0], position, quaternion)
+    for term, reference in task.references.items():
+        mpc.reference[term] = reference
+    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
+    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator)
+    mpc.reset(home, torque)
+    log = Log()
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        if before is not None:
+            before(mpc, timing, t)
+        record_rezero(log, t, plant, agent, command.torque)
+        log.add("feedback", t, agent.wanted - plans.current.feedforward(t)[: torque.size])
+        if task.pushes:
+            active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
+            plant.push(np.sum(active, axis=0) if active else np.zeros(3))
+
+    def drawn() -> list[Plot]:
+        solve = 1e3 * np.array(mpc.statistics.solve_times)
+        times = Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])
+        return [*plots(log), times]
+
+    ending = run_lockstep(plant, agent, mpc, timing, task.duration, record, progress)
+    return finished(
+        name, seed, settings, ending, mpc, log,
+        metrics=lambda: {**metrics(log, ending), **estimator_metrics(log)}, plots=drawn,
+        idealisations=[*idealisations, *IDEALISATIONS],
+    )  # fmt: skip
+
+
+def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:
+    """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
+    truth = plant.truth()
+    log.add("state", t, plant.state())
+    log.add("hand", t, truth.tool)
+    log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
+    log.add("tilt", t, truth.tilt)
+    log.add("torque", t, torque)
+    log.add("disturbance", t, agent.disturbance)
+    if agent.estimator is not None:
+        _record_estimate(log, t, agent.state(), truth, agent.estimator.filter)
+
+
+def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:
+    """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
+    rotation = lie.euler_zyx_to_rotation(*state[2:5])
+    log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
+    log.add("estimate", t, state)
+    log.add("rolling_fault", t, float(bool(estimator.faults)))
+
+
+def hand_felt(log: Log) -> np.ndarray:
+    """Hand positions (n, 3) [m] in the estimated frame (the true ones in runs without an estimator)."""
+    return log.array("hand_estimated") if "hand_estimated" in log.channels else log.array("hand")
+
+
+def ball_felt(log: Log) -> np.ndarray:
+    """Ball positions (n, 2) [m] in the estimated frame (the true ones in runs without an estimator)."""
+    return log.array("estimate" if "estimate" in log.channels else "state")[:, :2]
+
+
+def estimator_metrics(log: Log) -> dict[str, Metric]:
+    """Largest errors of the estimate, and the share of messages in which the ball was found not to roll."""
+    if "estimate" not in log.channels:
+        return {}
+    error = np.abs(log.array("estimate") - log.array("state"))
+    return {
+        "estimated_position_error_max": Metric(float(np.hypot(error[:, 0], error[:, 1]).max()), "m"),
+        "estimated_tilt_error_max": Metric(float(error[:, 3:5].max()), "rad"),
+        "estimated_yaw_error_max": Metric(float(error[:, 2].max()), "rad"),
+        "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
+    }
+
+
+def rms(vectors: np.ndarray) -> float:
+    """Root mean square length of vectors (n, k); infinite for none."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else float("inf")
+
+
+def common_plots(log: Log, hand: np.ndarray, ball: np.ndarray) -> list[Plot]:
+    """Ball, lean, hand error and torques; ``hand`` (3) or (n, 3) and ``ball`` (2) or (n, 2): where they should be [m]."""
+    t, state, torque = log.times("state"), log.array("state"), log.array("torque")
+    error = lambda a, b: 1e3 * np.linalg.norm(a - b, axis=1)
+    return [
+        Plot("Ball position", "time [s]", "position [m]", [Series(n, t, state[:, i]) for i, n in enumerate("xy")]),
+        Plot("Roll and pitch of the base", "time [s]", "angle [deg]", [
+            Series("pitch", t, np.rad2deg(state[:, 3])), Series("roll", t, np.rad2deg(state[:, 4])),
+        ]),
+        Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
+        Plot("Errors", "time [s]", "error [mm]", [
+            Series("hand, world", t, error(log.array("hand"), hand)),
+            Series("hand, estimated frame", t, error(hand_felt(log), hand)),
+            Series("ball, world", t, error(state[:, :2], ball)),
+        ]),
+        Plot("Wheel torques", "time [s]", "torque [N m]", [Series(f"wheel {i}", t, torque[:, i]) for i in range(3)]),
+    ]  # fmt: skip

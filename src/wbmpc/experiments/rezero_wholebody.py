@@ -1,0 +1,90 @@
+"""`rezero-wholebody`: the hand goes round a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, ball_felt, common_plots, hand_felt, rms, run_task
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress
+from wbmpc.model import load_robot
+from wbmpc.ocp import Reference
+from wbmpc.result import Metric, Plot, RunResult, Series
+
+NAME = "rezero-wholebody"
+SUMMARY = "the hand carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
+ARM = np.array([0.0, 0.5, 2.0])
+#: Corners [m] from home, sideways and up.
+CORNERS = np.array(
+    [[0.0, 0.0, 0.0], [0.0, 0.125, 0.0], [0.0, 0.125, 0.25], [0.0, -0.125, 0.25], [0.0, -0.125, 0.0], [0.0, 0.0, 0.0]]
+)
+#: The last second of every hold is judged as steady [s].
+STEADY = 1.0
+IDEALISATIONS = ["the load is unknown to the controller; the rivals of the paper's comparison are not run"]
+
+
+class RezeroWholebodySettings(RezeroSettings):
+    """``move`` [s] from corner to corner, ``hold`` [s] there, ``settle`` [s] at home before."""
+
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0)
+    )
+    payload: float = Field(1.0, ge=0, le=5.0)
+    move: float = Field(1.5, gt=0, le=60.0)
+    hold: float = Field(3.5, ge=STEADY, le=60.0)
+    settle: float = Field(8.0, ge=0.5, le=60.0)
+
+
+def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) [s] and positions (n, 3) [m] of the hand: straight lines at constant speed, and holds."""
+    times, places, t = [0.0], [home], settings.settle
+    for before, after in itertools.pairwise(CORNERS):
+        times += [t, t + settings.move]
+        places += [home + before, home + after]
+        t += settings.move + settings.hold
+    return np.array(times), np.array(places)
+
+
+def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run."""
+    robot = load_robot("rezero")
+    home = robot.equilibrium(ARM)[0]
+    position, quaternion = robot.pose(home)
+    times, places = hand_path(settings, position)
+    ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
+
+    def wanted(t: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(t, times, places[:, i]) for i in range(3)], axis=1)
+
+    def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
+        t, torque = log.times("state"), log.array("torque")
+        use, hand = t >= settings.settle, hand_felt(log) - wanted(t)
+        steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
+        mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
+        share = (
+            np.sqrt(np.mean(log.array("feedback")[use, 4] ** 2) / np.mean(torque[use, 4] ** 2)) if use.any() else np.inf
+        )
+        return {
+            "ball_error_rms_wholebody": Metric(rms(ball_felt(log)[use]), "m", goal=0.020),
+            "hand_error_rms": Metric(rms(hand[use]), "m"),
+            "steady_hand_error_max": Metric(mean(hand), "m", goal=0.005),
+            "steady_hand_error_world_max": Metric(mean(log.array("hand") - wanted(t)), "m"),
+            "steady_ball_offset_max": Metric(mean(ball_felt(log)), "m", goal=0.010),
+            "feedback_share": Metric(float(share), "1", goal=0.15),
+            "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+            "fell": Metric(float(ending.fell), "1", goal=0.0),
+        }
+
+    def plots(log: Log) -> list[Plot]:
+        t, torque, feedback = log.times("state"), log.array("torque"), log.array("feedback")
+        joint = Plot("Torque of the second arm joint", "time [s]", "torque [N m]", [
+            Series("whole", t, torque[:, 4]), Series("feedback", t, feedback[:, 4]),
+        ])  # fmt: skip
+        return [*common_plots(log, wanted(t), np.zeros(2)), joint]
+
+    task = Task(ARM, float(ends[-1]), {"hand": Reference.poses(times, places, quaternion)})
+    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

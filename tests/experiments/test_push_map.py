@@ -1,0 +1,54 @@
+"""The push map. Truth: robots of known strength, by formula."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wbmpc.experiments import push_map as room
+from wbmpc.experiments.push_map import FINE, MOST, Point, impulse_at_failure, points, push_map
+
+
+@pytest.mark.parametrize("strength", [3.0, 22.0, 61.3])
+def test_bisection_brackets_the_strength(strength: float) -> None:
+    tried: list[float] = []
+
+    def stands(point: Point, impulse: float) -> bool:
+        tried.append(impulse)
+        return impulse < strength
+
+    low, high = impulse_at_failure(Point("hand", 0.0, 0.2, 0), stands)
+    assert low < strength <= high <= low + FINE
+    assert len(tried) < 7
+    assert impulse_at_failure(Point("hand", 0.0, 0.2, 0), lambda p, i: True) == (MOST, np.inf)
+
+
+def test_a_map_has_all_pushes_once() -> None:
+    todo = points("ball", 16, (0.05, 0.4), 3)
+    assert len({p.key for p in todo}) == 32
+    assert todo[4].direction == pytest.approx(np.pi / 2)
+
+
+def test_an_interrupted_map_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the file has is not measured again; the rest is, and is written at once."""
+
+    class Pool:
+        def __init__(self, workers: int) -> None: ...
+        def __enter__(self):  # type: ignore[no-untyped-def]
+            return self
+
+        def __exit__(self, *given: object) -> None: ...
+        def imap_unordered(self, work, todo):  # type: ignore[no-untyped-def]
+            return ((p.key, (10.0 * p.direction, np.inf)) for p in todo)
+
+    monkeypatch.setattr(room.multiprocessing, "get_context", lambda kind: type("C", (), {"Pool": Pool}))
+    todo, file = points("hand", 4, (0.2,), 0), tmp_path / "map.json"
+    file.write_text(json.dumps({todo[1].key: [1.0, 2.0]}))
+    seen = push_map(todo, file)
+    assert next(seen) == (todo[1].key, [1.0, 2.0])
+    assert next(seen) == (todo[0].key, [0.0, None])
+    assert set(json.loads(file.read_text())) == {todo[0].key, todo[1].key}
+    assert dict(seen) == {todo[2].key: [10.0 * np.pi, None], todo[3].key: [15.0 * np.pi, None]}
