@@ -12,7 +12,9 @@ def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4) -> 
     """A YAML and an MJCF of a base with ``modules`` modules; the first stands at the angle ``start`` [rad]."""
     names = [f"m{i}" for i in range(modules)]
     angles = start + 2.0 * np.pi * np.arange(modules) / modules
-    legs = "".join(_leg(n, a, 0.35 + 0.03 * (i % 2), hinged) for i, (n, a) in enumerate(zip(names, angles, strict=True)))
+    legs = "".join(
+        _leg(n, a, 0.35 + 0.03 * (i % 2), hinged) for i, (n, a) in enumerate(zip(names, angles, strict=True))
+    )
     (folder / "base.xml").write_text(f"""<mujoco model="ring">
   <compiler angle="radian" autolimits="true"/>
   <worldbody>
@@ -34,7 +36,9 @@ def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4) -> 
     </body>
   </worldbody>
 </mujoco>""")
-    entries = [{**({"hinge": f"{n}_leg"} if hinged else {}), "steer": f"{n}_steer", "wheel": f"{n}_wheel"} for n in names]
+    entries = [
+        {**({"hinge": f"{n}_leg"} if hinged else {}), "steer": f"{n}_steer", "wheel": f"{n}_wheel"} for n in names
+    ]
     # wheels along x of the body at home, on the branch within a quarter turn
     steer = {f"{n}_steer": float((-a + np.pi / 2) % np.pi - np.pi / 2) for n, a in zip(names, angles, strict=True)}
     description = {
@@ -56,7 +60,7 @@ def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4) -> 
 
 def _leg(name: str, angle: float, reach: float, hinged: bool) -> str:
     """A leg of 0.3 m at ``angle``, ``reach`` from the middle; steering and wheel at its end."""
-    at = f'{reach * np.cos(angle)} {reach * np.sin(angle)} 0'
+    at = f"{reach * np.cos(angle)} {reach * np.sin(angle)} 0"
     joint = f'<joint name="{name}_leg" axis="0 0 1" range="-1.2 1.2"/>' if hinged else ""
     return f"""
       <body name="{name}_arm" pos="{at}" euler="0 0 {angle}">

@@ -45,7 +45,9 @@ def test_wheels_turn_round_while_the_base_waits() -> None:
     result = drive(motion, perturbation=Perturbation(), seed=1)
     assert result.reason == ""
     assert np.abs(result.steer).max() < 3.15
-    assert np.abs(np.diff(result.steer, axis=0)).max() < 0.05  # 5 rad/s and the encoders' noise: it turns, it does not jump
+    assert (
+        np.abs(np.diff(result.steer, axis=0)).max() < 0.05
+    )  # 5 rad/s and the encoders' noise: it turns, it does not jump
     error = apart(result, motion)
     late = result.times > result.times[-1] - 1.0
     assert error[late].max() < 0.03

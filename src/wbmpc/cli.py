@@ -284,9 +284,13 @@ def _robot_of(file: Path, given: str | None) -> str:
 
 @app.command()
 def calibrate(
-    run_log: Annotated[Path, typer.Argument(metavar="RUN_LOG", help="A run's folder or its log.npz, with global poses.")],
+    run_log: Annotated[
+        Path, typer.Argument(metavar="RUN_LOG", help="A run's folder or its log.npz, with global poses.")
+    ],
     out: Annotated[Path | None, typer.Option(help="File to write (default: calibration.yaml beside the log).")] = None,
-    robot: Annotated[str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses."""

@@ -186,7 +186,9 @@ def test_calibration_corrects_angles_and_wheel_speeds() -> None:
     """Zeros are taken off what the encoders say; a wheel of twice the radius turns half as fast for the same way."""
     geometry, rng = SWERVE.base.geometry, np.random.default_rng(5)
     leg_zero, steer_zero = rng.normal(size=(2, 4))
-    known = WheelCalibration(steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8)))
+    known = WheelCalibration(
+        steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
+    )
     agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, calibration=known), Plans()
     agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
     state = SWERVE.state.split(agent.state())

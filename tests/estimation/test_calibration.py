@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
+from wheels_on_paper import Drawn, ring
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate
-from wheels_on_paper import Drawn, ring
 
 #: Modules that are not on one circle: every zero and every radius shows in some motion.
 UNEVEN = ring(4)
@@ -66,9 +66,7 @@ def test_it_is_the_least_squares_fit_of_the_whole_record() -> None:
 
     def apart(parameters: np.ndarray) -> np.ndarray:
         zeros, factors, start = parameters[:4], parameters[4:8], parameters[8:]
-        odometry = WheelOdometry(
-            UNEVEN, start, wheel_radius=UNEVEN.wheel_radius * (1.0 + factors), steer_zero=zeros
-        )
+        odometry = WheelOdometry(UNEVEN, start, wheel_radius=UNEVEN.wheel_radius * (1.0 + factors), steer_zero=zeros)
         poses = [odometry.update(*sample) for sample in zip(data.leg, data.steer, data.wheel, strict=True)]
         at = np.array(poses)[::5]
         std = np.sqrt(np.diag(known.covariance))

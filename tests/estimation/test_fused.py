@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from wheels_on_paper import Drawn, ring
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration
 from wbmpc.estimation.fused import BIAS, PATIENCE
 from wbmpc.estimation.odometry import fit_twist
-from wheels_on_paper import Drawn, ring
 
 FOUR = ring(4)
 
@@ -20,7 +20,9 @@ def calm(**changes: float) -> OdometryNoise:
     return OdometryNoise(**{"along": 0.0, "across": 0.0, **changes})
 
 
-def filtered(base: Drawn, noise: OdometryNoise | None = None, known: WheelCalibration | None = None, lidar=None, **more):  # type: ignore[no-untyped-def]
+def filtered(
+    base: Drawn, noise: OdometryNoise | None = None, known: WheelCalibration | None = None, lidar=None, **more
+):  # type: ignore[no-untyped-def]
     """The filter after the whole way; ``lidar``: (period in messages, messages late, standard deviations (3))."""
     doubt = WheelCalibration.unknown(base.geometry, base.zero, base.radius, 0.0)
     noise = noise or calm(gyro=base.gyro, gyro_bias=base.bias)
@@ -53,7 +55,11 @@ def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # t
     moved = fit_twist(geometry, radius, before, now)
     zeros, factors = np.empty((3, n)), np.empty((3, n))
     for i, unit in enumerate(1e-6 * np.eye(n)):
-        at = lambda s, u=unit: fit_twist(geometry, radius, (before[0], before[1] - s * u, before[2]), (now[0], now[1] - s * u, now[2])).twist
+        at = lambda s, u=unit: (
+            fit_twist(
+                geometry, radius, (before[0], before[1] - s * u, before[2]), (now[0], now[1] - s * u, now[2])
+            ).twist
+        )
         zeros[:, i] = (at(1) - at(-1)) / 2e-6
         of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), before, now).twist
         factors[:, i] = (of(1) - of(-1)) / 2e-6
@@ -84,7 +90,7 @@ def test_covariance_fits_the_errors(level: str) -> None:
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
         if base.gyro:
-            bias.append((odometry.gyro_bias - base.drift) ** 2 / odometry._state.p[3, 3])
+            bias.append((odometry.gyro_bias - base.drift) ** 2 / odometry._state.p[BIAS, BIAS])
     assert consistent(pose, 3), np.mean(pose)
     assert not bias or consistent(bias, 1), np.mean(bias)
 

@@ -71,7 +71,10 @@ class Drawn:
             t = k * h
             leg, rate = self.legs(t)
             angle = np.angle(self.velocities(leg, rate, self.motion(t)))
-            old, heading = heading, angle if heading is None else heading + (angle - heading + np.pi) % (2 * np.pi) - np.pi
+            old, heading = (
+                heading,
+                angle if heading is None else heading + (angle - heading + np.pi) % (2 * np.pi) - np.pi,
+            )
             if k:
                 twist = self.motion(t - 0.5 * h)
                 pose = lie.se2_step(pose, twist * h)

@@ -115,7 +115,9 @@ def test_bad_input_is_one_sentence(
     assert out.out == "" and message in out.err and len(out.err.strip().splitlines()) == 1
 
 
-def test_unknown_file_as_a_setting(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_file_as_a_setting(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["run", "swerve-track", "--set", "calibration=wheels.yaml"]) == 2
     assert "wbmpc calibrate" in capsys.readouterr().err

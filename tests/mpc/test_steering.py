@@ -61,7 +61,10 @@ def brute_force(times: np.ndarray, twists: np.ndarray, limits) -> float:  # type
         speeds.append(np.hypot(*v.T).max())
     stop = [speeds[0], *np.minimum(speeds[1:], speeds[:-1])]
     # sets of stops, cheapest first; each wheel is free to choose at a stop, and goes on the nearer way elsewhere
-    orders = sorted(product([0, 1], repeat=len(times)), key=lambda s: sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, s, strict=True)))
+    orders = sorted(
+        product([0, 1], repeat=len(times)),
+        key=lambda s: sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, s, strict=True)),
+    )
     for stops in orders:
         if all(_possible(i, stops, angles, limits) for i in range(G.modules)):
             return float(sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, stops, strict=True)))
@@ -120,7 +123,9 @@ def test_nearest_is_the_same_direction_on_the_planned_side() -> None:
     times, twists = circling(0.4, 20.0)
     plan = planned(times, twists)
     for k in (0, 13, 40):
-        np.testing.assert_allclose(plan.nearest(times[k], plan.steer[k] + np.pi * np.array([1, -1, 2, 0])), plan.steer[k])
+        np.testing.assert_allclose(
+            plan.nearest(times[k], plan.steer[k] + np.pi * np.array([1, -1, 2, 0])), plan.steer[k]
+        )
 
 
 def test_it_is_quick() -> None:

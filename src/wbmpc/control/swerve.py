@@ -16,7 +16,6 @@ from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
-
 #: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
 CROOKED, MISALIGNED, ALIGNED = 0.05, 0.15, 0.02
 

@@ -50,7 +50,9 @@ class WheelRecord:
                 )
         times, place = np.asarray(channels["steer.time"], float), np.asarray(channels["place"], float)
         if place.ndim != 2 or place.shape[1] != 6 or len(place) < 2:
-            raise InputError(f"{where}: channel 'place': rows of x, y, yaw and their 3 standard deviations are needed, two or more")
+            raise InputError(
+                f"{where}: channel 'place': rows of x, y, yaw and their 3 standard deviations are needed, two or more"
+            )
         leg = np.asarray(channels.get("leg", np.zeros((len(times), 0))), float)
         gyro = np.asarray(channels.get("gyro", np.zeros(0)), float)
         steer, wheel = np.asarray(channels["steer"], float), np.asarray(channels["wheel"], float)
@@ -68,7 +70,9 @@ def replay(odometry: FusedOdometry, record: WheelRecord) -> Array:
         gyro = float(record.gyro[k]) if record.gyro.size else None
         odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro)
         while place < len(record.place_times) and record.place_times[place] <= t:
-            odometry.correct(float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2))
+            odometry.correct(
+                float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2)
+            )
             place += 1
         poses[k] = odometry.pose
     return poses
@@ -86,7 +90,9 @@ def calibrate(
     ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out).
     """
     if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
-        raise InputError(f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}")
+        raise InputError(
+            f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}"
+        )
     doubt = np.maximum(10.0 * record.place_std[0], 0.05)
     odometry = FusedOdometry(geometry, record.places[0], calibration=prior, noise=noise, pose_std=doubt)
     replay(odometry, record)

@@ -4,7 +4,8 @@ An extended Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel
 moves it (:mod:`wbmpc.estimation.odometry`), the gyro measures the turn of the same interval, global poses come late and
 are taken in at the time they belong to. The calibration is part of the state because its errors make the drift: they are
 not noise, they last. The lateness is the turn between the moment at which encoders were read and their message: it ends
-with the next message, and a filter that took it for noise of each interval would add it up. Source of the equations: docs/derivations.md, section "Swerve base".
+with the next message, and a filter that took it for noise of each interval would add it up. Equations and sources:
+docs/derivations.md, section "Swerve base".
 """
 
 from __future__ import annotations
@@ -185,7 +186,9 @@ class FusedOdometry:
         """
         now = self._reader.checked(leg, steer, wheel)
         if not np.isfinite(t) or t < self._state.t or (gyro is not None and not np.isfinite(gyro)):
-            raise InputError(f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s")
+            raise InputError(
+                f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
+            )
         h = t - self._state.t
         if self._last is None:
             self._state = _State(t, self._state.mean, self._state.p)
@@ -228,7 +231,9 @@ class FusedOdometry:
         mean = state.mean.copy()
         mean[:3] = lie.se2_step(state.mean[:3], twist)
         way, yaw = mean[:2] - state.mean[:2], state.mean[2] + 0.5 * twist[2]
-        g = np.array([[np.cos(yaw), -np.sin(yaw), -0.5 * way[1]], [np.sin(yaw), np.cos(yaw), 0.5 * way[0]], [0, 0, 1.0]])
+        g = np.array(
+            [[np.cos(yaw), -np.sin(yaw), -0.5 * way[1]], [np.sin(yaw), np.cos(yaw), 0.5 * way[0]], [0, 0, 1.0]]
+        )
         a = np.eye(size)
         a[0, 2], a[1, 2], a[LATE, LATE] = -way[1], way[0], 0.0
         a[:3, WHEELS:] = g @ step.by_wheels

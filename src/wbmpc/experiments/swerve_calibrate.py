@@ -187,7 +187,7 @@ def calibrated(
 def run(settings: SwerveCalibrateSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """The drive, and what a calibration finds in it; the log is the input of 'wbmpc calibrate'."""
     robot = swerve_robot(settings.robot)
-    log, agent, reason = drive(robot, settings, seed, progress=progress)
+    log, _, reason = drive(robot, settings, seed, progress=progress)
     metrics = _metrics(robot, log) if not reason else {}
     return RunResult(
         NAME, seed, not reason, reason, metrics, MpcStatistics.of(1.0, []), log, _plots(log), IDEALISATIONS,
@@ -200,7 +200,9 @@ def _metrics(robot: RobotModel, log: Log) -> dict[str, Metric]:
     base, odometry, wheels = (log.array(n) for n in ("base", "base_odometry", "base_wheels"))
     way = float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T)))
     return {
-        "base_error_rms_world": Metric(float(np.sqrt(np.mean(np.sum((odometry - base)[:, :2] ** 2, axis=1)))), "m", goal=0.010),
+        "base_error_rms_world": Metric(
+            float(np.sqrt(np.mean(np.sum((odometry - base)[:, :2] ** 2, axis=1)))), "m", goal=0.010
+        ),
         "yaw_error_rms_world": Metric(float(np.sqrt(np.mean((odometry - base)[:, 2] ** 2))), "rad"),
         "base_path_length": Metric(way, "m"),
         "odometry_drift_ratio_wheels": Metric(float(np.hypot(*(wheels - base)[-1, :2])) / max(way, 1e-9), "1"),

@@ -9,7 +9,6 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.control import SwerveAgent
-from wbmpc.errors import InputError
 from wbmpc.estimation import ReleaseOdometry
 from wbmpc.experiments.paths import Approach, SinePath, nearest_distance
 from wbmpc.experiments.settings import ExperimentSettings, LocalisationSettings, finished
@@ -17,7 +16,7 @@ from wbmpc.experiments.swerve_calibrate import WheelLog, calibrated, swerve_robo
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
-from wbmpc.model import RobotModel, load_robot
+from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwerveCommand, SwervePlant

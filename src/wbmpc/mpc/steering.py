@@ -79,8 +79,8 @@ def plan_steering(
     ways = np.unwrap(ways, axis=0, period=np.pi)
     cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
     low, high = _rounds(ways, *limits)
-    free = (low <= high).all(axis=2)
-    kept = ((low[0] <= 0) & (high[0] >= 0)).all(axis=1)
+    free = np.asarray((low <= high).all(axis=2))
+    kept = np.asarray(((low[0] <= 0) & (high[0] >= 0)).all(axis=1))
     starts = _cheapest(cost, free, kept)
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
     for j, k in zip(starts, [*starts[1:], len(times)], strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc.errors import InputError
-from wbmpc.plant.protocol import Array, GlobalPose
+from wbmpc.plant.protocol import GlobalPose
 
 
 class Localisation:
