@@ -30,13 +30,13 @@ IDEALISATIONS = [
 
 
 class SwerveCalibrateSettings(Settings):
-    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] of the arcs; ``pause`` [s] of
+    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right; ``pause`` [s] of
     standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
 
     robot: str = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
     stroke: float = Field(2.0, gt=0, le=20)
-    turn: float = Field(1.5, gt=0, le=7)
+    turn: float = Field(np.pi, gt=0, le=7)
     pause: float = Field(0.5, ge=0, le=60)
     rounds: int = Field(1, ge=1, le=20)
     rest: float = Field(5.0, ge=0, le=120)
@@ -47,9 +47,6 @@ class SwerveCalibrateSettings(Settings):
 
 #: Directions of the straight strokes, in the body.
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-#: The arcs are about points that lie this share of the way from the middle to each wheel: where all wheels roll equally
-#: far, on a symmetric base, one combination of their zeros moves nothing and would not show, but makes wheels fight.
-PIVOT = 0.6
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
 STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
 
@@ -92,14 +89,17 @@ class _Phase(NamedTuple):
 
 
 def _strokes(geometry: SwerveGeometry, leg: np.ndarray, s: SwerveCalibrateSettings) -> list[tuple[np.ndarray, float]]:
-    """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed."""
+    """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed.
+
+    No drive with these leg angles shows more of the zeros than their sum and their sums weighed with the wheels' places
+    (docs/derivations.md): more directions would only repeat it.
+    """
     out = [(np.array([x, y, 0.0]) * s.speed, s.stroke / s.speed) for x, y in STRAIGHT]
     axes = geometry.steer_axes(leg)
-    for i, axis in enumerate(axes):
-        pivot = axes.mean(axis=0) + PIVOT * (axis - axes.mean(axis=0))
-        rate = s.speed / float(np.max(np.linalg.norm(axes - pivot, axis=1))) * (1.0 if i % 2 == 0 else -1.0)
-        out.append((rate * np.array([pivot[1], -pivot[0], 1.0]), s.turn / abs(rate)))
-    return out
+    middle = axes.mean(axis=0)
+    rate = s.speed / float(np.max(np.linalg.norm(axes - middle, axis=1)))
+    turn = rate * np.array([middle[1], -middle[0], 1.0])
+    return [*out, (turn, s.turn / rate), (-turn, s.turn / rate)]
 
 
 def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
