@@ -30,8 +30,8 @@ IDEALISATIONS = [
 
 
 class SwerveCalibrateSettings(Settings):
-    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right; ``pause`` [s] of
-    standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
+    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
 
     robot: str = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
