@@ -16,7 +16,7 @@ from wbmpc.estimation import WheelCalibration, WheelRecord, calibrate
 from wbmpc.experiments.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.log import Log
 from wbmpc.loop import Progress
-from wbmpc.model import RobotModel, load_robot, rolling_inverse_kinematics
+from wbmpc.model import RobotModel, SwerveGeometry, load_robot, rolling_inverse_kinematics
 from wbmpc.plant import Perturbation, SwerveCommand, SwerveMeasurement, SwervePlant
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
 
@@ -30,8 +30,8 @@ IDEALISATIONS = [
 
 
 class SwerveCalibrateSettings(Settings):
-    """``speed`` [m/s] and ``stroke`` [m] of the straight parts; ``turn`` [rad] of the others; ``pause`` [s] of standing
-    before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
+    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
 
     robot: str = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
@@ -45,10 +45,10 @@ class SwerveCalibrateSettings(Settings):
     plant: Perturbation = Perturbation()
 
 
-#: Directions (x, y, yaw) of the strokes, in the body.
-STROKES = ((1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
-#: Largest steering speed [rad/s], gain of its servo [1/s], acceleration [m/s²], lever [m] of a turn.
-STEER_SPEED, STEER_GAIN, ACCELERATION, LEVER = 2.0, 5.0, 0.4, 0.8
+#: Directions of the straight strokes, in the body.
+STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+#: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
+STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
 
 
 class WheelLog:
@@ -75,38 +75,47 @@ class WheelLog:
 
 
 class _Phase(NamedTuple):
-    """``length`` [s] with the wheels at ``steer`` (n), rolling the twist direction with a trapezium up to ``speed``."""
+    """``length`` [s] with the wheels at ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both ends."""
 
     length: float
     steer: np.ndarray
     twist: np.ndarray
+    ramp: float
 
     def share(self, t: float) -> float:
-        """Speed over full speed at ``t`` [s] of this phase: smooth, rests at both ends."""
-        ramp = min(float(np.hypot(np.hypot(*self.twist[:2]), LEVER * self.twist[2])) / ACCELERATION, 0.5 * self.length)
-        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * min(max(s / ramp, 0.0), 1.0)) if ramp > 0.0 else 0.0
+        """Speed over full speed at ``t`` [s] of this phase."""
+        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * min(max(s / self.ramp, 0.0), 1.0)) if self.ramp > 0.0 else 0.0
         return float(rise(t) * rise(self.length - t))
+
+
+def _strokes(geometry: SwerveGeometry, leg: np.ndarray, s: SwerveCalibrateSettings) -> list[tuple[np.ndarray, float]]:
+    """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed.
+
+    No drive with these leg angles shows more of the zeros than their sum and their sums weighed with the wheels' places
+    (docs/derivations.md): more directions would only repeat it.
+    """
+    out = [(np.array([x, y, 0.0]) * s.speed, s.stroke / s.speed) for x, y in STRAIGHT]
+    axes = geometry.steer_axes(leg)
+    middle = axes.mean(axis=0)
+    rate = s.speed / float(np.max(np.linalg.norm(axes - middle, axis=1)))
+    turn = rate * np.array([middle[1], -middle[0], 1.0])
+    return [*out, (turn, s.turn / rate), (-turn, s.turn / rate)]
 
 
 def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     geometry, home = robot.base.geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
     most = robot.limits.state_upper[robot.state["steer"]] - 0.01
-    phases = [_Phase(s.rest, steer, np.zeros(3))]
-    for stroke in STROKES * s.rounds:
-        direction = np.array(stroke, float)
-        straight = float(np.hypot(*direction[:2]))
-        twist = direction * (s.speed / straight if straight else s.speed / LEVER)
-        way = s.stroke if straight else s.turn * LEVER
+    phases, ramp = [_Phase(s.rest, steer, np.zeros(3), 0.0)], s.speed / ACCELERATION
+    for twist, length in _strokes(geometry, leg, s) * s.rounds:
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
         target = target - np.pi * np.sign(target) * (np.abs(target) > most)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
-        ramp = s.speed / ACCELERATION
         steer = target
         phases += [
-            _Phase(turning + s.pause, steer, np.zeros(3)),
-            _Phase(way / s.speed + ramp, steer, twist),
-            _Phase(s.pause, steer, np.zeros(3)),
+            _Phase(turning + s.pause, steer, np.zeros(3), 0.0),
+            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp))),
+            _Phase(s.pause, steer, np.zeros(3), 0.0),
         ]
     return phases
 

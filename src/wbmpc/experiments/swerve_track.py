@@ -123,13 +123,14 @@ HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
 def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run; metrics are those of section "Names of the metrics" in docs/experiments.md."""
     robot = swerve_robot(settings.robot)
-    calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     references = _References(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     references.set(mpc, robot.home)
     source = settings.localisation.source(seed) if settings.global_poses else None
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    # after everything that refuses bad settings at once
+    calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     pose0 = plant.truth().pose
     agent = SwerveAgent(
         robot,

@@ -39,9 +39,8 @@ def speed(twist: np.ndarray) -> np.ndarray:
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
 LATER = 1e-7
-#: Nodes of the programme; share of the horizon within which a stop is written into the trajectories; largest turn [rad] of
-#: a rolling wheel from one node of the horizon to the next.
-NODES, NEAR, BEND = 25, 0.6, 0.8
+#: Nodes of the programme; largest turn [rad] of a rolling wheel from one node of the horizon to the next.
+NODES, BEND = 25, 0.8
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,8 @@ def plan_steering(
     cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
     low, high = _rounds(ways, *limits)
     free = np.asarray((low <= high).all(axis=2))
-    kept = ((low[0] <= 0) & (high[0] >= 0)).all(axis=1)
-    starts = _cheapest(cost, free, np.asarray(kept))
+    kept = np.asarray(((low[0] <= 0) & (high[0] >= 0)).all(axis=1))
+    starts = _cheapest(cost, free, kept)
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
     for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
         # as few turns as possible; where the range is too small for a direction, the end is left to the limits
@@ -159,7 +158,6 @@ class SteeringGuess:
         self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
         self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
         self._armed, self._done = True, False
-        self._flip = -np.inf  # until when a flip that was written is being driven [s]
 
     def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         base = self.robot.input["base"]
@@ -169,7 +167,6 @@ class SteeringGuess:
         elif now < SLOW:
             self._armed = True
         if not self._armed or self._done:
-            self._turn_round(solver, t, x0)
             return
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
@@ -177,7 +174,7 @@ class SteeringGuess:
         if soon.max() < MOVING:
             return
         self._done = True
-        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0), rolling=False)
+        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
 
     def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
         """Which way round the wheels go over a horizon [s] of the preview; times from ``t`` on."""
@@ -186,28 +183,17 @@ class SteeringGuess:
         leg, steer = self._angles(x0)
         return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate)
 
-    def _turn_round(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        """Write the stop at which wheels turn round into the trajectories, once, when it comes near."""
-        grid = solver.ws.grid
-        if t < self._flip:
-            return
-        plan = self.plan(t, float(grid[-1]), x0)
-        if not plan.stops or plan.times[plan.stops[0]] > NEAR * grid[-1]:
-            return
-        self._flip = t + float(plan.times[plan.stops[0]]) + np.pi / self.rate + 1.0
-        self._write(solver, self.preview(t + grid, x0[self.robot.state["base"]]), x0, plan, rolling=True)
-
     def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         state, modules = self.robot.state, self.robot.base.geometry.modules
         return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
 
-    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, rolling: bool) -> None:
-        """Trajectories by rolling inverse kinematics, the wheels as in ``plan``; ``rolling``: the base moves now."""
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan) -> None:
+        """Trajectories by rolling inverse kinematics from rest, the wheels as in ``plan``."""
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
         leg, steer = self._angles(x0)
         pose = x0[state["base"]].copy()
-        moving = np.flatnonzero(speed(twists) > MOVING)
+        rolling, moving = False, np.flatnonzero(speed(twists) > MOVING)
         if not moving.size:
             return
         for k, h in enumerate(np.diff(grid)):
