@@ -8,7 +8,15 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from wbmpc.experiments import rezero_steps, swerve_brakes, swerve_stability, swerve_track, swerve_unified, swerve_wobble
+from wbmpc.experiments import (
+    rezero_steps,
+    swerve_brakes,
+    swerve_drive,
+    swerve_stability,
+    swerve_track,
+    swerve_unified,
+    swerve_wobble,
+)
 from wbmpc.result import RunResult
 
 
@@ -28,6 +36,7 @@ REGISTRY: dict[str, Experiment] = {
         (swerve_track, swerve_track.SwerveTrackSettings),
         (rezero_steps, rezero_steps.RezeroStepsSettings),
         (swerve_brakes, swerve_brakes.SwerveBrakesSettings),
+        (swerve_drive, swerve_drive.SwerveDriveSettings),
         (swerve_stability, swerve_stability.SwerveStabilitySettings),
         (swerve_unified, swerve_unified.SwerveUnifiedSettings),
         (swerve_wobble, swerve_wobble.SwerveWobbleSettings),
