@@ -16,6 +16,8 @@ from wbmpc.control.swerve import SwerveAgent
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.plant import SwerveCommand, scale_wheels
 
+#: Speed [m/s] of a contact below which its wheel is not turned.
+SLOW = 0.01
 #: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n)).
 Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]
 
@@ -54,6 +56,7 @@ class RollingAgent(SwerveAgent):
             limit = self.robot.limits.input_upper[self.robot.input["leg"]]
             swing = brake * np.clip(leg_rate + self.leg_gain * (leg - m.leg), -limit, limit)
         target, wheel = rolling_inverse_kinematics(geometry, m.leg, m.steer, twist, swing)
+        wheel, target = self._within(wheel, target, m.steer)
         # wheels that point elsewhere would drag the base along: slow down until they have turned
         wheel, _ = scale_wheels(wheel, float(self.robot.limits.input_upper[self.robot.input["wheel"]].min()))
         wheel = wheel * float(np.cos(np.minimum(np.abs(target - m.steer), 0.5 * np.pi)).min())
@@ -62,3 +65,12 @@ class RollingAgent(SwerveAgent):
         if self.monitor is not None:
             self._watch(t, brake, swing)
         return SwerveCommand(wheel, steer, np.zeros(m.arm.size), brake)
+
+    def _within(self, wheel: np.ndarray, target: np.ndarray, steer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slow wheels keep their angles; a heading beyond the joint's limit is that of the wheel turned about."""
+        slow = np.abs(wheel) * self.robot.base.geometry.wheel_radius < SLOW
+        target = np.where(slow, steer, target)
+        part = self.robot.state["steer"]
+        high = target > self.robot.limits.state_upper[part]
+        low = target < self.robot.limits.state_lower[part]
+        return np.where(high | low, -wheel, wheel), target - np.pi * high + np.pi * low

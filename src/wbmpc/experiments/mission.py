@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl
+from wbmpc.experiments.paths import _ramp as _ramped
+from wbmpc.experiments.paths import _rise
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -16,11 +18,21 @@ from wbmpc.ocp import Reference
 
 @dataclass(frozen=True)
 class Leg:
-    """One part of the way: from ``start`` [s] within ``length`` [s] to the base pose ``goal`` (x, y, yaw) in the world."""
+    """One part of the way: from ``start`` [s] within ``length`` [s] from the goal before to ``goal`` (x, y, yaw) in the world.
+
+    At constant speed but for ``ramp`` [s] at its ends. Parts may overlap in time; their motions add up.
+    """
 
     start: float
     length: float
     goal: tuple[float, float, float]
+    ramp: float = 1.5
+
+    def share(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much of the part is done at times t (k,) [s], and its rate [1/s]."""
+        s, ramp = t - self.start, min(self.ramp, 0.5 * self.length)
+        late, full = s - (self.length - ramp), self.length - ramp
+        return (_ramped(s, ramp) - _ramped(late, ramp)) / full, (_rise(s, ramp) - _rise(late, ramp)) / full
 
 
 @dataclass(frozen=True)
@@ -34,7 +46,7 @@ class Reconfiguration:
 
 @dataclass(frozen=True)
 class Mission:
-    """Base poses (smooth in time between the parts' ends, from the origin), leg angles from ``legs``, brake events.
+    """Base poses (from the origin), leg angles from ``legs``, brake events.
 
     ``brakes``: (time [s], open (0 or 1) for all legs); closed before the first.
     """
@@ -50,9 +62,9 @@ class Mission:
         pose, rate, last = np.zeros((t.size, 3)), np.zeros((t.size, 3)), np.zeros(3)
         for part in self.way:
             goal = np.array(part.goal)
-            q = np.clip((t - part.start) / part.length, 0.0, 1.0)
-            pose += (10 * q**3 - 15 * q**4 + 6 * q**5)[:, None] * (goal - last)
-            rate += ((30 * q**2 - 60 * q**3 + 30 * q**4) / part.length)[:, None] * (goal - last)
+            done, speed = part.share(t)
+            pose += done[:, None] * (goal - last)
+            rate += speed[:, None] * (goal - last)
             last = goal
         return pose, rate
 

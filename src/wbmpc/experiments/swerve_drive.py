@@ -42,10 +42,10 @@ IDEALISATIONS = [
 #: The door [m]: where it is, its width. Half widths [m] of the body and of a leg with its wheel (for the clearance).
 DOOR, DOOR_WIDTH, BODY, LEG_HALF = 3.0, 0.90, (0.451, 0.400), 0.045
 #: Bumps (x, y) [m] of 15 mm and cables (x) of 10 mm radius [m].
-BUMPS = ((6.7, 0.5), (7.1, -0.5), (7.5, 0.2), (7.9, -0.1), (5.6, 0.6))
-BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (6.9, 7.7), 0.010
-#: A knock [rad] of the left front leg by a torque [N m], and the error [rad] at which it has recovered.
-KNOCK, KNOCK_TORQUE, RECOVERED = np.radians(5.0), 150.0, np.radians(1.0)
+BUMPS = ((5.6, 0.6), (8.3, 0.5), (8.9, -0.5), (9.6, 0.2), (10.3, -0.6))
+BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (8.0, 10.0), 0.010
+#: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s]; the error [rad] at which it has recovered.
+KNOCK, KNOCK_TORQUE, KNOCK_SPEED, RECOVERED = np.radians(5.0), 150.0, 0.3, np.radians(1.0)
 
 
 class SwerveDriveSettings(ExperimentSettings):
@@ -66,21 +66,22 @@ class SwerveDriveSettings(ExperimentSettings):
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter = 0.5 * np.pi
+    quarter, end = 0.5 * np.pi, 13.4
+    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
+    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
     way = (
-        Leg(1.0, 16.0, (4.2, 0.0, 0.0)),
-        Leg(17.0, 12.0, (6.2, 0.0, -quarter)),
-        Leg(30.0, 18.0, (8.2, 0.0, quarter)),
-        Leg(49.0, 14.0, (10.2, 0.0, 0.0)),
+        Leg(1.0, 68.0, (end, 0.0, 0.0)),
+        Leg(27.0, 10.0, (end, 0.0, -quarter)),
+        Leg(37.0, 18.0, (end, 0.0, quarter)),
+        Leg(55.0, 10.0, (end, 0.0, 0.0)),
     )
-    # legs move while the base drives: at rest the wheels would have to turn first
     turns = (
-        Reconfiguration(20.0 + delay, x),
-        Reconfiguration(31.0, a),
-        Reconfiguration(39.0, x),
-        Reconfiguration(53.0, h),
+        Reconfiguration(22.0 + delay, x),
+        Reconfiguration(38.0, a),
+        Reconfiguration(54.0, x),
+        Reconfiguration(61.0, h),
     )
-    return Mission(way, h, turns, ((20.0, 1.0), (61.0, 0.0))), 65.0
+    return Mission(way, h, turns, ((22.0, 1.0), (66.0, 0.0))), 72.0
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
@@ -112,7 +113,7 @@ class _Knock:
             return
         if np.isnan(self.at):
             self.at = angle
-        d.qfrc_applied[self.dof] = -KNOCK_TORQUE
+        d.qfrc_applied[self.dof] = -KNOCK_TORQUE if abs(d.qvel[self.dof]) < KNOCK_SPEED else 0.0
         if abs(angle - self.at) >= KNOCK or t > self.start + 1.0:
             self.done = t
 
