@@ -40,11 +40,11 @@ def test_the_tour_is_the_one_that_was_asked_for() -> None:
     # the door in H with closed brakes, the turn by 180 degrees within 18 s, X and A on the way, H in the end
     door = np.argmax(pose[:, 0] > 3.0 + 0.9)
     assert t[door] < mission.brakes[0][0] and np.all(leg[: door + 1] == 0.0)
-    assert pose[at(55.0), 2] - pose[at(37.0), 2] == pytest.approx(np.pi)
-    assert pose[at(55.0), 0] - pose[at(37.0), 0] > 2.0
-    assert leg[at(37.0)] == pytest.approx([np.pi / 4, -np.pi / 4, -np.pi / 4, np.pi / 4])
-    assert leg[at(52.0)] == pytest.approx([-0.498, 0.498, -0.747, 0.747])
-    assert leg[-1] == pytest.approx(np.zeros(4)) and pose[-1] == pytest.approx([13.4, 0.0, 0.0], abs=1e-9)
+    assert pose[at(48.0), 2] - pose[at(30.0), 2] == pytest.approx(np.pi)
+    assert pose[at(48.0), 0] - pose[at(30.0), 0] > 2.0
+    assert leg[at(30.0)] == pytest.approx([np.pi / 4, -np.pi / 4, -np.pi / 4, np.pi / 4])
+    assert leg[at(39.0)] == pytest.approx([-0.498, 0.498, -0.747, 0.747])
+    assert leg[-1] == pytest.approx(np.zeros(4)) and pose[-1] == pytest.approx([18.0, 0.0, 0.0], abs=1e-9)
     assert all(leg[at(when)] == pytest.approx(leg[-1]) for when, is_open in mission.brakes[1:] if not is_open)
 
 

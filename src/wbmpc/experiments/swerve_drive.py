@@ -42,8 +42,8 @@ IDEALISATIONS = [
 #: The door [m]: where it is, its width. Half widths [m] of the body and of a leg with its wheel (for the clearance).
 DOOR, DOOR_WIDTH, BODY, LEG_HALF = 3.0, 0.90, (0.451, 0.400), 0.045
 #: Bumps (x, y) [m] of 15 mm and cables (x) of 10 mm radius [m].
-BUMPS = ((5.6, 0.6), (8.3, 0.5), (8.9, -0.5), (9.6, 0.2), (10.3, -0.6))
-BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (8.0, 10.0), 0.010
+BUMPS = ((6.0, 0.6), (9.5, 0.5), (10.5, -0.5), (11.5, 0.2), (12.5, -0.6))
+BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (9.0, 12.0), 0.010
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s]; the error [rad] at which it has recovered.
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED, RECOVERED = np.radians(5.0), 150.0, 0.3, np.radians(1.0)
 
@@ -66,22 +66,22 @@ class SwerveDriveSettings(ExperimentSettings):
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter, end = 0.5 * np.pi, 13.4
+    quarter, end = 0.5 * np.pi, 18.0
     # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
     # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
     way = (
-        Leg(1.0, 68.0, (end, 0.0, 0.0)),
-        Leg(27.0, 10.0, (end, 0.0, -quarter)),
-        Leg(37.0, 18.0, (end, 0.0, quarter)),
-        Leg(55.0, 10.0, (end, 0.0, 0.0)),
+        Leg(1.0, 61.5, (end, 0.0, 0.0)),
+        Leg(20.0, 10.0, (end, 0.0, -quarter)),
+        Leg(30.0, 18.0, (end, 0.0, quarter)),
+        Leg(48.0, 10.0, (end, 0.0, 0.0)),
     )
     turns = (
-        Reconfiguration(22.0 + delay, x),
-        Reconfiguration(38.0, a),
-        Reconfiguration(54.0, x),
-        Reconfiguration(61.0, h),
+        Reconfiguration(15.0 + delay, x),
+        Reconfiguration(31.0, a),
+        Reconfiguration(40.0, x),
+        Reconfiguration(54.0, h),
     )
-    return Mission(way, h, turns, ((22.0, 1.0), (66.0, 0.0))), 72.0
+    return Mission(way, h, turns, ((15.0, 1.0), (60.0, 0.0))), 65.0
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
