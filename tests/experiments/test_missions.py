@@ -138,3 +138,27 @@ def test_fixed_legs_are_refused() -> None:
         experiment = REGISTRY[name]
         with pytest.raises(InputError, match="fixed legs"):
             experiment.run(experiment.config_type(robot="swerve-fixed-ur10"), 0, None)
+
+
+def test_steering_branches_are_those_of_a_search_over_all() -> None:
+    """Few samples, every sequence of half turns tried: the same cost within the limits."""
+    from itertools import product
+
+    from wbmpc.experiments.mission import STANDS, TURN_SHARE, branches
+
+    rng, limit = np.random.default_rng(4), 3.14
+    for _ in range(20):
+        angle, speed = np.cumsum(rng.normal(0.0, 1.0, 6)), rng.uniform(0.011, 0.2, 6)
+
+        def cost(path: np.ndarray, speed: np.ndarray = speed) -> float:
+            near = np.clip(0.3 - (limit - np.abs(path)), 0.0, None)
+            turns = np.abs(np.diff(path)) * (0.1 + speed[1:] / STANDS)
+            return float(0.1 * abs(path[0]) + near[0] + turns.sum() + TURN_SHARE * near[1:].sum())
+
+        options = [[a + k * np.pi for k in range(-12, 13) if abs(a + k * np.pi) <= limit] for a in angle]
+        best = min(cost(np.array(path)) for path in product(*options))
+        found = branches(angle, speed, -limit, limit)
+        assert np.abs(found).max() <= limit
+        assert np.abs(np.sin(found - angle)).max() < 1e-9  # up to half turns
+        assert cost(found) == pytest.approx(best, rel=1e-9)
+    assert np.all(branches(np.ones(5), np.zeros(5), -limit, limit) == 0.0)  # a wheel that stands

@@ -52,15 +52,15 @@ class SwerveDriveSettings(ExperimentSettings):
     """``gyro_share``, ``rest``, ``drive_lag``: as in swerve-track. Gains of the rival [1/s] for base, legs and steering."""
 
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=100.0, yaw=100.0, leg=100.0, arm=1.0)
+        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=300.0, yaw=300.0, leg=300.0, arm=1.0)
     )
     robot: str = "swerve-ur10"
     gyro_share: float = Field(0.4, ge=0, le=1)
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     rival_base_gain: float = Field(1.5, ge=0, le=50)
-    rival_leg_gain: float = Field(2.0, ge=0, le=50)
-    rival_steer_gain: float = Field(8.0, gt=0, le=100)
+    rival_leg_gain: float = Field(4.0, ge=0, le=50)
+    rival_steer_gain: float = Field(16.0, gt=0, le=100)
 
 
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
