@@ -37,7 +37,9 @@ def main() -> None:
             runs.append(result)
             print(f"{name} seed {seed}: {'completed' if result.completed else result.reason}", flush=True)
         table[name] = {k: statistics([r.metrics[k].value for r in runs]) for k in runs[0].metrics}
-        table[name]["solve_ms"] = statistics([r.mpc.solve_ms["median"] for r in runs])
+        solves = [r.mpc.solve_ms["median"] for r in runs if r.mpc is not None]
+        if solves:
+            table[name]["solve_ms"] = statistics(solves)
         print(f"\n{name}, seeds {given.seeds}\n{'metric':34s}{'median':>12s}{'5 %':>12s}{'95 %':>12s}{'worst':>12s}")
         for metric, s in table[name].items():
             print(f"{metric:34s}{s['median']:12.4g}{s['p5']:12.4g}{s['p95']:12.4g}{s['worst']:12.4g}")

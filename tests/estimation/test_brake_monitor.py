@@ -44,8 +44,13 @@ def test_an_open_leg_that_does_not_move() -> None:
     stuck = lambda t: SINE(t) * np.array([1.0, 1.0, 1.0, 0.0])
     (fault,) = watch(stuck, lambda t: OPEN, RATE).faults
     assert (fault.leg, fault.kind) == (3, "does not open")
-    # 0.3 sin t of the plan reach 0.16 rad
-    assert fault.time == pytest.approx(np.arcsin(0.16 / 0.3), abs=0.01)
+    # 0.3 sin t of the plan reach 0.16 rad, a little later for what is forgotten
+    assert np.arcsin(0.16 / 0.3) < fault.time < np.arcsin(0.16 / 0.3) + 0.1
+
+
+def test_a_leg_that_is_held_by_small_rates_is_no_fault() -> None:
+    """Encoder offsets make the plan turn a leg all the time that in fact stands: 5 mrad/s for two minutes."""
+    assert watch(lambda t: STILL, lambda t: OPEN, lambda t: 0.005 + STILL, end=120.0).faults == []
 
 
 def test_brakes_take_their_time() -> None:

@@ -17,6 +17,8 @@ from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.mpc import Plans
 from wbmpc.plant import SwerveCommand, scale_wheels
 
+#: Speed [m/s] of a contact below which its wheel is not turned.
+SLOW = 0.01
 #: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n); empty for fixed legs).
 Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]
 #: Rate [m/s, rad/s] below which a reference counts as rest.
@@ -59,10 +61,12 @@ class RollingAgent(SwerveAgent):
         (pose, rate), legs = self.goals(t + self.lead)
         leg, swing = self._legs(*legs, brake)
         resting = np.abs(rate).max() < REST and np.abs(swing).max(initial=0.0) < REST
-        twist = self.twist(pose - self.odometry.pose, rate)
-        target, wheel = rolling_inverse_kinematics(geometry, leg, m.steer, twist, swing)
         if resting and self.look_ahead > 0.0:
             target, wheel = self._await(t, leg)
+        else:
+            twist = self.twist(pose - self.odometry.pose, rate)
+            target, wheel = rolling_inverse_kinematics(geometry, leg, m.steer, twist, swing)
+            target = np.where(np.abs(wheel) * geometry.wheel_radius < SLOW, m.steer, target)
         target, wheel = self._within(target, wheel)
         # wheels that point elsewhere would drag the base along: slow down until they have turned
         limit = self.robot.limits.input_upper

@@ -37,8 +37,9 @@ class BrakeMonitor:
 
     ``moved`` [rad]: motion of a closed leg that is a fault. ``expected`` [rad]: planned motion of an open leg during which
     it has stayed within ``still`` [rad] (a few counts of its encoder; the base may move in place of a leg that is stuck,
-    and then other legs move too little as well: they are not judged any more). ``settle`` [s] after a command nothing is
-    judged: brakes take their time.
+    and then other legs move too little as well: they are not judged any more); plans are forgotten with the time constant
+    ``window`` [s], for a leg is also held by small rates. ``settle`` [s] after a command nothing is judged: brakes take
+    their time.
     """
 
     def __init__(
@@ -47,12 +48,14 @@ class BrakeMonitor:
         moved: float = 0.01,
         expected: float = 0.16,
         still: float = 0.0015,
+        window: float = 5.0,
         settle: float = 0.25,
     ) -> None:
-        if min(moved, expected, still, settle) <= 0.0:
-            raise InputError("brake monitor: moved, expected, still and settle must be positive")
+        if min(moved, expected, still, window, settle) <= 0.0:
+            raise InputError("brake monitor: moved, expected, still, window and settle must be positive")
         n = len(names)
-        self.names, self.moved, self.expected, self.still, self.settle = list(names), moved, expected, still, settle
+        self.names, self.moved, self.expected, self.still = list(names), moved, expected, still
+        self.window, self.settle = window, settle
         self.faults: list[BrakeFault] = []
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
@@ -76,7 +79,7 @@ class BrakeMonitor:
         # a leg counts from where it was when its brake had settled; an open one from where it was last seen to move
         afresh = ~settled | (is_open & (np.abs(angle - self._anchor) > self.still))
         self._anchor = np.where(afresh, angle, self._anchor)
-        self._planned = np.where(afresh, 0.0, self._planned + h * planned)
+        self._planned = np.where(afresh, 0.0, np.exp(-h / self.window) * self._planned + h * planned)
         self._gone = angle - self._anchor
         new = []
         for i in np.flatnonzero(settled & ~self._told):

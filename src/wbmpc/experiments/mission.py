@@ -9,18 +9,33 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl
-from wbmpc.model import RobotModel
+from wbmpc.experiments.paths import _ramp as _ramped
+from wbmpc.experiments.paths import _rise
+from wbmpc.model import RobotModel, wheel_velocities
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
+
+#: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
+STANDS, TURN_SHARE = 0.01, 0.02
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One part of the way: from ``start`` [s] within ``length`` [s] to the base pose ``goal`` (x, y, yaw) in the world."""
+    """One part of the way: from ``start`` [s] within ``length`` [s] from the goal before to ``goal`` (x, y, yaw) in the world.
+
+    At constant speed but for ``ramp`` [s] at its ends. Parts may overlap in time; their motions add up.
+    """
 
     start: float
     length: float
     goal: tuple[float, float, float]
+    ramp: float = 1.5
+
+    def share(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much of the part is done at times t (k,) [s], and its rate [1/s]."""
+        s, ramp = t - self.start, min(self.ramp, 0.5 * self.length)
+        late, full = s - (self.length - ramp), self.length - ramp
+        return (_ramped(s, ramp) - _ramped(late, ramp)) / full, (_rise(s, ramp) - _rise(late, ramp)) / full
 
 
 @dataclass(frozen=True)
@@ -34,7 +49,7 @@ class Reconfiguration:
 
 @dataclass(frozen=True)
 class Mission:
-    """Base poses (smooth in time between the parts' ends, from the origin), leg angles from ``legs``, brake events.
+    """Base poses (from the origin), leg angles from ``legs``, brake events.
 
     ``brakes``: (time [s], open (0 or 1) for all legs); closed before the first.
     """
@@ -50,9 +65,9 @@ class Mission:
         pose, rate, last = np.zeros((t.size, 3)), np.zeros((t.size, 3)), np.zeros(3)
         for part in self.way:
             goal = np.array(part.goal)
-            q = np.clip((t - part.start) / part.length, 0.0, 1.0)
-            pose += (10 * q**3 - 15 * q**4 + 6 * q**5)[:, None] * (goal - last)
-            rate += ((30 * q**2 - 60 * q**3 + 30 * q**4) / part.length)[:, None] * (goal - last)
+            done, speed = part.share(t)
+            pose += done[:, None] * (goal - last)
+            rate += speed[:, None] * (goal - last)
             last = goal
         return pose, rate
 
@@ -75,6 +90,22 @@ class Mission:
             at = np.array(part.angles, float)
         return angle, rate
 
+    def steer(self, robot: RobotModel, t: ArrayLike) -> np.ndarray:
+        """Steering angles (k, n) [rad] that roll the references at times t (k,), within the joints' limits.
+
+        A wheel and the wheel turned about roll alike; which one it is to be when is chosen for the whole mission.
+        """
+        t = np.atleast_1d(np.asarray(t, float))
+        g, twist = robot.base.geometry, self.twist(t)
+        leg, rate = self.leg(t)
+        velocity = np.array([wheel_velocities(g, a, v, r) for a, v, r in zip(leg, twist, rate, strict=True)])
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        angle = np.arctan2(velocity[..., 1], velocity[..., 0]) - g.wheel_heading - leg
+        part = robot.state["steer"]
+        low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
+        columns = [branches(angle[:, i], speed[:, i], low[i], high[i]) for i in range(g.modules)]
+        return np.stack(columns, axis=1)
+
     def preview(self, t: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Body twists (k, 3) that the steering guess looks at."""
         return self.twist(t)
@@ -89,9 +120,39 @@ class Mission:
         t = np.arange(0.0, duration + 0.02, 0.02)
         states, inputs = np.tile(home, (t.size, 1)), np.zeros((t.size, robot.input.size))
         states[:, robot.state["base"]] = self.base(t)[0]
+        states[:, robot.state["steer"]] = self.steer(robot, t)
         states[:, robot.state["leg"]], inputs[:, robot.input["leg"]] = self.leg(t)
         inputs[:, robot.input["base"]] = self.twist(t)
         mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
+
+
+def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Angles (k,) [rad] equal to ``angle`` (k,) up to half turns, between ``low`` and ``high``, that turn as little as possible.
+
+    By dynamic programming over the samples. To turn costs more the faster the wheel rolls (``speed`` (k,) [m/s]); wheels
+    that stand keep their angle; angles close to the limits cost a little.
+    """
+    moving = speed > STANDS
+    if not moving.any():
+        return np.full(angle.size, float(np.clip(0.0, low, high)))
+    # a wheel that stands is already as it will be, or still as it was
+    known = np.flatnonzero(moving)
+    angle = angle[known[np.clip(np.searchsorted(known, np.arange(angle.size)), 0, known.size - 1)]]
+    half = np.arange(np.floor((low - high) / np.pi), np.ceil((high - low) / np.pi) + 1.0)
+    options = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    options = options[:, None] + np.pi * half
+    near = np.clip(0.3 - np.minimum(options - low, high - options), 0.0, None)
+    cost = np.where((options >= low) & (options <= high), near, np.inf)
+    total, came = cost[0] + 0.1 * np.abs(options[0]), np.zeros(options.shape, int)
+    for k in range(1, len(options)):
+        turn = np.abs(options[k][:, None] - options[k - 1][None, :]) * (0.1 + speed[k] / STANDS)
+        through = total[None, :] + turn
+        came[k] = np.argmin(through, axis=1)
+        total = through.min(axis=1) + cost[k] * TURN_SHARE
+    best = [int(np.argmin(total))]
+    for k in range(len(options) - 1, 0, -1):
+        best.append(int(came[k, best[-1]]))
+    return np.asarray(options[np.arange(len(options)), best[::-1]])
 
 
 def riding(robot: RobotModel, home: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

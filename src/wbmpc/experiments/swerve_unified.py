@@ -57,7 +57,7 @@ class SwerveUnifiedSettings(ExperimentSettings):
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
     legs: Literal["targets", "support"] = "targets"
-    support: Weight = 2.0
+    support: Weight = 0.05
     reserve: float = Field(0.05, gt=0, le=0.5)
     use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)

@@ -35,6 +35,7 @@ TURN, RAISE, REST = 60.0, 0.05, 2.0
 UNLOADED, AWAY = 5.0, 1.0
 #: Cut-off [Hz] of the low-pass of the gyro in Fig. 6.
 CUT_OFF = 20.0
+SWITCH_NOTE = "the prediction is of the nominal robot, and the plant's centres of mass are up to 10 mm elsewhere"
 #: Samples per second of the log.
 RATE = 400
 
@@ -196,7 +197,7 @@ def _metrics(log: Log, settings: SwerveWobbleSettings, predicted: dict[str, list
         **{f"roll_pitch_rate_max_{n}": Metric(v, "rad/s") for n, v in true.items()},
         **{f"imu_rate_max_{n}": Metric(v, "rad/s") for n, v in imu.items()},
         "roll_pitch_rate_ratio": Metric(least, "1", paper=10.0, least=1000.0),
-        "support_switch_time_error_max": Metric(max(errors), "s", goal=0.2),
+        "support_switch_time_error_max": Metric(max(errors), "s", goal=0.2, goal_note=SWITCH_NOTE),
         "support_switches": Metric(float(sum(map(len, predicted.values()))), "1"),
     }
 
