@@ -16,13 +16,14 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
-    "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
+    "plant", "control", "loop", "log", "result", "recording", "experiments", "report", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
     "plotly": {"report"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
+    "mcap": {"recording"},
     "llvmlite": {"kernel"},
     "threading": {"mpc", "kernel", "loop"},
     "multiprocessing": {"mpc", "benchmark"},

@@ -61,6 +61,11 @@ class SwerveAgent:
         own = float(self.wheels_alone.increment[2])
         self.odometry.update(*encoders, self.gyro_share * turn + (1.0 - self.gyro_share) * own)
 
+    def base_pose(self) -> np.ndarray:
+        """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
+        x, y, yaw = self.odometry.pose
+        return np.array([x, y, self.robot.base.height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+
     def rest(self, measurement: SwerveMeasurement) -> None:
         """Take in a message while the robot stands: the gyro's bias is the mean of what it reads then."""
         self._rest.append(float(measurement.gyro[2]))

@@ -1,4 +1,4 @@
-"""The command line: list, run, demo, bench."""
+"""The command line: list, run, demo, bench; recordings in a file of their own."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wbmpc import __version__
+from wbmpc.cli.recordings import log
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ app = typer.Typer(
     name="wbmpc", add_completion=False, pretty_exceptions_enable=False,
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
+app.add_typer(log)
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,9 @@ def _execute(
     session: _Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.configuration import configure
-    from wbmpc.report import write_run
+    from wbmpc.loop import Watch
+    from wbmpc.recording.recorder import Recorder
+    from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult
 
     if seed < 0:
@@ -121,14 +125,17 @@ def _execute(
     settings = configure(experiment.config_type, assignments, name)
     ours = out is None or not out.exists()
     directory = _directory(out, name, seed)
+    recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
     try:
         with _progress(name, show) as progress:
             try:
-                result = experiment.run(settings, seed, progress)
+                result = experiment.run(settings, seed, Watch(progress, (recorder,)))
             except RunAborted as error:
                 result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
+        recorder.close(outcome(result))
         return result, write_run(result, directory)
     finally:
+        recorder.close({"completed": "false", "reason": "an error of the program"})
         if ours:
             with suppress(OSError):
                 directory.rmdir()  # succeeds only if nothing was written

@@ -1,0 +1,92 @@
+"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from wbmpc.recording.reader import Recording
+
+log = typer.Typer(name="log", help="Look into the recording of a run.", no_args_is_help=True)
+
+File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
+Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def _summary(recording: Recording) -> dict[str, Any]:
+    topics = {
+        name: {"type": topic.kind, "messages": len(topic.times), "first": topic.times[0], "last": topic.times[-1]}
+        for name, topic in recording.topics.items()
+        if topic.times
+    }
+    head = {"file": str(recording.path), "complete": recording.complete, "duration": recording.duration}
+    return {**head, "metadata": recording.metadata, "topics": topics}
+
+
+@log.command()
+def info(file: File, as_json: AsJson = False) -> None:
+    """What a recording holds."""
+    from wbmpc.recording.reader import read
+
+    recording = read(file)
+    summary = _summary(recording)
+    if as_json:
+        typer.echo(json.dumps(summary))
+        return
+    run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
+    end = "" if recording.complete else "; it ends in the middle: the run was killed"
+    typer.echo(f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}")
+    if result.get("reason"):
+        typer.echo(f"did not complete: {result['reason']}")
+    width = max(map(len, summary["topics"]), default=0)
+    for name, t in summary["topics"].items():
+        span = t["last"] - t["first"]
+        rate = f"{(t['messages'] - 1) / span:7.1f} Hz" if span > 0.0 else ""
+        typer.echo(f"  {name:{width}}  {t['type']:30} {t['messages']:7d}  {rate}".rstrip())
+
+
+@log.command()
+def plot(
+    file: File,
+    topics: Topics = None,
+    out: Annotated[Path | None, typer.Option(help="The page (default: plots.html beside the recording).")] = None,
+) -> None:
+    """Draw topics, or an overview, into one HTML page."""
+    from wbmpc.recording.plots import of_topics, overview
+    from wbmpc.recording.reader import read
+    from wbmpc.report import plots_page
+
+    recording = read(file)
+    plots = of_topics(recording, topics) if topics else overview(recording)
+    path = out or recording.path.with_name("plots.html")
+    path.write_text(plots_page(recording.title, str(recording.path), plots))
+    typer.echo(f"the plots are in {path}")
+
+
+@log.command()
+def export(
+    file: File,
+    topics: Topics = None,
+    to: Annotated[str, typer.Option("--to", help="csv, npz or parquet.")] = "csv",
+    out: Annotated[Path | None, typer.Option(help="Directory (default: export beside the recording).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write topics as tables for other tools."""
+    from wbmpc.recording.export import export as write
+    from wbmpc.recording.reader import read
+
+    recording = read(file)
+    paths = write(recording, to, out or recording.path.with_name("export"), topics or ())
+    if as_json:
+        typer.echo(json.dumps({"files": [str(p) for p in paths]}))
+    else:
+        typer.echo(
+            f"{len(paths)} {'file' if len(paths) == 1 else 'files'} in {paths[0].parent}"
+            if paths
+            else "nothing to write"
+        )
