@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader
@@ -289,3 +290,23 @@ class _Part:
 
     def running(self) -> Running:
         return Running(SwervePlant(load_description("swerve-ur10")), self._agent, self._mpc, self._timing, 1.0)  # type: ignore[arg-type]
+
+
+STACK = """
+<mujoco><worldbody><geom type="plane" size="0 0 0.1"/>
+  <body name="low" pos="0 0 0.1"><freejoint/><geom type="box" size="0.2 0.2 0.1" mass="3"/></body>
+  <body name="high" pos="0.05 0 0.25"><freejoint/><geom type="box" size="0.1 0.1 0.05" mass="2"/></body>
+</worldbody></mujoco>
+"""
+
+
+def test_bodies_that_lie_on_each_other() -> None:
+    """Each is carried with its own weight: action and reaction have their signs."""
+    model = mujoco.MjModel.from_xml_string(STACK)
+    data = mujoco.MjData(model)
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+    contacts = {c.body: c for c in SceneReader(model, "low").contacts(data)}
+    np.testing.assert_allclose(contacts["low"].force, [0, 0, 3 * 9.81], atol=0.05)
+    np.testing.assert_allclose(contacts["high"].force, [0, 0, 2 * 9.81], atol=0.05)
+    np.testing.assert_allclose(contacts["high"].point, [0.05, 0, 0.2], atol=5e-3)
