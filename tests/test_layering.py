@@ -16,7 +16,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
-    "plant", "control", "loop", "log", "result", "recording", "experiments", "report", "benchmark", "cli", "__main__",
+    "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
@@ -24,9 +24,10 @@ ONLY_IN = {
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "mcap": {"recording"},
+    "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"mpc", "kernel", "loop"},
-    "multiprocessing": {"mpc", "benchmark"},
+    "threading": {"mpc", "kernel", "loop", "view"},
+    "multiprocessing": {"mpc", "benchmark", "view"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")

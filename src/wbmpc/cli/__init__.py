@@ -17,11 +17,13 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.recordings import log
+from wbmpc.cli.views import LOCAL, Host, Port, open_view, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiments import Experiment
     from wbmpc.result import MpcStatistics, RunResult
+    from wbmpc.view.live import View
 
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -30,6 +32,7 @@ app = typer.Typer(
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
 app.add_typer(log)
+app.command()(view)
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,13 @@ def _directory(out: Path | None, name: str, seed: int) -> Path:
 
 
 def _execute(
-    session: _Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool
+    session: _Session,
+    name: str,
+    seed: int,
+    assignments: list[str],
+    out: Path | None,
+    show: bool,
+    view: View | None = None,
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.configuration import configure
     from wbmpc.loop import Watch
@@ -126,16 +135,19 @@ def _execute(
     ours = out is None or not out.exists()
     directory = _directory(out, name, seed)
     recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
+    watchers = (recorder,) if view is None else (recorder, view)
     try:
         with _progress(name, show) as progress:
             try:
-                result = experiment.run(settings, seed, Watch(progress, (recorder,)))
+                result = experiment.run(settings, seed, Watch(progress, watchers))
             except RunAborted as error:
                 result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
         recorder.close(outcome(result))
         return result, write_run(result, directory)
     finally:
         recorder.close({"completed": "false", "reason": "an error of the program"})
+        if view is not None:
+            view.close()
         if ours:
             with suppress(OSError):
                 directory.rmdir()  # succeeds only if nothing was written
@@ -227,9 +239,13 @@ def run(
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
+    host: Host = LOCAL,
+    port: Port = 8080,
 ) -> None:
-    """Run an experiment; write metrics.json, log.npz and report.html."""
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json)], as_json)
+    """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
+    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
 
 
 @app.command()

@@ -65,6 +65,11 @@ class Scene:
     bodies: tuple[Body, ...]
     shapes: tuple[Shape, ...]
 
+    @property
+    def index(self) -> int:
+        """The place of the robot's base among the bodies."""
+        return [b.name for b in self.bodies].index(self.robot)
+
     def plain(self) -> dict[str, Any]:
         """What JSON can hold; :meth:`of_plain` makes a scene of it again."""
         return asdict(self)
@@ -87,7 +92,6 @@ class SceneReader:
         self.scene = Scene(robot, self._bodies(), self._shapes())
         self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
         self.parents = [self._names.index(b.parent) - 1 for b in self.scene.bodies]  # -1: the world
-        self.robot = self._names.index(robot) - 1
         self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
 
     @cached_property

@@ -1,8 +1,7 @@
 """Writes what a run does into an MCAP file, while it does it.
 
-Frames (REP 105): ``map`` is the simulated world, ``odom`` the frame of the controller's estimate, in which references and
-plans are; ``map`` → ``odom`` is the drift. Where the controller has no estimate of the base the two are one. Joints, forces
-and links are those of the simulation; what the sensors said is under ``/measured``.
+Frames are those of :mod:`wbmpc.recording.observer`. Joints, forces and links are those of the simulation; what the sensors
+said is under ``/measured``.
 """
 
 from __future__ import annotations
@@ -16,15 +15,13 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
-from wbmpc.plant.scene import SceneReader
 from wbmpc.recording.messages import Message
+from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.writer import McapFile, stamp
 from wbmpc.robots.urdf import to_urdf
 
 #: Rates [Hz] at which states, links and plans are written (at most the controller's).
 STATES, LINKS, PLANS = 100.0, 50.0, 10.0
-#: Points of a written plan.
-PLAN_POINTS = 31
 MAP, ODOM = "map", "odom"
 #: A second loop of the same run follows this long [s] after the first in the file.
 PAUSE = 1.0
@@ -48,9 +45,7 @@ class Recorder:
         """Open the file and write all that holds for the whole run."""
         self.running, self._solves, self._mode = running, 0, ""
         self._odometry: tuple[float, Array] | None = None
-        description = running.plant.description
-        self._reader = SceneReader(running.plant.model, description.base.body)
-        self._lift = np.array([0.0, 0.0, getattr(description.base, "ball_radius", 0.0)])
+        self._observer = Observer(running)
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         if self.file is not None:
@@ -59,8 +54,8 @@ class Recorder:
         self.file = McapFile(self.path)
         for name, table in self.about.items():
             self.file.metadata(name, table)
-        self.file.attach("scene.json", self._reader.scene.plain())
-        self._put("/robot_description", "std_msgs/String", {"data": to_urdf(description)}, latched=True)
+        self.file.attach("scene.json", self._observer.scene.plain())
+        self._put("/robot_description", "std_msgs/String", {"data": to_urdf(running.plant.description)}, latched=True)
         self._put("/mpc/period", "std_msgs/Float64", [running.mpc.period], latched=True)
         self._static_links()
 
@@ -70,16 +65,14 @@ class Recorder:
         tick = round(t / self.running.timing.period)
         self._solver()
         due = {name for name, every in self._every.items() if tick % every == 0}
-        if due:
-            truth = self.running.plant.truth()
-            data = self.running.plant.data
-            poses = self._reader.poses(data)
+        if due & {"states", "links"}:
+            moment = self._observer.see()
         if "states" in due:
-            self._states(poses, truth)
+            self._states(moment)
             self._numbers("/command", command)
             self._numbers("/measured", getattr(self.running.agent, "measured", None))
         if "links" in due:
-            self._links(poses, data)
+            self._links(moment)
         if "plans" in due:
             self._plans(plans)
 
@@ -112,27 +105,20 @@ class Recorder:
                 layout = {"dim": [{"label": name, "size": values.size, "stride": values.size}], "data_offset": 0}
                 self._put(f"{prefix}/{name}", "std_msgs/Float64MultiArray", {"layout": layout, "data": values.ravel()})
 
-    def _states(self, poses: Array, truth: Any) -> None:
-        joints = self._reader.joint_states(self.running.plant.data)
+    def _states(self, moment: Moment) -> None:
+        reader = self._observer.reader
+        joints = reader.joint_states(self.running.plant.data)
         self._put("/joint_states", "sensor_msgs/JointState", {
-            "header": self._header(MAP), "name": self._reader.joint_names,
+            "header": self._header(MAP), "name": reader.joint_names,
             "position": joints[:, 0], "velocity": joints[:, 1], "effort": joints[:, 2],
         })  # fmt: skip
-        base = poses[self._reader.robot]
-        estimated = self._estimated(base)
-        self._odometry_message(estimated)
-        hand = np.concatenate([truth.tool + self._lift, lie.rotation_to_quaternion(truth.tool_rotation)])
-        self._pose("/hand/pose", MAP, hand)
-        self._pose("/hand/pose_odom", ODOM, lie.pose_compose(estimated, lie.pose_between(base, hand)))
-        if "hand" in self.running.mpc.reference:
-            wanted = self.running.mpc.reference["hand"].at(self._last - self._start)
-            if wanted.size == 7:
-                self._pose("/hand/reference", ODOM, np.concatenate([wanted[:3] + self._lift, wanted[3:]]))
-
-    def _estimated(self, base: Array) -> Array:
-        """What the controller believes of the base's pose (7); the truth where it has no belief."""
-        belief = getattr(self.running.agent, "base_pose", None)
-        return base if belief is None else belief()
+        self._odometry_message(moment.estimated)
+        self._pose("/hand/pose", MAP, moment.hand)
+        in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.hand))
+        self._pose("/hand/pose_odom", ODOM, in_odom)
+        goal = self._observer.hand_goal(self._last - self._start)
+        if goal is not None:
+            self._pose("/hand/reference", ODOM, goal)
 
     def _odometry_message(self, pose: Array) -> None:
         """The twist is that of the two last estimates, in the base's axes."""
@@ -143,35 +129,34 @@ class Recorder:
         self._odometry = (self._last, pose.copy())
         unknown = np.zeros(36)
         self._put("/odom", "nav_msgs/Odometry", {
-            "header": self._header(ODOM), "child_frame_id": self._reader.scene.robot,
+            "header": self._header(ODOM), "child_frame_id": self._observer.scene.robot,
             "pose": {"pose": ros_pose(pose), "covariance": unknown}, "twist": {"twist": twist, "covariance": unknown},
         })  # fmt: skip
 
     def _transform(self, parent: str, child: str, pose: Array) -> dict[str, Any]:
         return {"header": self._header(parent), "child_frame_id": child, "transform": ros_pose(pose)}
 
-    def _link(self, poses: Array, i: int) -> dict[str, Any]:
+    def _link(self, bodies: Array, i: int) -> dict[str, Any]:
         """A body in its parent."""
-        body, parent = self._reader.scene.bodies[i], self._reader.parents[i]
+        body, parent = self._observer.scene.bodies[i], self._observer.reader.parents[i]
         if parent < 0:
-            return self._transform(MAP, body.name, poses[i])
-        return self._transform(body.parent, body.name, lie.pose_between(poses[parent], poses[i]))
+            return self._transform(MAP, body.name, bodies[i])
+        return self._transform(body.parent, body.name, lie.pose_between(bodies[parent], bodies[i]))
 
     def _static_links(self) -> None:
-        self.running.plant.truth()  # brings positions up to date
-        poses, bodies = self._reader.poses(self.running.plant.data), self._reader.scene.bodies
-        fixed = [self._link(poses, i) for i, body in enumerate(bodies) if not body.moves]
+        bodies = self._observer.see().bodies
+        fixed = [self._link(bodies, i) for i, body in enumerate(self._observer.scene.bodies) if not body.moves]
         self._put("/tf_static", "tf2_msgs/TFMessage", {"transforms": fixed}, latched=True)
 
-    def _links(self, poses: Array, data: Any) -> None:
+    def _links(self, moment: Moment) -> None:
         """All frames that move, and one frame with the axes of ``map`` at each contact, for its force."""
-        robot = self._reader.robot
-        estimated = self._estimated(poses[robot])
-        drift = lie.pose_compose(poses[robot], lie.pose_inverse(estimated))
-        transforms = [self._transform(MAP, ODOM, drift), self._transform(ODOM, self._reader.scene.robot, estimated)]
-        bodies = enumerate(self._reader.scene.bodies)
-        transforms += [self._link(poses, i) for i, body in bodies if body.moves and i != robot]
-        for contact in self._reader.contacts(data):
+        scene = self._observer.scene
+        transforms = [
+            self._transform(MAP, ODOM, moment.drift),
+            self._transform(ODOM, scene.robot, moment.estimated),
+            *(self._link(moment.bodies, i) for i, b in enumerate(scene.bodies) if b.moves and i != scene.index),
+        ]
+        for contact in self._observer.reader.contacts(self.running.plant.data):
             frame = f"contact_{contact.body}"
             transforms.append(self._transform(MAP, frame, np.array([*contact.point, 1.0, 0, 0, 0])))
             self._put(f"/contact/{contact.body}", "geometry_msgs/WrenchStamped", {
@@ -190,41 +175,15 @@ class Recorder:
             self._put(f"/mpc/{name}", "std_msgs/Float64", [float(getattr(mpc.statistics, name))])
 
     def _plans(self, plans: Plans) -> None:
-        policy, running = plans.current, self.running
-        schedule = running.mpc.solver.schedule
+        schedule = self.running.mpc.solver.schedule
         mode = schedule.modes[schedule.index(self._last - self._start)].name
         if mode != self._mode:
             self._mode = mode
             self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
-        if policy is None:
-            return
-        robot, layout = running.agent.robot, running.mpc.ocp.dynamics.state
-        base, hand = predicted(robot, layout, policy.x)
-        for topic, points in (("/plan", base), ("/plan/hand", hand)):
-            poses = [{"header": self._header(ODOM), "pose": ros_pose(p + [*self._lift, 0, 0, 0, 0])} for p in points]
-            self._put(topic, "nav_msgs/Path", {"header": self._header(ODOM), "poses": poses})
-
-
-def predicted(robot: Any, layout: Any, states: Array) -> tuple[Array, Array]:
-    """Predicted poses of base and hand (n, 7) of planned states (N + 1, nx) of ``layout``, n at most PLAN_POINTS.
-
-    A base that is planned in the plane lies at the planner's z = 0.
-    """
-    chosen = np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))
-    base, hand = [], []
-    for x in states[chosen]:
-        parts = layout.split(x)
-        own = robot.state.vector({g: parts[g] for g in robot.state.groups})
-        hand.append(np.concatenate(robot.pose(own)))
-        base.append(_base_pose(parts.get("base", np.zeros(3))))
-    return np.array(base), np.array(hand)
-
-
-def _base_pose(base: Array) -> Array:
-    if base.size == 7:
-        return base
-    yaw = float(base[2]) if base.size > 2 else 0.0
-    return np.array([base[0], base[1], 0.0, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+        for topic, path in zip(("/plan", "/plan/hand"), self._observer.plan(plans), strict=True):
+            poses = [{"header": self._header(ODOM), "pose": ros_pose(pose)} for pose in path]
+            if poses:
+                self._put(topic, "nav_msgs/Path", {"header": self._header(ODOM), "poses": poses})
 
 
 def ros_pose(pose: Array) -> Array:
