@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wbmpc import __version__
-from wbmpc.cli.recordings import log
-from wbmpc.cli.views import LOCAL, Host, Port, open_view, view
+from wbmpc.cli.recordings import compare, log
+from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ app = typer.Typer(
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
 app.add_typer(log)
-app.command()(view)
+for _command in (view, replay, render, compare):
+    app.command()(_command)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,3 +91,47 @@ def export(
             if paths
             else "nothing to write"
         )
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(help="Directory of a run.")],
+    second: Annotated[Path, typer.Argument(help="Directory of another run.")],
+    out: Annotated[Path, typer.Option(help="The page with both runs' signals.")] = Path("compare.html"),
+    as_json: AsJson = False,
+) -> None:
+    """Compare two runs: their metrics in a table, their signals over each other in a page."""
+    from wbmpc.compare import differences, load, overlay, table
+    from wbmpc.report import plots_page
+
+    runs, logs = zip(*(load(d) for d in (first, second)), strict=True)
+    rows, changed = table(list(runs)), differences(list(runs))
+    names = [first.name or str(first), second.name or str(second)]
+    about = f"{first} (solid) and {second} (dashed)"
+    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names)))
+    if as_json:
+        typer.echo(
+            json.dumps({"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "page": str(out)})
+        )
+        return
+    _compare_table(rows, names)
+    for key, (a, b) in changed.items():
+        typer.echo(f"{key}: {a} and {b}")
+    typer.echo(f"the signals are in {out}")
+
+
+def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from wbmpc.report import number
+
+    shown = Table()
+    for column in ("metric", "unit"):
+        shown.add_column(column)
+    for column in (*names, "change"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    for row in rows:
+        change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
+        values = ["" if v is None else number(v) for v in row["values"]]
+        shown.add_row(row["metric"], row["unit"], *values, change)
+    Console(width=None if sys.stdout.isatty() else 120).print(shown)

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import math
+from contextlib import redirect_stdout
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
     from wbmpc.view.live import View
@@ -46,3 +52,59 @@ def view(
     finally:
         shown.close()
     typer.echo(ending.reason, err=True)
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
+    html: Annotated[Path | None, typer.Option(help="Write one page that needs no server, instead.")] = None,
+    host: Host = LOCAL,
+    port: Port = 8080,
+) -> None:
+    """Show a recording in a browser, with a time bar; or write it as one page."""
+    from importlib.util import find_spec
+
+    from wbmpc.recording.reader import read
+    from wbmpc.view.replay import Film, Player, write_page
+
+    if find_spec("viser") is None:
+        raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
+    film = Film(read(file))
+    with redirect_stdout(io.StringIO()):  # the server's banner
+        if html is not None:
+            write_page(film, html, port)
+        else:
+            warn(host)
+            player = Player(film, host, port)
+    if html is not None:
+        typer.echo(f"the replay is in {html}")
+        return
+    typer.echo(f"the replay is at {player.url}", err=True)
+    player.run()
+
+
+def render(
+    file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
+    mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
+    gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
+    start: Annotated[float, typer.Option(help="From this time on [s].")] = 0.0,
+    end: Annotated[float, typer.Option(help="Up to this time [s] (default: all).")] = math.inf,
+    speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
+    height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
+) -> None:
+    """Draw a recording into a film, a GIF or a picture, without a display."""
+    from wbmpc.recording.reader import read
+    from wbmpc.view.render import render as draw
+    from wbmpc.view.replay import Film
+
+    wanted = [(path, kind) for path, kind in ((mp4, ".mp4"), (gif, ".gif"), (png, ".png")) if path is not None]
+    if not wanted:
+        raise InputError("render: what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE")
+    for path, kind in wanted:
+        if path.suffix.lower() != kind:
+            raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
+    film = Film(read(file))
+    for path, _ in wanted:
+        pictures = draw(film, path, (start, end), (width, height), speed)
+        typer.echo(f"{path}: {pictures} {'picture' if pictures == 1 else 'pictures'}")
