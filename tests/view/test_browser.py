@@ -14,12 +14,16 @@ import pytest
 from browser import CHROMIUM, browser, project
 from test_live import free_port
 
+from wbmpc import lie
+from wbmpc.cli import main
 from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import read
-from wbmpc.view.stage import CAMERA
+from wbmpc.view.replay import Film
+from wbmpc.view.stage import camera_offset
 
 pytest.importorskip("viser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+SHORT = [text for key in ("hold=1.5", "settle=0.5", "rest=0", "preview=false") for text in ("--set", key)]
 #: viser's cameras, vertically [rad].
 FIELD = np.radians(75.0)
 
@@ -28,10 +32,12 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
     """A command that opens a view, and its address."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
     command = [sys.executable, "-m", "wbmpc", *arguments, "--port", str(free_port())]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     assert process.stderr is not None
     for line in process.stderr:
-        if "the view is at" in line:
+        if " is at http" in line:
             return process, line.split()[-1]
     raise AssertionError("the view did not open")
 
@@ -45,16 +51,16 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             page.open(url, 10.0)
             assert page.errors == [] and page.outside == []
             assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
-            now = positions(_partly(tmp_path), "/hand/pose")
-            assert now is not None
-            base = np.array([0.0, 0.0, 0.125])
+            film = Film(_partly(tmp_path))
+            eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
             page.click("Push")
             assert page.changed(1.5) > 300
             page.wait(6.0)
-            # the gizmo's arrow along z, three quarters of its 0.3 m up; and 0.25 m higher
-            hand, box = now[1][-1], (676.0, 700.0)
-            pixel = lambda z: project(hand + [0, 0, z], base + CAMERA, base, box, FIELD)
-            page.drag(tuple(pixel(0.22)), tuple(pixel(0.22 - 0.12)))
+            # the gizmo's red arrow, three quarters of its 0.3 m out: it is pulled further along itself
+            goal, base, box = film.snapshot(0.0)["goal"], np.array([0.0, 0.0, 0.125]), (676.0, 700.0)
+            arrow = lie.quaternion_to_rotation(goal[3:])[:, 0]
+            pixel = lambda along: project(goal[:3] + along * arrow, base + eye, base, box, FIELD)
+            page.drag(tuple(pixel(0.22)), tuple(pixel(0.22 + 0.12)))
             page.wait(5.0)
             page.click("End the run")
             out, _ = process.communicate(timeout=60)
@@ -62,17 +68,17 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     finally:
         process.kill()
     recording = read(tmp_path)
-    _, goal = positions(recording, "/hand/reference")  # type: ignore[misc]
+    _, goal_path = positions(recording, "/hand/reference")  # type: ignore[misc]
     _, hand_path = positions(recording, "/hand/pose")  # type: ignore[misc]
     # pushed: the hand left its place before the goal was touched
-    touched = int(np.argmax(np.linalg.norm(goal - goal[0], axis=1) > 1e-6))
+    touched = int(np.argmax(np.linalg.norm(goal_path - goal_path[0], axis=1) > 1e-6))
     assert touched > 0
-    off = np.linalg.norm(hand_path[:touched] - goal[0], axis=1)
+    off = np.linalg.norm(hand_path[:touched] - goal_path[0], axis=1)
     assert off.max() > 0.03
-    # dragged: the goal went down, and the hand with it
-    assert -0.4 < goal[-1, 2] - goal[0, 2] < -0.03
-    assert np.linalg.norm(hand_path[-1] - goal[-1]) < 0.03
-    assert hand_path[-1, 2] < goal[0, 2] - 0.03
+    # dragged: the goal went along the arrow, and the hand with it
+    moved = goal_path[-1] - goal_path[0]
+    assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
+    assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
 
 
 def _partly(folder: Path):  # type: ignore[no-untyped-def]
@@ -85,9 +91,13 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
     raise AssertionError("nothing was recorded")
 
 
-def test_ctrl_c_ends_a_session(tmp_path: Path) -> None:
-    process, _ = start("view", "rezero")
+@pytest.mark.parametrize("what", ["view", "replay"])
+def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
+    """As a terminal sends it: to the view's process too."""
+    if what == "replay":
+        assert main(["run", "rezero-steps", *SHORT, "--out", str(tmp_path), "--json"]) == 0
+    process, _ = start(what, "rezero" if what == "view" else str(tmp_path))
     time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=30)
-    assert process.returncode == 130 and "Traceback" not in err
+    assert process.returncode == 0 and "Traceback" not in err

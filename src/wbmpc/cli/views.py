@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,7 +79,8 @@ def replay(
         typer.echo(f"the replay is in {html}")
         return
     typer.echo(f"the replay is at {player.url}", err=True)
-    player.run()
+    with suppress(KeyboardInterrupt):
+        player.run()
 
 
 def render(

@@ -28,7 +28,8 @@ class Panel:
         self.server, self._orders, self.controls = server, orders, controls
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
         self._dragged = False
-        server.gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
         self._status = server.gui.add_markdown(f"**{controls.title}**")
         self._follow = server.gui.add_checkbox("Camera follows the robot", True)
         self._run()

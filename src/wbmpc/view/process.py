@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from typing import Any
@@ -21,6 +22,7 @@ def serve(
 ) -> None:
     """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
     parent = os.getppid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which then says ``end``
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
     try:
         stage, panel = _open(Scene.of_plain(scene), controls, orders, host, port)
@@ -33,7 +35,7 @@ def serve(
         if message is not None:
             stage.show(message.values)
             panel.show(message.values)
-            stage.follow(message.values["poses"][stage.scene.index, :3], panel.follows)
+            stage.follow(message.values["poses"], panel.follows)
         time.sleep(1.0 / RATE)
     stage.server.stop()
 

@@ -138,7 +138,8 @@ class Player:
         self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
         self.stage = Stage(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
-        gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
         self._text = gui.add_markdown(f"**{film.recording.title}**")
         self._playing = gui.add_checkbox("Play", True)
         self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
@@ -154,7 +155,7 @@ class Player:
         """One moment."""
         s = self.film.snapshot(t)
         self.stage.show(s)
-        self.stage.follow(s["poses"][self.film.scene.index, :3], bool(self._follow.value))
+        self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
         error = f", hand error {1e3 * numbers['error']:.1f} mm" if np.isfinite(numbers["error"]) else ""
         self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{error}"
@@ -185,7 +186,7 @@ def write_page(film: Film, path: Path, port: int) -> None:
             s = film.snapshot(float(t))
             stage.show(s)
             if serializer is None:
-                stage.follow(s["poses"][film.scene.index, :3])
+                stage.follow(s["poses"])
                 serializer = server.get_scene_serializer()
             serializer.insert_sleep(1.0 / PAGE_RATE)
         assert serializer is not None

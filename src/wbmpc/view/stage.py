@@ -17,7 +17,7 @@ REFERENCE, HAND, BASE, SUPPORT, PRESSURE, FORCE = (
     (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (240, 170, 20), (200, 40, 120),
 )  # fmt: skip
 _THICKNESS = 0.008
-#: Where the camera stands, from the robot [m]; how far the robot goes before the camera follows [m].
+#: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
 CAMERA, FOLLOW = np.array([1.9, 2.3, 1.5]), 0.02
 
 
@@ -56,10 +56,11 @@ class Stage:
         scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.6)
         scene.add_light_directional("/light/sun", intensity=2.2, position=(2.0, -3.0, 5.0))
 
-    def follow(self, place: Array, on: bool = True) -> None:
-        """Move every camera by as much as ``place`` (3) has moved along the floor since it was followed last."""
+    def follow(self, poses: Array, on: bool = True) -> None:
+        """Move every camera by as much as the robot has moved along the floor since it was followed last; ``poses`` (n, 7)."""
+        place = poses[self.scene.index, :3]
         if self._followed is None:
-            self.server.initial_camera.position = tuple(place + CAMERA)
+            self.server.initial_camera.position = tuple(place + camera_offset(poses, self.scene.index))
             self.server.initial_camera.look_at = tuple(place)
             self._followed = place.copy()
         moved = (place - self._followed) * [1.0, 1.0, 0.0]
@@ -114,6 +115,12 @@ class Stage:
                 self._lines[name].points = segments
         elif len(segments):
             self._lines[name] = add(f"/over/{name}", segments, colour, **style)
+
+
+def camera_offset(poses: Array, robot: int) -> Array:
+    """Where the camera stands at first, from the robot [m]: the farther away, the larger the robot is."""
+    near = poses[np.linalg.norm(poses[:, :2] - poses[robot, :2], axis=1) < 2.0]
+    return CAMERA * float(np.clip(np.ptp(near[:, :3], axis=0).max() / 1.4, 0.4, 1.5))
 
 
 def _mesh(shape: Shape) -> trimesh.Trimesh | None:
