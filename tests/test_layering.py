@@ -17,7 +17,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
     "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
-    "compare", "benchmark", "cli", "__main__",
+    "compare", "reproduce", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {

@@ -133,7 +133,13 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     }
     if (directory / RECORDING).exists():
         files["recording"] = str(directory / RECORDING)
-    more = {"settings": _plain(result.settings), "idealisations": result.idealisations, "versions": versions()}
+    targets = {n: {"paper": _plain(m.paper), "goal": _plain(m.goal)} for n, m in result.metrics.items()}
+    more = {
+        "targets": targets,
+        "settings": _plain(result.settings),
+        "idealisations": result.idealisations,
+        "versions": versions(),
+    }
     Path(files["metrics"]).write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
     result.log.save(Path(files["log"]))
     Path(files["report"]).write_text(page(result))
@@ -180,7 +186,7 @@ def _figure(plot: Plot) -> str:
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
 
 
-def _table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
+def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
     """A table of ready-made cells; the columns ``numeric`` are set right."""
 
     def line(tag: str, cells: list[str]) -> str:
@@ -233,7 +239,7 @@ def _solve_times(result: RunResult) -> str:
     header = ["rate", "period", "median solve", "95 % below", "longest", "longer than the period"]
     counts = [mpc.deadline_misses, mpc.solves, mpc.failures, mpc.no_step]
     header += ["solves", "failed", "without a step"]
-    return _table(header, [[*row, *map(str, counts)]], set(range(len(header))))
+    return table(header, [[*row, *map(str, counts)]], set(range(len(header))))
 
 
 def page(result: RunResult) -> str:
@@ -242,8 +248,8 @@ def page(result: RunResult) -> str:
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
     settings = html.escape(json.dumps(_plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
-    metrics = _table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result.metrics), {2, 3, 4})
-    return _document(
+    metrics = table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result.metrics), {2, 3, 4})
+    return document(
         f"{result.experiment}, seed {result.seed}",
         f"""<h1>{html.escape(result.experiment)}</h1>
 <p class="sub">Seed {result.seed}, simulated in MuJoCo; the plant differs from the planner's model as the settings say.</p>
@@ -262,7 +268,7 @@ def page(result: RunResult) -> str:
 
 def plots_page(title: str, about: str, plots: list[Plot]) -> str:
     """Plots alone as one HTML page that needs no network."""
-    return _document(
+    return document(
         title, f'<h1>{html.escape(title)}</h1><p class="sub">{html.escape(about)}</p><h2>Plots</h2>{_plots(plots)}'
     )
 
@@ -275,18 +281,21 @@ def _plots(plots: list[Plot]) -> str:
     return f'<div class="plots">{"".join(cards)}</div>'
 
 
-def _document(title: str, body: str) -> str:
-    """A page with the plotting library in it.
+def document(title: str, body: str, plots: bool = True) -> str:
+    """A page, with the plotting library in it if there are ``plots``.
 
     A plot is drawn as soon as it is read. The grid keeps its columns while it fills (``auto-fill``), and plots are fitted
     once more at the end, when a scroll bar may have come: else they would be wider than their cards.
     """
-    from plotly.offline import get_plotlyjs
+    library = ""
+    if plots:
+        from plotly.offline import get_plotlyjs
 
+        library = f"<script>{get_plotlyjs()}</script>"
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{html.escape(title)}</title><style>{_STYLE}</style>
-<script>{get_plotlyjs()}</script></head><body><main>
+{library}</head><body><main>
 {body}
 </main><script>addEventListener("load", () => dispatchEvent(new Event("resize")))</script></body></html>
 """

@@ -6,8 +6,8 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -17,6 +17,8 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.recordings import compare, log
+from wbmpc.cli.reproduction import reproduce
+from wbmpc.cli.terminal import progress_bar
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -32,7 +34,7 @@ app = typer.Typer(
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
 app.add_typer(log)
-for _command in (view, replay, render, compare):
+for _command in (view, replay, render, compare, reproduce):
     app.command()(_command)
 
 
@@ -73,21 +75,6 @@ def options(
     """Options before the command."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-
-
-@contextmanager
-def _progress(title: str, show: bool) -> Iterator[Callable[[float, str], None] | None]:
-    """A progress bar on a terminal; nothing in a pipe."""
-    if not (show and sys.stderr.isatty()):
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=1.0, note="")
-        yield lambda fraction, note: bar.update(task, completed=fraction, note=note)
 
 
 def _reserve(base: Path) -> Path:
@@ -138,7 +125,7 @@ def _execute(
     recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
     watchers = (recorder,) if view is None else (recorder, view)
     try:
-        with _progress(name, show) as progress:
+        with progress_bar(name, show) as progress:
             try:
                 result = experiment.run(settings, seed, Watch(progress, watchers))
             except RunAborted as error:
@@ -274,7 +261,7 @@ def bench(
     """Time the solver against IPOPT and Fatrop on the same discretised problems."""
     from wbmpc.benchmark import print_table, run_benchmark
 
-    with _progress("bench", not as_json) as progress:
+    with progress_bar("bench", not as_json) as progress:
         figures = run_benchmark(repeat, progress)
     typer.echo(json.dumps(figures)) if as_json else print_table(figures)
 
