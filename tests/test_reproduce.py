@@ -153,3 +153,9 @@ def test_bad_input_of_the_command(capsys: pytest.CaptureFixture[str], tmp_path: 
     assert "did you mean 'swerve-track'" in capsys.readouterr().err
     assert main(["reproduce", "--seeds", "b"]) == 2
     assert not (tmp_path / "x").exists()
+
+
+def test_the_default_command_is_a_run(tmp_path: Path) -> None:
+    failed = run_all(plan(["nonsense"], [1], tmp_path), 1)
+    (reason,) = failed.values()
+    assert reason.startswith("wbmpc: unknown experiment 'nonsense'")

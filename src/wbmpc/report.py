@@ -18,6 +18,8 @@ from wbmpc.result import Metric, Plot, RunResult
 
 #: Name of the recording in a run's directory.
 RECORDING = "run.mcap"
+#: All files of a run.
+RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.errors import InputError
-from wbmpc.report import document, number, table
+from wbmpc.report import RUN_FILES, document, number, table
 
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
@@ -65,18 +65,8 @@ def plan(names: Iterable[str], seeds: Iterable[int], out: Path) -> list[Job]:
 
 def command(job: Job) -> list[str]:
     """What the run's process executes."""
-    return [
-        sys.executable,
-        "-m",
-        "wbmpc",
-        "run",
-        job.name,
-        "--seed",
-        str(job.seed),
-        "--out",
-        str(job.partial),
-        "--json",
-    ]
+    options = ["--seed", str(job.seed), "--out", str(job.directory), "--json"]
+    return [sys.executable, "-m", "wbmpc", "run", job.name, *options]
 
 
 def run_all(
@@ -94,6 +84,8 @@ def run_all(
             while waiting and len(running) < workers:
                 job = waiting.pop(0)
                 job.directory.mkdir(parents=True, exist_ok=True)
+                for name in RUN_FILES:  # of a run that was killed: a new one would go elsewhere
+                    (job.directory / name).unlink(missing_ok=True)
                 # a file, not a pipe: nobody reads while the run goes on
                 with (job.directory / "errors.txt").open("w") as errors:
                     running[job] = subprocess.Popen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import sys
 import traceback
@@ -18,7 +19,7 @@ import typer
 from wbmpc import __version__
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
-from wbmpc.cli.terminal import progress_bar
+from wbmpc.cli.terminal import logged, progress_bar
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
     from wbmpc.result import MpcStatistics, RunResult
     from wbmpc.view.live import View
 
+_LOG = logging.getLogger("wbmpc")
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 app = typer.Typer(
-    name="wbmpc", add_completion=False, pretty_exceptions_enable=False,
+    name="wbmpc", pretty_exceptions_enable=False,
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
 app.add_typer(log)
@@ -43,6 +45,7 @@ class _Session:
     """What :func:`main` hands to the commands; without a registry the library's own one is loaded when it is needed."""
 
     given: Mapping[str, Experiment] | None = None
+    quiet: bool = False
 
     @property
     def registry(self) -> Mapping[str, Experiment]:
@@ -71,8 +74,10 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors; with --json the object.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Say what is done, on standard error.")] = False,
 ) -> None:
-    """Options before the command."""
+    """Options for all commands, before or after their names."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -90,7 +95,9 @@ def _reserve(base: Path) -> Path:
 
 
 def _directory(out: Path | None, name: str, seed: int) -> Path:
-    """Where the files go. Made before the run, so that a bad path is found at once and not after minutes."""
+    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once."""
+    from wbmpc.report import RUN_FILES
+
     if out is None:
         return _reserve(Path("runs") / f"{name}-seed{seed}")
     if out.exists() and not out.is_dir():
@@ -98,6 +105,8 @@ def _directory(out: Path | None, name: str, seed: int) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"--out: cannot write into '{out}'")
+    if any((out / file).exists() for file in RUN_FILES):
+        return _reserve(out)
     return out
 
 
@@ -120,18 +129,24 @@ def _execute(
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
-    ours = out is None or not out.exists()
+    existed = out is not None and out.exists()
     directory = _directory(out, name, seed)
+    ours = not existed or directory != out
+    _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
+    _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
     recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
     watchers = (recorder,) if view is None else (recorder, view)
     try:
-        with progress_bar(name, show) as progress:
+        with progress_bar(name, show and not session.quiet) as progress:
             try:
                 result = experiment.run(settings, seed, Watch(progress, watchers))
             except RunAborted as error:
                 result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
         recorder.close(outcome(result))
-        return result, write_run(result, directory)
+        files = write_run(result, directory)
+        for kind, path in files.items():
+            _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
+        return result, files
     finally:
         recorder.close({"completed": "false", "reason": "an error of the program"})
         if view is not None:
@@ -177,13 +192,13 @@ def _counts(mpc: MpcStatistics) -> dict[str, int]:
     return {"deadline misses": mpc.deadline_misses, "solves that failed": mpc.failures + mpc.no_step}
 
 
-def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
+def _finish(session: _Session, results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
     from wbmpc.report import to_json
 
     if as_json:
         objects = [to_json(r, f) for r, f in results]
         typer.echo(json.dumps(objects[0] if len(objects) == 1 else {"runs": objects}, allow_nan=False))
-    else:
+    elif not session.quiet:
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
@@ -233,7 +248,7 @@ def run(
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
     shown = open_view(f"{name}, seed {seed}", host, port) if show else None
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
+    _finish(context.obj, [_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
 
 
 @app.command()
@@ -245,12 +260,12 @@ def demo(
     """Run both main experiments and print one table."""
     results = []
     for name in ("swerve-track", "rezero-steps"):
-        if not as_json:
+        if not (as_json or context.obj.quiet):
             typer.echo(f"running {name} …", err=True)
         results.append(_execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
             break
-    _finish(results, as_json)
+    _finish(context.obj, results, as_json)
 
 
 @app.command()
@@ -288,10 +303,11 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     given = sys.argv[1:] if arguments is None else arguments
-    debug = "--debug" in given
-    given = [a for a in given if a != "--debug"]  # understood anywhere on the line
+    debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
+    given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
     try:
-        status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry))
+        with logged(verbose):
+            status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader has gone: let Python flush into nothing

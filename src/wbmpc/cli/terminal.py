@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,3 +21,18 @@ def progress_bar(title: str, show: bool) -> Iterator[Callable[[float, str], None
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=1.0, note="")
         yield lambda fraction, note: bar.update(task, completed=fraction, note=note)
+
+
+@contextmanager
+def logged(verbose: bool) -> Iterator[None]:
+    """What the library notes, on standard error: warnings, or everything."""
+    log, handler = logging.getLogger("wbmpc"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("wbmpc: %(message)s"))
+    before = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO if verbose else logging.WARNING)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before)
