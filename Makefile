@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench realtime soak study grids lint format pictures clean
+.PHONY: demo test bench realtime soak study reproduce grids lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -28,6 +28,11 @@ soak: $(VENV)/.installed
 # the reporting seeds of both experiments (minutes)
 study: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/seeds.py
+
+# every experiment over the reporting seeds and one site of it: reproduced/index.html (minutes; goes on where it stopped)
+reproduce: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
+	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
 
 # error and time of the swerve robot's MPC over grids of the horizon (minutes)
 grids: $(VENV)/.installed
