@@ -15,7 +15,7 @@ import pytest
 from browser import browser
 from test_live import free_port
 
-from wbmpc import lie
+from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.loop import Ending, Running, Watch, run_lockstep
@@ -213,3 +213,22 @@ def test_recordings_are_read_without_viser() -> None:
     """`wbmpc log` and `wbmpc render` work without the extra ``viz``."""
     code = "import sys; sys.modules['viser'] = None; import wbmpc.view.replay, wbmpc.view.render, wbmpc.view.live"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_site_has_its_clip(run: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn once, from the first run that is finished; without graphics the page says why there is none."""
+    pytest.importorskip("imageio_ffmpeg")
+    (job,) = reproduce.plan(["toy"], [1], tmp_path)
+    job.directory.mkdir(parents=True)
+    (job.directory / "run.mcap").write_bytes((run.folder / "run.mcap").read_bytes())
+    job.mark.touch()
+    with monkeypatch.context() as broken:
+        broken.setattr(render, "Renderer", lambda *_: (_ for _ in ()).throw(WbmpcError("none")))
+        assert "There is no clip: render: neither EGL nor OSMesa" in reproduce._clip([job], "toy", tmp_path, True)
+    graphics(run)
+    monkeypatch.setattr(reproduce, "CLIP_SIZE", (64, 48))
+    assert 'src="clip.mp4"' in reproduce._clip([job], "toy", tmp_path, True)
+    drawn = (tmp_path / "toy" / "clip.mp4").stat()
+    assert drawn.st_size > 500
+    reproduce._clip([job], "toy", tmp_path, True)
+    assert (tmp_path / "toy" / "clip.mp4").stat().st_mtime_ns == drawn.st_mtime_ns

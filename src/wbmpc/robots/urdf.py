@@ -89,7 +89,7 @@ def _movable(
     parent: str, child: str, position: np.ndarray, quaternion: np.ndarray,
 ) -> None:  # fmt: skip
     name, limits = model.joint(j).name, description.limits
-    kind = _JOINTS[mujoco.mjtJoint(int(model.jnt_type[j]))]
+    kind = _JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[j])), "floating")
     limited = bool(model.jnt_limited[j])
     if kind == "revolute" and not limited:
         kind = "continuous"
