@@ -43,6 +43,11 @@ def test_table_and_page(runs: list[dict], tmp_path: Path, capsys: pytest.Capture
     assert body.count("Plotly.newPlot") == 2 and "<h3>hand</h3>" in body and '"dash":"dash"' in body.replace(" ", "")
 
 
+def test_quiet_says_nothing(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    assert main(["compare", "a", "b", "--quiet"]) == 0
+    assert capsys.readouterr().out == "" and Path("compare.html").is_file()
+
+
 def test_what_is_no_run_is_said(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["compare", "a", "nowhere"]) == 2
     assert capsys.readouterr().err == "wbmpc: nowhere: is not the directory of a run: there is no metrics.json\n"

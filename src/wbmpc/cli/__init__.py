@@ -19,7 +19,7 @@ import typer
 from wbmpc import __version__
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
-from wbmpc.cli.terminal import logged, progress_bar
+from wbmpc.cli.terminal import logged, progress_bar, silent
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -192,13 +192,13 @@ def _counts(mpc: MpcStatistics) -> dict[str, int]:
     return {"deadline misses": mpc.deadline_misses, "solves that failed": mpc.failures + mpc.no_step}
 
 
-def _finish(session: _Session, results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
+def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
     from wbmpc.report import to_json
 
     if as_json:
         objects = [to_json(r, f) for r, f in results]
         typer.echo(json.dumps(objects[0] if len(objects) == 1 else {"runs": objects}, allow_nan=False))
-    elif not session.quiet:
+    else:
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
@@ -248,7 +248,7 @@ def run(
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
     shown = open_view(f"{name}, seed {seed}", host, port) if show else None
-    _finish(context.obj, [_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
 
 
 @app.command()
@@ -265,7 +265,7 @@ def demo(
         results.append(_execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
             break
-    _finish(context.obj, results, as_json)
+    _finish(results, as_json)
 
 
 @app.command()
@@ -306,7 +306,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
     given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
     try:
-        with logged(verbose):
+        with logged(verbose), silent(quiet and "--json" not in given):
             status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
     except BrokenPipeError:

@@ -56,6 +56,7 @@ def plot(
     file: File,
     topics: Topics = None,
     out: Annotated[Path | None, typer.Option(help="The page (default: plots.html beside the recording).")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Draw topics, or an overview, into one HTML page."""
     from wbmpc.recording.plots import of_topics, overview
@@ -66,7 +67,7 @@ def plot(
     plots = of_topics(recording, topics) if topics else overview(recording)
     path = out or recording.path.with_name("plots.html")
     path.write_text(plots_page(recording.title, str(recording.path), plots))
-    typer.echo(f"the plots are in {path}")
+    typer.echo(json.dumps({"page": str(path)}) if as_json else f"the plots are in {path}")
 
 
 @log.command()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 
 
 @contextmanager
@@ -36,3 +37,13 @@ def logged(verbose: bool) -> Iterator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(before)
+
+
+@contextmanager
+def silent(wanted: bool) -> Iterator[None]:
+    """Nothing on standard output if ``wanted``."""
+    if not wanted:
+        yield
+        return
+    with redirect_stdout(io.StringIO()):
+        yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wbmpc.cli.recordings import AsJson
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ def replay(
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no server, instead.")] = None,
     host: Host = LOCAL,
     port: Port = 8080,
+    as_json: AsJson = False,
 ) -> None:
     """Show a recording in a browser, with a time bar; or write it as one page."""
     from importlib.util import find_spec
@@ -76,7 +79,7 @@ def replay(
             warn(host)
             player = Player(film, host, port)
     if html is not None:
-        typer.echo(f"the replay is in {html}")
+        typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
         return
     typer.echo(f"the replay is at {player.url}", err=True)
     with suppress(KeyboardInterrupt):
@@ -93,6 +96,7 @@ def render(
     speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
+    as_json: AsJson = False,
 ) -> None:
     """Draw a recording into a film, a GIF or a picture, without a display."""
     from wbmpc.recording.reader import read
@@ -106,6 +110,9 @@ def render(
         if path.suffix.lower() != kind:
             raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
     film = Film(read(file))
-    for path, _ in wanted:
-        pictures = draw(film, path, (start, end), (width, height), speed)
-        typer.echo(f"{path}: {pictures} {'picture' if pictures == 1 else 'pictures'}")
+    drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
+    if as_json:
+        typer.echo(json.dumps({"pictures": drawn}))
+        return
+    for name, count in drawn.items():
+        typer.echo(f"{name}: {count} {'picture' if count == 1 else 'pictures'}")
