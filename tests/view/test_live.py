@@ -7,6 +7,7 @@ import signal
 import socket
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -205,6 +206,13 @@ def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monke
     monkeypatch.setattr(live, "find_spec", lambda name: None)
     assert main(["run", "swerve-track", "--view"]) == 2
     assert capsys.readouterr().err == "wbmpc: view: this needs viser: pip install 'wbmpc[viz]'\n"
+
+
+def test_a_view_that_cannot_open_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["run", "rezero-steps", "--view", "--host", "no.such.host.invalid", "--out", str(out)]) == 2
+    err = capsys.readouterr().err
+    assert "view: the server did not start" in err and "Traceback" not in err and not out.exists()
 
 
 def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:

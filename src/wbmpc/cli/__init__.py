@@ -135,7 +135,8 @@ def _execute(
     _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
     _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
     recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
-    watchers = (recorder,) if view is None else (recorder, view)
+    # the view first: if it cannot open, nothing has been written
+    watchers = (recorder,) if view is None else (view, recorder)
     try:
         with progress_bar(name, show and not session.quiet) as progress:
             try:
