@@ -50,6 +50,9 @@ format: $(VENV)/.tested
 pictures: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(BIN)/python scripts/pictures.py
+	rm -rf build/clip
+	$(ENVIRONMENT) $(BIN)/wbmpc run swerve-track --set periods=1 --set rest=2 --out build/clip --quiet
+	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --speed 6 --width 360 --height 200
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }

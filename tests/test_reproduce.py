@@ -108,6 +108,7 @@ def test_medians_are_judged(site) -> None:  # type: ignore[no-untyped-def]
     assert metrics["hand_error_max_odometry"]["met"] is False
     assert metrics["rise_time_max"]["worst"] == float("inf") and metrics["rise_time_max"]["median"] == 0.9
     assert metrics["path_length"]["met"] is None
+    assert metrics["fell"]["median"] == 0.0 and metrics["fell"]["met"] is False  # one of four fell
 
 
 def test_the_site_stands_alone(site) -> None:  # type: ignore[no-untyped-def]
