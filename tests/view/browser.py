@@ -44,7 +44,7 @@ class Page:
 
         from PIL import Image
 
-        data = self.page.screenshot(clip={"x": 0, "y": 160, "width": 640, "height": HEIGHT - 160})
+        data = self.page.screenshot(clip={"x": 0, "y": 160, "width": 640, "height": HEIGHT - 160}, timeout=120_000)
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
     def changed(self, seconds: float) -> int:
