@@ -60,11 +60,14 @@ def _whole(key: str, length: float, unit: float, name: str, least: int = 1) -> i
 
 @dataclass(frozen=True)
 class Running:
-    """What runs: the loop's parts and its ``duration`` [s]; ``interrupted`` says whether Ctrl-C was pressed."""
+    """What runs: the loop's parts (``mpc`` None: there is none) and its ``duration`` [s].
+
+    ``interrupted`` says whether Ctrl-C was pressed.
+    """
 
     plant: Any
     agent: Any
-    mpc: MPC
+    mpc: Any
     timing: Timing
     duration: float
     interrupted: Callable[[], bool] = lambda: False

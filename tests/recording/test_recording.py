@@ -276,6 +276,17 @@ def test_a_second_loop_follows_the_first(tmp_path: Path) -> None:
     np.testing.assert_allclose(times, [0.0, 0.01, 0.02, 0.02 + PAUSE, 0.03 + PAUSE, 0.04 + PAUSE])
 
 
+def test_a_run_without_an_mpc_is_recorded(tmp_path: Path) -> None:
+    recorder, part = Recorder(tmp_path / "run.mcap", {}), _Part()
+    running = part.running()
+    recorder.begin(Running(running.plant, running.agent, None, running.timing, 1.0))
+    recorder.tick(0.0, SwerveCommand.stop(), part.plans)
+    recorder.close({"completed": "true"})
+    topics = read(tmp_path).topics
+    assert {"/joint_states", "/hand/pose", "/tf"} <= set(topics)
+    assert not any(name.startswith(("/mpc", "/plan", "/hand/reference")) for name in topics)
+
+
 class _Part:
     """The least that a recorder looks at: a plant, an agent that has not measured, an MPC that has not solved."""
 

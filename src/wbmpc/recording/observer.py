@@ -56,7 +56,7 @@ class Observer:
 
     def hand_goal(self, t: float) -> Array | None:
         """The hand's reference in ``odom`` at time t [s], if the problem has one."""
-        reference = self.running.mpc.reference
+        reference = {} if self.running.mpc is None else self.running.mpc.reference
         if "hand" not in reference or reference["hand"].values.shape[1] != 7:
             return None
         goal = reference["hand"].at(t)
@@ -67,7 +67,7 @@ class Observer:
 
         A base that is planned in the plane lies at the planner's z = 0.
         """
-        if plans.current is None:
+        if plans.current is None or self.running.mpc is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         states, robot, layout = plans.current.x, self.running.agent.robot, self.running.mpc.ocp.dynamics.state
         chosen = states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]

@@ -56,7 +56,8 @@ class Recorder:
             self.file.metadata(name, table)
         self.file.attach("scene.json", self._observer.scene.plain())
         self._put("/robot_description", "std_msgs/String", {"data": to_urdf(running.plant.description)}, latched=True)
-        self._put("/mpc/period", "std_msgs/Float64", [running.mpc.period], latched=True)
+        if running.mpc is not None:
+            self._put("/mpc/period", "std_msgs/Float64", [running.mpc.period], latched=True)
         self._static_links()
 
     def tick(self, t: float, command: Any, plans: Plans) -> None:
@@ -166,7 +167,7 @@ class Recorder:
 
     def _solver(self) -> None:
         mpc = self.running.mpc
-        if mpc.statistics.solves == self._solves:
+        if mpc is None or mpc.statistics.solves == self._solves:
             return
         self._solves = mpc.statistics.solves
         for name, value in mpc.figures.items():
@@ -175,6 +176,8 @@ class Recorder:
             self._put(f"/mpc/{name}", "std_msgs/Float64", [float(getattr(mpc.statistics, name))])
 
     def _plans(self, plans: Plans) -> None:
+        if self.running.mpc is None:
+            return
         schedule = self.running.mpc.solver.schedule
         mode = schedule.modes[schedule.index(self._last - self._start)].name
         if mode != self._mode:

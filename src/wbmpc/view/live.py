@@ -95,7 +95,9 @@ class View:
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
-        """Show this run from now on."""
+        """Show this run from now on. Raises :class:`InputError` if it has no MPC: there would be nothing to steer."""
+        if running.mpc is None:
+            raise InputError("view: this run has no MPC; watch its recording: wbmpc replay")
         self.running, self.wants_reset = running, False
         if self._process is None:
             self.open(running)
