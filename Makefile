@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime soak study grids limits lint format pictures clean
+.PHONY: demo test bench race realtime soak study reproduce grids limits lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -33,6 +33,11 @@ soak: $(VENV)/.installed
 study: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/seeds.py
 
+# every experiment over the reporting seeds and one site of it: reproduced/index.html (minutes; goes on where it stopped)
+reproduce: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
+	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
+
 # error and time of the swerve robot's MPC over grids of the horizon (minutes)
 grids: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/grids.py
@@ -53,6 +58,9 @@ format: $(VENV)/.tested
 pictures: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(BIN)/python scripts/pictures.py
+	rm -rf build/clip
+	$(ENVIRONMENT) $(BIN)/wbmpc run swerve-track --set periods=1 --set rest=2 --out build/clip --quiet
+	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --speed 6 --width 360 --height 200
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }

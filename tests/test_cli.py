@@ -110,6 +110,36 @@ def test_out_chooses_the_directory(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_given_directory_with_a_run_is_left_alone_too(tmp_path: Path) -> None:
+    for seed in ("1", "2", "3"):
+        assert call("run", "fake", "--out", "here", "--seed", seed, "--json") == 0
+    seeds = {p.parent.name: json.loads(p.read_text())["seed"] for p in tmp_path.glob("*/metrics.json")}
+    assert seeds == {"here": 1, "here-2": 2, "here-3": 3}
+
+
+@pytest.mark.parametrize("place", ["front", "end"])
+def test_quiet_and_verbose(place: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    at = lambda option: [option, "run", "fake"] if place == "front" else ["run", "fake", option]
+    assert call(*at("--quiet")) == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "") and (tmp_path / "runs/fake-seed200/report.html").exists()
+    assert call(*at("--quiet"), "--set", "mpc.rate=-1") == 2
+    assert "mpc.rate=-1" in capsys.readouterr().err  # errors are said
+    assert call(*at("--quiet"), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["experiment"] == "fake"
+    assert call(*at("--verbose"), "--set", "mpc.rate=70") == 0
+    err = capsys.readouterr().err
+    assert "files go into runs/fake-seed200-3" in err and '"rate": 70.0' in err and "report: runs/" in err
+    assert call("run", "fake") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_shell_completes() -> None:
+    environment = {"_WBMPC_COMPLETE": "complete_bash", "COMP_WORDS": "wbmpc re", "COMP_CWORD": "1"}
+    out = shell(code=f"import os; os.environ.update({environment!r}); from wbmpc.cli import main; main()")
+    assert {"replay", "render", "reproduce"} <= set(out.stdout.split())
+
+
 # ---------------------------------------------------------------------- runs that end early
 def test_a_fall_is_status_1_with_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("run", "fake", "--set", "fall_at=2.0", "--json") == 1

@@ -16,16 +16,19 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "stability", "ocp", "kernel", "solver", "zoo", "mpc",
-    "estimation", "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
+    "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
+    "compare", "reproduce", "benchmark", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
     "plotly": {"report", "benchmark"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
+    "mcap": {"recording"},
+    "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"mpc", "kernel", "loop"},
-    "multiprocessing": {"mpc", "benchmark"},
+    "threading": {"mpc", "kernel", "loop", "view"},
+    "multiprocessing": {"mpc", "benchmark", "view"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")

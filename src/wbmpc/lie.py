@@ -169,3 +169,21 @@ def se2_log(a: ArrayLike, b: ArrayLike) -> Array:
     half = 0.5 * w
     f = half / np.tan(half) if abs(half) > 1e-6 else 1.0 - half * half / 3.0
     return np.array([f * x + half * y, -half * x + f * y, w])
+
+
+def pose_compose(a: ArrayLike, b: ArrayLike) -> Array:
+    """Pose a ∘ b; poses (7) are position and quaternion."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    return np.concatenate([a[:3] + quaternion_to_rotation(a[3:]) @ b[:3], quaternion_multiply(a[3:], b[3:])])
+
+
+def pose_inverse(a: ArrayLike) -> Array:
+    """The pose (7) of the world in ``a``."""
+    a = np.asarray(a, float)
+    back = quaternion_conjugate(a[3:])
+    return np.concatenate([-(quaternion_to_rotation(back) @ a[:3]), back])
+
+
+def pose_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """The pose (7) of ``b`` in ``a``, both given in one frame."""
+    return pose_compose(pose_inverse(a), b)

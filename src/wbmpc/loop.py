@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -65,6 +65,42 @@ def _whole(key: str, length: float, unit: float, name: str, least: int = 1, rate
     return count
 
 
+@dataclass(frozen=True)
+class Running:
+    """What runs: the loop's parts (``mpc`` None: there is none) and its ``duration`` [s].
+
+    ``interrupted`` says whether Ctrl-C was pressed.
+    """
+
+    plant: Any
+    agent: Any
+    mpc: Any
+    timing: Timing
+    duration: float
+    interrupted: Callable[[], bool] = lambda: False
+
+
+class Watcher(Protocol):
+    """Sees a run as it goes: recordings, live views. ``tick`` is called once per controller period, with the plant as it is
+    before the command acts; it may wait, since time is virtual, and end the run by raising :class:`RunAborted`."""
+
+    def begin(self, running: Running) -> None: ...
+    def tick(self, t: float, command: Any, plans: Plans) -> None: ...
+    def end(self, ending: Ending) -> None: ...
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A progress function that brings watchers along: what experiments hand on to the loop unseen."""
+
+    progress: Progress | None
+    watchers: tuple[Watcher, ...] = ()
+
+    def __call__(self, fraction: float, note: str) -> None:
+        if self.progress is not None:
+            self.progress(fraction, note)
+
+
 @contextmanager
 def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
     """Gives a function that says whether Ctrl-C was pressed: a tick is finished first, so that the log stays whole.
@@ -102,23 +138,28 @@ def run_lockstep(
     robot and is returned, not raised.
 
     ``mpc`` None: for agents that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
-    before the command acts.
+    before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
     """
     plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
+    watchers = progress.watchers if isinstance(progress, Watch) else ()
     # what is not finite is found by its value; NumPy's warnings would only repeat it
     with _interrupt_between_ticks() as interrupted, np.errstate(over="ignore", invalid="ignore"):
+        for watcher in watchers:
+            watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted))
         for i in range(ticks):
             t = i * timing.period
             if interrupted():
                 ending = Ending(f"interrupted at {t:.2f} s", interrupted=True)
                 break
-            ending = _tick(plant, agent, mpc, timing, i, plans, record)
+            ending = _tick(plant, agent, mpc, timing, i, plans, record, watchers)
             if ending.reason:
                 break
             if progress is not None and i % 40 == 0:
                 progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
         if ending.reason and not plant.diverged:
             plant.step(agent.stop(), round(STOP_TIME / timing.period) * timing.steps)
+        for watcher in watchers:
+            watcher.end(ending)
     if progress is not None and not ending.reason:
         progress(1.0, f"{duration:.1f} s")
     return ending
@@ -132,6 +173,7 @@ def _tick(
     i: int,
     plans: Plans,
     record: Callable[[float, Any, Plans], None],
+    watchers: tuple[Watcher, ...],
 ) -> Ending:
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
     t = i * timing.period
@@ -145,6 +187,8 @@ def _tick(
         command = agent.command(t, plans)
         _check(command)
         record(t, command, plans)
+        for watcher in watchers:
+            watcher.tick(t, command, plans)
         plant.step(command, timing.steps)
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}")

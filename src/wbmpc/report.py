@@ -6,6 +6,8 @@ import html
 import json
 import math
 import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,10 @@ import numpy as np
 from wbmpc import __version__
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 
+#: Name of the recording in a run's directory.
+RECORDING = "run.mcap"
+#: All files of a run.
+RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
@@ -121,13 +127,34 @@ def _processor() -> str:
     )
 
 
+def about_run(experiment: str, seed: int, settings: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What a recording says about its run before it begins: tables by name."""
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    run = {"experiment": experiment, "seed": seed, "started": started, "settings": json.dumps(_plain(settings))}
+    return {"run": run, "versions": versions()}
+
+
+def outcome(result: RunResult) -> dict[str, Any]:
+    """What a recording says at its end."""
+    figures = {name: m.value for name, m in result.metrics.items()}
+    return {"completed": str(result.completed).lower(), "reason": result.reason, "metrics": json.dumps(_plain(figures))}
+
+
 def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     """Write all files of a run into ``directory`` (made if missing); returns their paths by kind."""
     directory.mkdir(parents=True, exist_ok=True)
     files = {
         n: str(directory / f) for n, f in (("metrics", "metrics.json"), ("log", "log.npz"), ("report", "report.html"))
     }
-    more = {"settings": _plain(result.settings), "idealisations": result.idealisations, "versions": versions()}
+    if (directory / RECORDING).exists():
+        files["recording"] = str(directory / RECORDING)
+    targets = {n: {"paper": _plain(m.paper), "goal": _plain(m.goal)} for n, m in result.metrics.items()}
+    more = {
+        "targets": targets,
+        "settings": _plain(result.settings),
+        "idealisations": result.idealisations,
+        "versions": versions(),
+    }
     Path(files["metrics"]).write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
     result.log.save(Path(files["log"]))
     Path(files["report"]).write_text(page(result))
@@ -176,7 +203,7 @@ def _figure(plot: Plot | Drawing) -> str:
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
 
 
-def _table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
+def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
     """A table of ready-made cells; the columns ``numeric`` are set right."""
 
     def line(tag: str, cells: list[str]) -> str:
@@ -231,42 +258,64 @@ def _solve_times(mpc: MpcStatistics | None) -> str:
     header = ["rate", "period", "median solve", "95 % below", "longest", "longer than the period"]
     counts = [mpc.deadline_misses, mpc.solves, mpc.failures, mpc.no_step]
     header += ["solves", "failed", "without a step"]
-    table = _table(header, [[*row, *map(str, counts)]], set(range(len(header))))
-    return f"<h2>Model predictive control</h2>{table}"
+    rows = table(header, [[*row, *map(str, counts)]], set(range(len(header))))
+    return f"<h2>Model predictive control</h2>{rows}"
 
 
 def page(result: RunResult) -> str:
-    """The report as one HTML page that needs no network.
-
-    A plot is drawn as soon as it is read. The grid keeps its columns while it fills (``auto-fill``), and plots are fitted
-    once more at the end, when a scroll bar may have come: else they would be wider than their cards.
-    """
-    from plotly.offline import get_plotlyjs
-
-    plots = "".join(
-        f'<div class="card {"wide" if p.equal_axes else ""}"><h3>{html.escape(p.title)}</h3>{_figure(p)}</div>'
-        for p in result.plots
-    )
+    """The report as one HTML page that needs no network."""
     notes = "".join(f'<p class="sub">{html.escape(note)}.</p>' for note in goal_notes(result))
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
     settings = html.escape(json.dumps(_plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
-    metrics = _table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result.metrics), {2, 3, 4})
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(result.experiment)}, seed {result.seed}</title><style>{_STYLE}</style>
-<script>{get_plotlyjs()}</script></head><body><main>
-<h1>{html.escape(result.experiment)}</h1>
+    metrics = table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result.metrics), {2, 3, 4})
+    return document(
+        f"{result.experiment}, seed {result.seed}",
+        f"""<h1>{html.escape(result.experiment)}</h1>
 <p class="sub">Seed {result.seed}, simulated in MuJoCo; the plant differs from the planner's model as the settings say.</p>
 {_verdict(result)}
 <h2>Figures</h2>{metrics}
 <p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>{notes}
 {_solve_times(result.mpc)}
-<h2>Plots</h2><div class="plots">{plots}</div>
+<h2>Plots</h2>{_plots(result.plots)}
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>
 <details class="card"><summary>Settings of this run</summary><pre>{settings}</pre></details>
 <details class="card" open><summary>Versions and processor</summary><dl>{installed}</dl></details>
-<p class="sub">The figures are in metrics.json and all signals in log.npz, beside this page.</p>
+<p class="sub">The figures are in metrics.json and all signals in log.npz, beside this page.</p>""",
+    )
+
+
+def plots_page(title: str, about: str, plots: list[Plot]) -> str:
+    """Plots alone as one HTML page that needs no network."""
+    return document(
+        title, f'<h1>{html.escape(title)}</h1><p class="sub">{html.escape(about)}</p><h2>Plots</h2>{_plots(plots)}'
+    )
+
+
+def _plots(plots: Sequence[Plot | Drawing]) -> str:
+    cards = (
+        f'<div class="card {"wide" if p.equal_axes else ""}"><h3>{html.escape(p.title)}</h3>{_figure(p)}</div>'
+        for p in plots
+    )
+    return f'<div class="plots">{"".join(cards)}</div>'
+
+
+def document(title: str, body: str, plots: bool = True) -> str:
+    """A page, with the plotting library in it if there are ``plots``.
+
+    A plot is drawn as soon as it is read. The grid keeps its columns while it fills (``auto-fill``), and plots are fitted
+    once more at the end, when a scroll bar may have come: else they would be wider than their cards.
+    """
+    library = ""
+    if plots:
+        from plotly.offline import get_plotlyjs
+
+        library = f"<script>{get_plotlyjs()}</script>"
+    return f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(title)}</title><style>{_STYLE}</style>
+{library}</head><body><main>
+{body}
 </main><script>addEventListener("load", () => dispatchEvent(new Event("resize")))</script></body></html>
 """

@@ -83,6 +83,11 @@ class SwerveAgent:
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
 
+    def base_pose(self) -> np.ndarray:
+        """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
+        x, y, yaw = self.odometry.pose
+        return np.array([x, y, self.robot.base.height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+
     @property
     def leg(self) -> np.ndarray:
         """Measured leg angles less their zeros (empty for fixed legs)."""

@@ -186,6 +186,13 @@ class RobotModel:
         p, q = self._functions[frame](np.asarray(x, float))
         return np.array(p).ravel(), np.array(q).ravel()
 
+    def poses(self, states: ArrayLike, frame: str | None = None) -> Array:
+        """Poses (n, 7) of a frame (the tool when left out) at states (n, nx): position and quaternion."""
+        states = np.atleast_2d(np.asarray(states, float))
+        self.pose(states[0], frame)  # makes the function
+        p, q = self._functions[frame or self.tool](states.T)
+        return np.vstack([np.array(p), np.array(q)]).T
+
     def _ball(self) -> BallBase:
         if not isinstance(self.base, BallBase):
             raise InputError(f"{self.description.name}: this needs a ball base")

@@ -142,6 +142,14 @@ class MPC:
         """Duration [s] of the last pass of the solver."""
         return self._outcome[2]
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """Of the last pass: iterations, cost, constraint violation, optimality, solve time [s]."""
+        count = self._outcome[1]
+        row = self.solver.log[max(count, 1) - 1]
+        found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
+        return {"solve_time": self.solve_time, "iterations": float(count), **found}
+
     def advance(self, observation: Observation) -> bool:
         """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
 

@@ -53,6 +53,17 @@ class Reference:
         rotations = np.broadcast_to(np.asarray(quaternions, float), (times.size, 4))
         return cls(times, np.hstack([positions, rotations]), "pose_hold" if hold else "pose")
 
+    def at(self, t: float) -> NDArray[np.float64]:
+        """The value (width,) at time t [s], as the solver samples it."""
+        k = max(int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1, 0)
+        if self.kind.endswith("hold") or k == self.times.size - 1 or t <= self.times[0]:
+            return self.values[k].copy()
+        share = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
+        value: NDArray[np.float64] = (1.0 - share) * self.values[k] + share * self.values[k + 1]
+        if self.kind == "pose":
+            value[3:] /= np.linalg.norm(value[3:])
+        return value
+
 
 def _continuous_quaternions(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit length, and neighbours in the same half sphere (q and −q are the same rotation)."""

@@ -1,14 +1,15 @@
-"""The command line: list, run, demo, stability, bench, calibrate."""
+"""The command line: list, run, demo, stability, bench, calibrate; recordings in a file of their own."""
 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -17,18 +18,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wbmpc import __version__
+from wbmpc.cli.recordings import compare, log
+from wbmpc.cli.reproduction import reproduce
+from wbmpc.cli.terminal import logged, progress_bar, silent
+from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiments import Experiment
     from wbmpc.result import MpcStatistics, RunResult
+    from wbmpc.view.live import View
 
+_LOG = logging.getLogger("wbmpc")
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 app = typer.Typer(
-    name="wbmpc", add_completion=False, pretty_exceptions_enable=False,
+    name="wbmpc", pretty_exceptions_enable=False,
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
+app.add_typer(log)
+for _command in (view, replay, render, compare, reproduce):
+    app.command()(_command)
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,7 @@ class _Session:
     """What :func:`main` hands to the commands; without a registry the library's own one is loaded when it is needed."""
 
     given: Mapping[str, Experiment] | None = None
+    quiet: bool = False
 
     @property
     def registry(self) -> Mapping[str, Experiment]:
@@ -64,25 +75,12 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors; with --json the object.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Say what is done, on standard error.")] = False,
 ) -> None:
-    """Options before the command."""
+    """Options for all commands, before or after their names."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-
-
-@contextmanager
-def _progress(title: str, show: bool) -> Iterator[Callable[[float, str], None] | None]:
-    """A progress bar on a terminal; nothing in a pipe."""
-    if not (show and sys.stderr.isatty()):
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=1.0, note="")
-        yield lambda fraction, note: bar.update(task, completed=fraction, note=note)
 
 
 def _reserve(base: Path) -> Path:
@@ -98,7 +96,9 @@ def _reserve(base: Path) -> Path:
 
 
 def _directory(out: Path | None, name: str, seed: int) -> Path:
-    """Where the files go. Made before the run, so that a bad path is found at once and not after minutes."""
+    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once."""
+    from wbmpc.report import RUN_FILES
+
     if out is None:
         return _reserve(Path("runs") / f"{name}-seed{seed}")
     if out.exists() and not out.is_dir():
@@ -106,30 +106,53 @@ def _directory(out: Path | None, name: str, seed: int) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"--out: cannot write into '{out}'")
+    if any((out / file).exists() for file in RUN_FILES):
+        return _reserve(out)
     return out
 
 
 def _execute(
-    session: _Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool
+    session: _Session,
+    name: str,
+    seed: int,
+    assignments: list[str],
+    out: Path | None,
+    show: bool,
+    view: View | None = None,
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.configuration import configure
-    from wbmpc.report import write_run
+    from wbmpc.loop import Watch
+    from wbmpc.recording.recorder import Recorder
+    from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
-    ours = out is None or not out.exists()
+    existed = out is not None and out.exists()
     directory = _directory(out, name, seed)
+    ours = not existed or directory != out
+    _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
+    _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
+    recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
+    # the view first: if it cannot open, nothing has been written
+    watchers = (recorder,) if view is None else (view, recorder)
     try:
-        with _progress(name, show) as progress:
+        with progress_bar(name, show and not session.quiet) as progress:
             try:
-                result = experiment.run(settings, seed, progress)
+                result = experiment.run(settings, seed, Watch(progress, watchers))
             except RunAborted as error:
                 result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
-        return result, write_run(result, directory)
+        recorder.close(outcome(result))
+        files = write_run(result, directory)
+        for kind, path in files.items():
+            _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
+        return result, files
     finally:
+        recorder.close({"completed": "false", "reason": "an error of the program"})
+        if view is not None:
+            view.close()
         if ours:
             with suppress(OSError):
                 directory.rmdir()  # succeeds only if nothing was written
@@ -222,9 +245,13 @@ def run(
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
+    host: Host = LOCAL,
+    port: Port = 8080,
 ) -> None:
-    """Run an experiment; write metrics.json, log.npz and report.html."""
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json)], as_json)
+    """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
+    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
 
 
 @app.command()
@@ -236,7 +263,7 @@ def demo(
     """Run both main experiments and print one table."""
     results = []
     for name in ("swerve-track", "rezero-steps"):
-        if not as_json:
+        if not (as_json or context.obj.quiet):
             typer.echo(f"running {name} …", err=True)
         results.append(_execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
@@ -310,7 +337,7 @@ def bench(
     from wbmpc.benchmark import run_benchmark
 
     directory = None if out is None else _directory(out, "bench", 0)
-    with _progress("bench", not as_json) as bar:
+    with progress_bar("bench", not as_json) as bar:
         show = bar or (lambda _, note: None if as_json else typer.echo(note, err=True))
         figures = run_benchmark(repeat, show, peers)
     if directory is not None:
@@ -413,10 +440,11 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     given = sys.argv[1:] if arguments is None else arguments
-    debug = "--debug" in given
-    given = [a for a in given if a != "--debug"]  # understood anywhere on the line
+    debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
+    given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
     try:
-        status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry))
+        with logged(verbose), silent(quiet and "--json" not in given):
+            status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader has gone: let Python flush into nothing

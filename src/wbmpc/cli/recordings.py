@@ -1,0 +1,138 @@
+"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from wbmpc.recording.reader import Recording
+
+log = typer.Typer(name="log", help="Look into the recording of a run.", no_args_is_help=True)
+
+File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
+Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def _summary(recording: Recording) -> dict[str, Any]:
+    topics = {
+        name: {"type": topic.kind, "messages": len(topic.times), "first": topic.times[0], "last": topic.times[-1]}
+        for name, topic in recording.topics.items()
+        if topic.times
+    }
+    head = {"file": str(recording.path), "complete": recording.complete, "duration": recording.duration}
+    return {**head, "metadata": recording.metadata, "topics": topics}
+
+
+@log.command()
+def info(file: File, as_json: AsJson = False) -> None:
+    """What a recording holds."""
+    from wbmpc.recording.reader import read
+
+    recording = read(file)
+    summary = _summary(recording)
+    if as_json:
+        typer.echo(json.dumps(summary))
+        return
+    run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
+    end = "" if recording.complete else "; it ends in the middle: the run was killed"
+    typer.echo(f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}")
+    if result.get("reason"):
+        typer.echo(f"did not complete: {result['reason']}")
+    width = max(map(len, summary["topics"]), default=0)
+    for name, t in summary["topics"].items():
+        span = t["last"] - t["first"]
+        rate = f"{(t['messages'] - 1) / span:7.1f} Hz" if span > 0.0 else ""
+        typer.echo(f"  {name:{width}}  {t['type']:30} {t['messages']:7d}  {rate}".rstrip())
+
+
+@log.command()
+def plot(
+    file: File,
+    topics: Topics = None,
+    out: Annotated[Path | None, typer.Option(help="The page (default: plots.html beside the recording).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Draw topics, or an overview, into one HTML page."""
+    from wbmpc.recording.plots import of_topics, overview
+    from wbmpc.recording.reader import read
+    from wbmpc.report import plots_page
+
+    recording = read(file)
+    plots = of_topics(recording, topics) if topics else overview(recording)
+    path = out or recording.path.with_name("plots.html")
+    path.write_text(plots_page(recording.title, str(recording.path), plots))
+    typer.echo(json.dumps({"page": str(path)}) if as_json else f"the plots are in {path}")
+
+
+@log.command()
+def export(
+    file: File,
+    topics: Topics = None,
+    to: Annotated[str, typer.Option("--to", help="csv, npz or parquet.")] = "csv",
+    out: Annotated[Path | None, typer.Option(help="Directory (default: export beside the recording).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write topics as tables for other tools."""
+    from wbmpc.recording.export import export as write
+    from wbmpc.recording.reader import read
+
+    recording = read(file)
+    paths = write(recording, to, out or recording.path.with_name("export"), topics or ())
+    if as_json:
+        typer.echo(json.dumps({"files": [str(p) for p in paths]}))
+    else:
+        typer.echo(
+            f"{len(paths)} {'file' if len(paths) == 1 else 'files'} in {paths[0].parent}"
+            if paths
+            else "nothing to write"
+        )
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(help="Directory of a run.")],
+    second: Annotated[Path, typer.Argument(help="Directory of another run.")],
+    out: Annotated[Path, typer.Option(help="The page with both runs' signals.")] = Path("compare.html"),
+    as_json: AsJson = False,
+) -> None:
+    """Compare two runs: their metrics in a table, their signals over each other in a page."""
+    from wbmpc.compare import differences, load, overlay, table
+    from wbmpc.report import plots_page
+
+    runs, logs = zip(*(load(d) for d in (first, second)), strict=True)
+    rows, changed = table(list(runs)), differences(list(runs))
+    names = [first.name or str(first), second.name or str(second)]
+    about = f"{first} (solid) and {second} (dashed)"
+    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names)))
+    if as_json:
+        typer.echo(
+            json.dumps({"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "page": str(out)})
+        )
+        return
+    _compare_table(rows, names)
+    for key, (a, b) in changed.items():
+        typer.echo(f"{key}: {a} and {b}")
+    typer.echo(f"the signals are in {out}")
+
+
+def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from wbmpc.report import number
+
+    shown = Table()
+    for column in ("metric", "unit"):
+        shown.add_column(column)
+    for column in (*names, "change"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    for row in rows:
+        change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
+        values = ["" if v is None else number(v) for v in row["values"]]
+        shown.add_row(row["metric"], row["unit"], *values, change)
+    Console(width=None if sys.stdout.isatty() else 120).print(shown)

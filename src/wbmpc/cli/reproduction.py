@@ -1,0 +1,43 @@
+"""`wbmpc reproduce`: all experiments, and one site."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def reproduce(
+    context: typer.Context,
+    only: Annotated[list[str] | None, typer.Option(help="An experiment (default: all); may be repeated.")] = None,
+    seeds: Annotated[str, typer.Option(help="Seeds, as 200-219, 3 or 1,5-7.")] = "200-219",
+    out: Annotated[Path, typer.Option(help="Directory of the site; what is finished there is not run again.")] = Path(
+        "reproduced"
+    ),
+    workers: Annotated[int, typer.Option(min=0, help="Runs at a time (0: as many as there are cores).")] = 0,
+    clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Draw a clip of each experiment.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+) -> None:
+    """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page."""
+    from wbmpc.cli.terminal import progress_bar
+    from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, write_site
+
+    names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
+    jobs = plan(names, parse_seeds(seeds), out)
+    with progress_bar("reproduce", not as_json) as progress:
+        failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
+    index = write_site(jobs, failed, out, clips)
+    lost = [{"experiment": j.name, "seed": j.seed, "reason": reason} for j, reason in failed.items()]
+    if as_json:
+        figures = {name: entry["metrics"] for name, entry in summarise(jobs).items()}
+        finite = json.loads(json.dumps(figures), parse_constant=lambda _: None)
+        typer.echo(json.dumps({"index": str(index), "experiments": finite, "failed": lost}))
+    else:
+        for run in lost:
+            typer.echo(f"{run['experiment']}, seed {run['seed']}, gave no result: {run['reason']}")
+        typer.echo(f"the site is {index}")
+    if lost:
+        raise typer.Exit(1)

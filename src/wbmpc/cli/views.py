@@ -1,0 +1,118 @@
+"""Commands that open a view in the browser."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wbmpc.cli.recordings import AsJson
+from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from wbmpc.view.live import View
+
+LOCAL = "127.0.0.1"
+Host = Annotated[str, typer.Option(help="Address that the view listens on (the default: this machine alone).")]
+Port = Annotated[int, typer.Option(help="Port of the view; a busy one is passed over.")]
+
+
+def warn(host: str) -> None:
+    """Say what an address beyond this machine means."""
+    if host not in (LOCAL, "localhost", "::1"):
+        typer.echo(
+            f"warning: the view listens on {host} without authentication: whoever reaches it steers the run", err=True
+        )
+
+
+def open_view(title: str, host: str, port: int, *, reset: bool = False) -> View:
+    """A view that says where it is when it can be opened."""
+    from wbmpc.view.live import View
+
+    shown = View(title, host, port, reset=reset, opened=lambda url: typer.echo(f"the view is at {url}", err=True))
+    warn(host)
+    return shown
+
+
+def view(
+    robot: Annotated[str, typer.Argument(help="Name of a robot (see 'wbmpc list'), or one's own YAML.")],
+    seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
+    host: Host = LOCAL,
+    port: Port = 8080,
+) -> None:
+    """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
+    from wbmpc.view.session import run_session
+
+    shown = open_view(robot, host, port, reset=True)
+    try:
+        ending = run_session(robot, seed, shown)
+    finally:
+        shown.close()
+    typer.echo(ending.reason, err=True)
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
+    html: Annotated[Path | None, typer.Option(help="Write one page that needs no server, instead.")] = None,
+    host: Host = LOCAL,
+    port: Port = 8080,
+    as_json: AsJson = False,
+) -> None:
+    """Show a recording in a browser, with a time bar; or write it as one page."""
+    from importlib.util import find_spec
+
+    from wbmpc.recording.reader import read
+    from wbmpc.view.replay import Film, Player, write_page
+
+    if find_spec("viser") is None:
+        raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
+    film = Film(read(file))
+    with redirect_stdout(io.StringIO()):  # the server's banner
+        if html is not None:
+            write_page(film, html, port)
+        else:
+            warn(host)
+            player = Player(film, host, port)
+    if html is not None:
+        typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
+        return
+    typer.echo(f"the replay is at {player.url}", err=True)
+    with suppress(KeyboardInterrupt):
+        player.run()
+
+
+def render(
+    file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
+    mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
+    gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
+    start: Annotated[float, typer.Option(help="From this time on [s].")] = 0.0,
+    end: Annotated[float, typer.Option(help="Up to this time [s] (default: all).")] = math.inf,
+    speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
+    height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
+    as_json: AsJson = False,
+) -> None:
+    """Draw a recording into a film, a GIF or a picture, without a display."""
+    from wbmpc.recording.reader import read
+    from wbmpc.view.render import render as draw
+    from wbmpc.view.replay import Film
+
+    wanted = [(path, kind) for path, kind in ((mp4, ".mp4"), (gif, ".gif"), (png, ".png")) if path is not None]
+    if not wanted:
+        raise InputError("render: what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE")
+    for path, kind in wanted:
+        if path.suffix.lower() != kind:
+            raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
+    film = Film(read(file))
+    drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
+    if as_json:
+        typer.echo(json.dumps({"pictures": drawn}))
+        return
+    for name, count in drawn.items():
+        typer.echo(f"{name}: {count} {'picture' if count == 1 else 'pictures'}")

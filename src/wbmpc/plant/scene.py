@@ -1,0 +1,164 @@
+"""What a simulated world looks like: shapes, bodies and forces as plain numbers, for recordings and views."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+#: Contact forces below this [N] are none.
+_LEAST_FORCE = 1e-9
+_KINDS = {
+    mujoco.mjtGeom.mjGEOM_PLANE: "plane",
+    mujoco.mjtGeom.mjGEOM_BOX: "box",
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
+    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
+    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
+}
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A coloured shape of a body. ``kind`` and ``size`` as in MuJoCo: half lengths of a box; radius; radius and half length
+    of a cylinder or capsule along z; semi-axes; a plane's half lengths (0: endless). ``pose``: position [m] and quaternion
+    in the body. ``colour``: red, green, blue, opacity. A mesh has ``vertices`` [m] and ``faces``."""
+
+    body: str
+    kind: str
+    size: tuple[float, ...]
+    pose: tuple[float, ...]
+    colour: tuple[float, ...]
+    vertices: tuple[float, ...] = ()
+    faces: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body, its parent's name (``world`` for roots) and whether it can move against it."""
+
+    name: str
+    parent: str
+    moves: bool
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What acts on a body in its contacts: ``force`` (3) [N] on it, world axes, at ``point`` (3) [m]."""
+
+    body: str
+    force: Array
+    point: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Bodies and shapes of a world; ``robot``: the name of the robot's base body."""
+
+    robot: str
+    bodies: tuple[Body, ...]
+    shapes: tuple[Shape, ...]
+
+    @property
+    def index(self) -> int:
+        """The place of the robot's base among the bodies."""
+        return [b.name for b in self.bodies].index(self.robot)
+
+    def plain(self) -> dict[str, Any]:
+        """What JSON can hold; :meth:`of_plain` makes a scene of it again."""
+        return asdict(self)
+
+    @classmethod
+    def of_plain(cls, data: dict[str, Any]) -> Scene:
+        """The inverse of :meth:`plain`."""
+        shapes: list[dict[str, Any]] = [
+            {k: tuple(v) if isinstance(v, list) else v for k, v in s.items()} for s in data["shapes"]
+        ]
+        return cls(data["robot"], tuple(Body(**b) for b in data["bodies"]), tuple(Shape(**s) for s in shapes))
+
+
+class SceneReader:
+    """Reads a world of MuJoCo: its :class:`Scene`, and at any time poses, joints and contact forces."""
+
+    def __init__(self, model: mujoco.MjModel, robot: str) -> None:
+        self.model = model
+        self._names = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+        self.scene = Scene(robot, self._bodies(), self._shapes())
+        self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
+        self.parents = [self._names.index(b.parent) - 1 for b in self.scene.bodies]  # -1: the world
+        self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
+
+    @cached_property
+    def _scratch(self) -> mujoco.MjData:
+        return mujoco.MjData(self.model)
+
+    def _bodies(self) -> tuple[Body, ...]:
+        m = self.model
+        return tuple(
+            Body(self._names[i], self._names[int(m.body_parentid[i])], bool(m.body_jntnum[i] or m.body_mocapid[i] >= 0))
+            for i in range(1, m.nbody)
+        )
+
+    def _shapes(self) -> tuple[Shape, ...]:
+        """What can be seen: groups 0 to 2 (contact shapes are in group 3) that are not transparent."""
+        m, shapes = self.model, []
+        for g in range(m.ngeom):
+            kind = _KINDS.get(mujoco.mjtGeom(m.geom_type[g]))
+            if kind is None or m.geom_group[g] > 2 or m.geom_rgba[g, 3] == 0.0:
+                continue
+            vertices, faces = self._mesh(int(m.geom_dataid[g])) if kind == "mesh" else ((), ())
+            body = self._names[int(m.geom_bodyid[g])]
+            pose = (*map(float, m.geom_pos[g]), *map(float, m.geom_quat[g]))
+            colour = m.mat_rgba[m.geom_matid[g]] if m.geom_matid[g] >= 0 else m.geom_rgba[g]
+            shapes.append(
+                Shape(body, kind, tuple(map(float, m.geom_size[g])), pose, tuple(map(float, colour)), vertices, faces)
+            )
+        return tuple(shapes)
+
+    def _mesh(self, mesh: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
+        m = self.model
+        v, n = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
+        f, k = int(m.mesh_faceadr[mesh]), int(m.mesh_facenum[mesh])
+        vertices, faces = m.mesh_vert[v : v + n].ravel().tolist(), m.mesh_face[f : f + k].ravel().tolist()
+        return tuple(vertices), tuple(faces)
+
+    # ------------------------------------------------------------------ the present state
+    def poses(self, data: mujoco.MjData) -> Array:
+        """Poses (bodies, 7) in the world: position [m] and quaternion, in the order of the scene's bodies."""
+        return np.hstack([data.xpos[1:], data.xquat[1:]])
+
+    def joint_states(self, data: mujoco.MjData) -> Array:
+        """Position [rad or m], velocity and drive force [N m or N] (joints, 3) of all hinges and slides."""
+        m = self.model
+        q, v = m.jnt_qposadr[self.joints], m.jnt_dofadr[self.joints]
+        return np.stack([data.qpos[q], data.qvel[v], data.qfrc_actuator[v]], axis=1)
+
+    def contacts(self, data: mujoco.MjData) -> list[Contact]:
+        """Sums of the contact forces by body, in the present state under the last command, at their centre of pressure.
+
+        Computed on a copy: between two steps MuJoCo holds the contacts of now with the forces of before.
+        """
+        m, d = self.model, self._scratch
+        mujoco.mj_copyState(m, data, d, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_forward(m, d)
+        forces: dict[int, tuple[Array, Array, float]] = {}
+        local = np.zeros(6)
+        for c in range(d.ncon):
+            contact = d.contact[c]
+            mujoco.mj_contactForce(m, d, c, local)
+            force = contact.frame.reshape(3, 3).T @ local[:3]  # on the second geom, by the first
+            size = float(np.linalg.norm(force))
+            if size < _LEAST_FORCE:
+                continue
+            for geom, sign in ((contact.geom1, -1.0), (contact.geom2, 1.0)):
+                body = int(m.geom_bodyid[geom])
+                if body:
+                    total, moment, weight = forces.get(body, (np.zeros(3), np.zeros(3), 0.0))
+                    forces[body] = (total + sign * force, moment + size * contact.pos, weight + size)
+        return [Contact(self._names[b], f, p / w) for b, (f, p, w) in sorted(forces.items())]

@@ -1,0 +1,85 @@
+"""What can be seen of a running loop: what recordings and views have in common.
+
+Frames (REP 105): ``map`` is the simulated world with z = 0 on the floor, ``odom`` the frame of the controller's estimate, in
+which references and plans are; ``map`` → ``odom`` is the drift. Where the controller has no estimate of the base the two
+are one. Poses (7) are position [m] and quaternion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.loop import Running
+from wbmpc.mpc import Plans
+from wbmpc.plant.scene import SceneReader
+
+Array = np.ndarray
+#: Points of a plan that is shown or written.
+PLAN_POINTS = 31
+
+
+@dataclass(frozen=True)
+class Moment:
+    """``bodies`` (n, 7) in the order of the scene, ``base`` and ``hand`` in ``map``; ``estimated`` base in ``odom``; ``drift``
+    of ``odom`` in ``map``."""
+
+    bodies: Array
+    base: Array
+    hand: Array
+    estimated: Array
+    drift: Array
+
+
+class Observer:
+    """Reads one loop. ``lift`` (3) [m]: the planner's z = 0 above the floor."""
+
+    def __init__(self, running: Running) -> None:
+        description = running.plant.description
+        self.running = running
+        self.reader = SceneReader(running.plant.model, description.base.body)
+        self.scene = self.reader.scene
+        self.lift = np.array([0.0, 0.0, getattr(description.base, "ball_radius", 0.0)])
+
+    def see(self) -> Moment:
+        """The present moment."""
+        plant, agent = self.running.plant, self.running.agent
+        truth = plant.truth()  # brings positions up to date
+        bodies = self.reader.poses(plant.data)
+        base = bodies[self.scene.index]
+        belief = getattr(agent, "base_pose", None)
+        estimated = base if belief is None else belief()
+        hand = np.concatenate([truth.tool + self.lift, lie.rotation_to_quaternion(truth.tool_rotation)])
+        return Moment(bodies, base, hand, estimated, lie.pose_compose(base, lie.pose_inverse(estimated)))
+
+    def hand_goal(self, t: float) -> Array | None:
+        """The hand's reference in ``odom`` at time t [s], if the problem has one."""
+        reference = {} if self.running.mpc is None else self.running.mpc.reference
+        if "hand" not in reference or reference["hand"].values.shape[1] != 7:
+            return None
+        goal = reference["hand"].at(t)
+        return np.concatenate([goal[:3] + self.lift, goal[3:]])
+
+    def plan(self, plans: Plans) -> tuple[Array, Array]:
+        """Predicted poses of base and hand (n, 7) in ``odom``, n at most PLAN_POINTS, none before the first plan.
+
+        A base that is planned in the plane lies at the planner's z = 0.
+        """
+        if plans.current is None or self.running.mpc is None:
+            return np.zeros((0, 7)), np.zeros((0, 7))
+        states, robot, layout = plans.current.x, self.running.agent.robot, self.running.mpc.ocp.dynamics.state
+        chosen = states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]
+        hand = robot.poses(np.hstack([chosen[:, layout[group]] for group in robot.state.groups]))
+        planned = chosen[:, layout["base"]] if "base" in robot.state else np.zeros((len(chosen), 3))
+        base = np.array([_base_pose(b) for b in planned])
+        base[:, :3] += self.lift
+        hand[:, :3] += self.lift
+        return base, hand
+
+
+def _base_pose(base: Array) -> Array:
+    if base.size == 7:
+        return base
+    return np.array([base[0], base[1], 0.0, *lie.quaternion_about((0.0, 0.0, 1.0), float(base[2]))])

@@ -1,0 +1,171 @@
+"""Reads recordings, also those of runs that were killed: as messages, and as tables of numbers over time."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Footer, McapRecord, Metadata, Schema
+from mcap.records import Message as Record
+from mcap.stream_reader import StreamReader
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
+
+#: Fields of a message's header and of its layout: no numbers of their own.
+_SKIPPED = ("header", "layout")
+
+
+@dataclass
+class Topic:
+    """Messages of one topic: type (``geometry_msgs/Pose``), times [s] and CDR bytes."""
+
+    kind: str
+    times: list[float] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+    def messages(self) -> Iterator[tuple[float, Any]]:
+        """Times [s] and decoded messages."""
+        for t, data in zip(self.times, self.data, strict=True):
+            yield t, decode(self.kind, data)
+
+    def last(self) -> Any:
+        """The newest message."""
+        return decode(self.kind, self.data[-1])
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a topic by name, all over ``times`` (n,) [s]. What a message does not have is not a number."""
+
+    times: np.ndarray
+    columns: dict[str, np.ndarray]
+
+
+@dataclass
+class Recording:
+    """A whole file. ``complete``: whether the run closed it; else it was killed and the last moments are missing."""
+
+    path: Path
+    topics: dict[str, Topic]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    complete: bool
+
+    def __getitem__(self, topic: str) -> Topic:
+        if topic not in self.topics:
+            raise unknown_name("topic", topic, self.topics, where=str(self.path))
+        return self.topics[topic]
+
+    @cached_property
+    def duration(self) -> float:
+        """Time of the last message [s]."""
+        return max((t.times[-1] for t in self.topics.values()), default=0.0)
+
+    @property
+    def title(self) -> str:
+        """Experiment and seed."""
+        run = self.metadata.get("run", {})
+        return f"{run.get('experiment', self.path.stem)}, seed {run.get('seed', '?')}"
+
+    def attachment(self, name: str) -> Any:
+        """A JSON file inside the recording."""
+        if name not in self.attachments:
+            raise InputError(f"{self.path}: holds no '{name}': it was not written by wbmpc")
+        return json.loads(self.attachments[name])
+
+    def table(self, topic: str) -> Table:
+        """The numbers and texts of a topic; a list of messages gives columns for each."""
+        found = self[topic]
+        rows = [dict(_flat("", found.kind, message)) for _, message in found.messages()]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        columns = {}
+        for name in names:
+            values = [row.get(name, np.nan) for row in rows]
+            columns[name] = np.array(values) if not any(isinstance(v, str) for v in values) else _texts(values)
+        return Table(np.array(found.times), columns)
+
+
+def _texts(values: list[Any]) -> np.ndarray:
+    return np.array([v if isinstance(v, str) else "" for v in values])
+
+
+def _flat(prefix: str, kind: str, message: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values of all numbers and texts of a message."""
+    join = lambda *parts: ".".join(p for p in parts if p)
+    if isinstance(message, np.ndarray):
+        yield from zip((join(prefix, n) for n in numbers(kind)), message.tolist(), strict=True)
+    elif isinstance(message, dict):
+        labels = message.get("name")
+        for name, value in message.items():
+            if name in _SKIPPED or value is labels:
+                continue
+            if isinstance(value, np.ndarray) and value.size and name in ("position", "velocity", "effort") and labels:
+                yield from zip((join(prefix, name, label) for label in labels), value.tolist(), strict=True)
+            else:
+                yield from _flat_field(join(prefix, name), kind, name, value)
+    else:
+        yield prefix or "data", message
+
+
+def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    inner = next(f for f in fields(kind) if f.name == name)
+    if isinstance(value, np.ndarray) and inner.array is not None:
+        if inner.array == 0:  # arrays of fixed length are covariances, which nobody fills
+            yield from ((f"{prefix}.{i}", v) for i, v in enumerate(value.tolist()))
+    elif isinstance(value, list):
+        for i, one in enumerate(value):
+            label = one.get("child_frame_id", i) if isinstance(one, dict) else i
+            yield from _flat(f"{prefix}.{label}", inner.kind, one)
+    elif name != "child_frame_id":
+        yield from _flat(prefix, inner.kind, value)
+
+
+def read(path: Path) -> Recording:
+    """Read a recording; of a file that ends in the middle everything before that.
+
+    Raises :class:`InputError` when there is no such file, or it is not MCAP.
+    """
+    if path.is_dir():
+        path = path / "run.mcap"
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such recording")
+    out = Recording(path, {}, {}, {}, False)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Topic | None] = {}
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                _take(out, record, schemas, channels)
+        except (McapError, struct.error, ValueError) as error:
+            if not (out.topics or out.metadata):
+                raise InputError(f"{path}: is not a recording (MCAP): {error or type(error).__name__}") from error
+    return out
+
+
+def _take(out: Recording, record: McapRecord, schemas: dict[int, Schema], channels: dict[int, Topic | None]) -> None:
+    if isinstance(record, Schema):
+        schemas[record.id] = record
+    elif isinstance(record, Channel) and record.id not in channels:
+        kind = schemas[record.schema_id].name.replace("/msg/", "/")
+        # other programs' topics may be of types that are not known here
+        known = kind in DEFINITIONS and record.message_encoding == "cdr"
+        channels[record.id] = out.topics.setdefault(record.topic, Topic(kind)) if known else None
+    elif isinstance(record, Record):
+        topic = channels[record.channel_id]
+        if topic is not None:
+            topic.times.append(record.log_time / 1e9)
+            topic.data.append(record.data)
+    elif isinstance(record, Metadata):
+        out.metadata[record.name] = record.metadata
+    elif isinstance(record, Attachment):
+        out.attachments[record.name] = record.data
+    elif isinstance(record, Footer):
+        out.complete = True

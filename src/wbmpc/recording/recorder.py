@@ -1,0 +1,194 @@
+"""Writes what a run does into an MCAP file, while it does it.
+
+Frames are those of :mod:`wbmpc.recording.observer`. Joints, forces and links are those of the simulation; what the sensors
+said is under ``/measured``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.loop import Ending, Running
+from wbmpc.mpc import Plans
+from wbmpc.recording.messages import Message
+from wbmpc.recording.observer import Moment, Observer
+from wbmpc.recording.writer import McapFile, stamp
+from wbmpc.robots.urdf import to_urdf
+
+#: Rates [Hz] at which states, links and plans are written (at most the controller's).
+STATES, LINKS, PLANS = 100.0, 50.0, 10.0
+MAP, ODOM = "map", "odom"
+#: A second loop of the same run follows this long [s] after the first in the file.
+PAUSE = 1.0
+
+Array = np.ndarray
+
+
+class Recorder:
+    """A :class:`~wbmpc.loop.Watcher` that writes ``path``. The file comes into being when the loop begins.
+
+    ``about``: tables of texts by name, written as metadata (what ran, settings, versions).
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]]) -> None:
+        self.path, self.about = path, about
+        self.file: McapFile | None = None
+        self._start = self._last = 0.0
+
+    # ------------------------------------------------------------------ the loop
+    def begin(self, running: Running) -> None:
+        """Open the file and write all that holds for the whole run."""
+        self.running, self._solves, self._mode = running, 0, ""
+        self._odometry: tuple[float, Array] | None = None
+        self._observer = Observer(running)
+        every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
+        self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
+        if self.file is not None:
+            self._start = self._last + PAUSE
+            return
+        self.file = McapFile(self.path)
+        for name, table in self.about.items():
+            self.file.metadata(name, table)
+        self.file.attach("scene.json", self._observer.scene.plain())
+        self._put("/robot_description", "std_msgs/String", {"data": to_urdf(running.plant.description)}, latched=True)
+        if running.mpc is not None:
+            self._put("/mpc/period", "std_msgs/Float64", [running.mpc.period], latched=True)
+        self._static_links()
+
+    def tick(self, t: float, command: Any, plans: Plans) -> None:
+        """Write what is due at time t [s]."""
+        self._last = self._start + t
+        tick = round(t / self.running.timing.period)
+        self._solver()
+        due = {name for name, every in self._every.items() if tick % every == 0}
+        if due & {"states", "links"}:
+            moment = self._observer.see()
+        if "states" in due:
+            self._states(moment)
+            self._numbers("/command", command)
+            self._numbers("/measured", getattr(self.running.agent, "measured", None))
+        if "links" in due:
+            self._links(moment)
+        if "plans" in due:
+            self._plans(plans)
+
+    def end(self, ending: Ending) -> None:
+        """Note how the loop ended; more loops may follow."""
+        self._put("/mode", "std_msgs/String", {"data": f"ended: {ending.reason or 'completed'}"}, latched=True)
+
+    def close(self, result: Mapping[str, Any]) -> None:
+        """Complete the file; ``result``: what came out, as metadata."""
+        if self.file is not None:
+            self.file.metadata("result", result)
+            self.file.close()
+            self.file = None
+
+    # ------------------------------------------------------------------ parts
+    def _put(self, topic: str, kind: str, message: Message, latched: bool = False) -> None:
+        assert self.file is not None
+        self.file.put(topic, kind, self._last, message, latched=latched)
+
+    def _header(self, frame: str) -> dict[str, Any]:
+        return {"stamp": stamp(self._last), "frame_id": frame}
+
+    def _pose(self, topic: str, frame: str, pose: Array) -> None:
+        self._put(topic, "geometry_msgs/PoseStamped", {"header": self._header(frame), "pose": ros_pose(pose)})
+
+    def _numbers(self, prefix: str, parts: Any) -> None:
+        """Every field of a command or measurement that holds an array, on a topic of its own."""
+        for name, values in vars(parts).items() if parts is not None else ():
+            if isinstance(values, np.ndarray) and values.size:
+                layout = {"dim": [{"label": name, "size": values.size, "stride": values.size}], "data_offset": 0}
+                self._put(f"{prefix}/{name}", "std_msgs/Float64MultiArray", {"layout": layout, "data": values.ravel()})
+
+    def _states(self, moment: Moment) -> None:
+        reader = self._observer.reader
+        joints = reader.joint_states(self.running.plant.data)
+        self._put("/joint_states", "sensor_msgs/JointState", {
+            "header": self._header(MAP), "name": reader.joint_names,
+            "position": joints[:, 0], "velocity": joints[:, 1], "effort": joints[:, 2],
+        })  # fmt: skip
+        self._odometry_message(moment.estimated)
+        self._pose("/hand/pose", MAP, moment.hand)
+        in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.hand))
+        self._pose("/hand/pose_odom", ODOM, in_odom)
+        goal = self._observer.hand_goal(self._last - self._start)
+        if goal is not None:
+            self._pose("/hand/reference", ODOM, goal)
+
+    def _odometry_message(self, pose: Array) -> None:
+        """The twist is that of the two last estimates, in the base's axes."""
+        twist = np.zeros(6)
+        if self._odometry is not None and self._last > self._odometry[0]:
+            moved = lie.pose_between(self._odometry[1], pose)
+            twist = np.concatenate([moved[:3], lie.quaternion_log(moved[3:])]) / (self._last - self._odometry[0])
+        self._odometry = (self._last, pose.copy())
+        unknown = np.zeros(36)
+        self._put("/odom", "nav_msgs/Odometry", {
+            "header": self._header(ODOM), "child_frame_id": self._observer.scene.robot,
+            "pose": {"pose": ros_pose(pose), "covariance": unknown}, "twist": {"twist": twist, "covariance": unknown},
+        })  # fmt: skip
+
+    def _transform(self, parent: str, child: str, pose: Array) -> dict[str, Any]:
+        return {"header": self._header(parent), "child_frame_id": child, "transform": ros_pose(pose)}
+
+    def _link(self, bodies: Array, i: int) -> dict[str, Any]:
+        """A body in its parent."""
+        body, parent = self._observer.scene.bodies[i], self._observer.reader.parents[i]
+        if parent < 0:
+            return self._transform(MAP, body.name, bodies[i])
+        return self._transform(body.parent, body.name, lie.pose_between(bodies[parent], bodies[i]))
+
+    def _static_links(self) -> None:
+        bodies = self._observer.see().bodies
+        fixed = [self._link(bodies, i) for i, body in enumerate(self._observer.scene.bodies) if not body.moves]
+        self._put("/tf_static", "tf2_msgs/TFMessage", {"transforms": fixed}, latched=True)
+
+    def _links(self, moment: Moment) -> None:
+        """All frames that move, and one frame with the axes of ``map`` at each contact, for its force."""
+        scene = self._observer.scene
+        transforms = [
+            self._transform(MAP, ODOM, moment.drift),
+            self._transform(ODOM, scene.robot, moment.estimated),
+            *(self._link(moment.bodies, i) for i, b in enumerate(scene.bodies) if b.moves and i != scene.index),
+        ]
+        for contact in self._observer.reader.contacts(self.running.plant.data):
+            frame = f"contact_{contact.body}"
+            transforms.append(self._transform(MAP, frame, np.array([*contact.point, 1.0, 0, 0, 0])))
+            self._put(f"/contact/{contact.body}", "geometry_msgs/WrenchStamped", {
+                "header": self._header(frame), "wrench": np.concatenate([contact.force, np.zeros(3)]),
+            })  # fmt: skip
+        self._put("/tf", "tf2_msgs/TFMessage", {"transforms": transforms})
+
+    def _solver(self) -> None:
+        mpc = self.running.mpc
+        if mpc is None or mpc.statistics.solves == self._solves:
+            return
+        self._solves = mpc.statistics.solves
+        for name, value in mpc.figures.items():
+            self._put(f"/mpc/{name}", "std_msgs/Float64", [value])
+        for name in ("failures", "no_step"):
+            self._put(f"/mpc/{name}", "std_msgs/Float64", [float(getattr(mpc.statistics, name))])
+
+    def _plans(self, plans: Plans) -> None:
+        if self.running.mpc is None:
+            return
+        schedule = self.running.mpc.solver.schedule
+        mode = schedule.modes[schedule.index(self._last - self._start)].name
+        if mode != self._mode:
+            self._mode = mode
+            self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
+        for topic, path in zip(("/plan", "/plan/hand"), self._observer.plan(plans), strict=True):
+            poses = [{"header": self._header(ODOM), "pose": ros_pose(pose)} for pose in path]
+            if poses:
+                self._put(topic, "nav_msgs/Path", {"header": self._header(ODOM), "poses": poses})
+
+
+def ros_pose(pose: Array) -> Array:
+    """Position and quaternion (x, y, z, w) of a pose with this library's quaternion (w, x, y, z)."""
+    return np.asarray(pose)[[0, 1, 2, 4, 5, 6, 3]]

@@ -1,0 +1,240 @@
+"""All experiments over seeds, each run in a process of its own, and one site of what came out.
+
+A run that crashes or is killed loses nothing but itself; what is finished is not run again.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wbmpc.errors import InputError
+from wbmpc.report import RUN_FILES, document, number, table
+
+#: Exit codes after which there is a result: completed, or ended early with its figures.
+_FINISHED = (0, 1)
+_POLL = 0.05
+#: Speed and size [pixels] of the clips.
+CLIP_SPEED, CLIP_SIZE = 4.0, (640, 360)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run and the directory of its files."""
+
+    name: str
+    seed: int
+    directory: Path
+
+    @property
+    def mark(self) -> Path:
+        """A file that is there once the run is finished, not before."""
+        return self.directory / "finished"
+
+    @property
+    def done(self) -> bool:
+        """Whether it is finished."""
+        return self.mark.is_file()
+
+
+def parse_seeds(text: str) -> list[int]:
+    """``200-219``, ``3`` or ``1,5-7`` as numbers. Raises :class:`InputError`."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
+            raise InputError(f"--seeds: '{text}': valid: 200-219, 3 or 1,5-7")
+        seeds += range(int(first), int(last or first) + 1)
+    return list(dict.fromkeys(seeds))
+
+
+def plan(names: Iterable[str], seeds: Iterable[int], out: Path) -> list[Job]:
+    """All runs, seed by seed, so that every experiment has something to show early."""
+    names = list(names)
+    return [Job(name, seed, out / name / f"seed{seed}") for seed in seeds for name in names]
+
+
+def command(job: Job) -> list[str]:
+    """What the run's process executes."""
+    options = ["--seed", str(job.seed), "--out", str(job.directory), "--json"]
+    return [sys.executable, "-m", "wbmpc", "run", job.name, *options]
+
+
+def run_all(
+    jobs: list[Job],
+    workers: int,
+    progress: Callable[[float, str], None] | None = None,
+    make: Callable[[Job], list[str]] = command,
+) -> dict[Job, str]:
+    """Run what is not finished, ``workers`` at a time; returns why runs gave no result. Ctrl-C ends the runs that go on."""
+    waiting, running, failed = [j for j in jobs if not j.done], {}, {}  # type: ignore[var-annotated]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = len(jobs) - len(waiting)
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                job = waiting.pop(0)
+                job.directory.mkdir(parents=True, exist_ok=True)
+                for name in RUN_FILES:  # of a run that was killed: a new one would go elsewhere
+                    (job.directory / name).unlink(missing_ok=True)
+                # a file, not a pipe: nobody reads while the run goes on
+                with (job.directory / "errors.txt").open("w") as errors:
+                    running[job] = subprocess.Popen(
+                        make(job), stdout=subprocess.DEVNULL, stderr=errors, env=environment
+                    )
+            for job, process in list(running.items()):
+                if process.poll() is None:
+                    continue
+                del running[job]
+                done += 1
+                reason = _finish(job, process.returncode)
+                if reason:
+                    failed[job] = reason
+                if progress is not None:
+                    progress(done / len(jobs), f"{done} of {len(jobs)} runs, {len(failed)} failed")
+            time.sleep(_POLL)
+    finally:
+        for process in running.values():
+            process.kill()
+            process.wait()
+    return failed
+
+
+def _finish(job: Job, code: int) -> str:
+    """Mark a run as finished; or say why it has given nothing."""
+    if code in _FINISHED and (job.directory / "metrics.json").is_file():
+        job.mark.touch()
+        return ""
+    lines = (job.directory / "errors.txt").read_text().strip().splitlines()
+    return lines[-1] if lines else f"the process ended with code {code}"
+
+
+# ---------------------------------------------------------------------- the site
+def summarise(jobs: list[Job]) -> dict[str, Any]:
+    """By experiment: the runs' files, and over all finished runs median and worst of each metric beside paper and goal."""
+    out: dict[str, Any] = {}
+    for job in jobs:
+        if job.done:
+            out.setdefault(job.name, {"runs": {}})["runs"][job.seed] = json.loads(
+                (job.directory / "metrics.json").read_text()
+            )
+    for entry in out.values():
+        runs = list(entry["runs"].values())
+        entry["metrics"] = {name: _spread(name, runs) for name in dict.fromkeys(n for r in runs for n in r["metrics"])}
+    return out
+
+
+def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    having = [r for r in runs if name in r["metrics"]]
+    values = [r["metrics"][name]["value"] for r in having]
+    # a figure that is not finite is null in the file: as bad as can be
+    known = [float("inf") if v is None else float(v) for v in values]
+    target = having[0].get("targets", {}).get(name, {})
+    median, goal = statistics.median(known), target.get("goal")
+    # the median of falls says nothing: what may never happen is judged by the worst run
+    met = None if goal is None else (median if goal else max(known)) <= goal
+    unit = having[0]["metrics"][name]["unit"]
+    return {"unit": unit, "median": median, "worst": max(known), "paper": target.get("paper"), "goal": goal, "met": met}
+
+
+_VERDICT = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
+_HEADER = ["metric", "unit", "median", "largest", "paper", "goal (at most)", ""]
+
+
+def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
+    text = lambda v: "" if v is None else number(v)
+    return [
+        [
+            html.escape(n),
+            html.escape(m["unit"]),
+            *(text(m[k]) for k in ("median", "worst", "paper", "goal")),
+            _VERDICT[m["met"]],
+        ]
+        for n, m in metrics.items()
+    ]
+
+
+def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:
+    """The index and a page for each experiment; links are relative, nothing comes from a network. Returns the index."""
+    found, sections = summarise(jobs), []
+    names = list(dict.fromkeys(j.name for j in jobs))
+    for name in names:
+        lost = {j.seed: reason for j, reason in failed.items() if j.name == name}
+        if name not in found:
+            why = "; ".join(f"seed {s}: {html.escape(r)}" for s, r in lost.items())
+            sections.append(f"<h2>{html.escape(name)}</h2><p>No run gave a result. {why}</p>")
+            continue
+        page = out / name / "index.html"
+        page.write_text(_experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
+        completed = sum(r["completed"] for r in found[name]["runs"].values())
+        paper = {n: m for n, m in found[name]["metrics"].items() if m["paper"] is not None or m["goal"] is not None}
+        count = f"{completed} of {len(found[name]['runs'])} runs completed" + (
+            f", {len(lost)} gave no result" if lost else ""
+        )
+        link = f'<a href="{html.escape(name)}/index.html">{html.escape(name)}</a>'
+        sections.append(f"<h2>{link}</h2><p class=sub>{count}.</p>{table(_HEADER, _metric_rows(paper), {2, 3, 4, 5})}")
+    about = (
+        "Ours: simulated in MuJoCo, plant perturbed; paper: the real robot. Medians over seeds are judged against the goals; "
+        "a goal of zero has to hold in every run."
+    )
+    body = f'<h1>Experiments</h1><p class="sub">{about}</p>{"".join(sections)}{_versions(found)}'
+    index = out / "index.html"
+    index.write_text(document("Experiments", body, plots=False))
+    return index
+
+
+def _versions(found: dict[str, Any]) -> str:
+    runs = [run for entry in found.values() for run in entry["runs"].values()]
+    rows: dict[str, list[str]] = {}
+    for run in runs:
+        for key, value in run.get("versions", {}).items():
+            rows.setdefault(key, [])
+            rows[key] += [value] if value not in rows[key] else []
+    cells = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(', '.join(v))}</dd>" for k, v in rows.items())
+    return f'<h2>Machine and versions</h2><div class="card" style="padding: 10px 16px"><dl>{cells}</dl></div>'
+
+
+def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], clip: str) -> str:
+    runs = []
+    for seed, run in entry["runs"].items():
+        state = "completed" if run["completed"] else html.escape(run["reason"])
+        runs.append([f'<a href="seed{seed}/report.html">seed {seed}</a>', state])
+    runs += [[f"seed {seed}", f"no result: {html.escape(reason)}"] for seed, reason in lost.items()]
+    first = next(iter(entry["runs"].values()))
+    ideal = "".join(f"<li>{html.escape(line)}</li>" for line in first["idealisations"])
+    settings = html.escape(json.dumps(first["settings"], indent=2))
+    body = f"""<h1>{html.escape(name)}</h1><p class="sub"><a href="../index.html">all experiments</a></p>
+<h2>Figures</h2>{table(_HEADER, _metric_rows(entry["metrics"]), {2, 3, 4, 5})}
+<h2>Clip</h2>{clip}
+<h2>Runs</h2><p class="sub">Each run's page has its plots.</p>{table(["run", ""], runs, set())}
+<h2>What is idealised</h2><ul class="card">{ideal}</ul>
+<h2>Settings</h2><details class="card"><summary>Settings of all runs</summary><pre>{settings}</pre></details>
+{_versions({name: entry})}"""
+    return document(name, body, plots=False)
+
+
+def _clip(jobs: list[Job], name: str, out: Path, wanted: bool) -> str:
+    """The clip of the first finished run, drawn once; or why there is none."""
+    path = out / name / "clip.mp4"
+    if wanted and not path.is_file():
+        from wbmpc.recording.reader import read
+        from wbmpc.view.render import render
+        from wbmpc.view.replay import Film
+
+        job = next(j for j in jobs if j.name == name and j.done)
+        try:
+            render(Film(read(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
+        except InputError as error:
+            return f"<p>There is no clip: {html.escape(str(error))}</p>"
+    if not path.is_file():
+        return "<p>There is no clip: it was not asked for.</p>"
+    return f'<video controls loop muted style="width: 100%" src="clip.mp4"></video><p class="sub">{CLIP_SPEED:g} times as fast.</p>'

@@ -1,0 +1,138 @@
+"""A described robot as URDF text: what ROS tools want as ``/robot_description``."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as Xml
+
+import mujoco
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.robots.description import RobotDescription, load_spec
+
+_JOINTS = {
+    mujoco.mjtJoint.mjJNT_HINGE: "revolute",
+    mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
+    mujoco.mjtJoint.mjJNT_BALL: "floating",
+}
+_SMALL = 1e-12
+
+
+def to_urdf(description: RobotDescription) -> str:
+    """The robot's own URDF if it has one, else its bodies, joints and primitive shapes written as URDF.
+
+    Links have the names and frames of MuJoCo's bodies; a tool that is a site becomes a link of its own. URDF knows no ball
+    joint: it becomes a floating one. Meshes and ellipsoids are left out.
+    """
+    if description.model.suffix.lower() == ".urdf":
+        return description.model.read_text()
+    spec = load_spec(description)
+    model = spec.compile()
+    root = Xml.Element("robot", name=description.name)
+    base = model.body(description.base.body).id
+    inside = {base}
+    for i in range(1, model.nbody):
+        if i != base and int(model.body_parentid[i]) in inside:
+            inside.add(i)
+            _joints(root, description, model, i)
+    for i in sorted(inside):
+        _link(root, model, i)
+    if any(s.name == description.arm.tool for s in spec.sites):
+        site = model.site(description.arm.tool)
+        Xml.SubElement(root, "link", name=description.arm.tool)
+        parent = model.body(int(site.bodyid[0])).name
+        _joint(root, f"{description.arm.tool}_fixed", "fixed", parent, description.arm.tool, site.pos, site.quat)
+    Xml.indent(root)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _text(values: np.ndarray) -> str:
+    return " ".join(f"{v:.9g}" for v in values)
+
+
+def _origin(parent: Xml.Element, position: np.ndarray, quaternion: np.ndarray) -> None:
+    yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
+    Xml.SubElement(parent, "origin", xyz=_text(position), rpy=_text(np.array([roll, pitch, yaw])))
+
+
+def _joint(
+    root: Xml.Element, name: str, kind: str, parent: str, child: str, position: np.ndarray, quaternion: np.ndarray
+) -> Xml.Element:
+    joint = Xml.SubElement(root, "joint", name=name, type=kind)
+    Xml.SubElement(joint, "parent", link=parent)
+    Xml.SubElement(joint, "child", link=child)
+    _origin(joint, position, quaternion)
+    return joint
+
+
+def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjModel, i: int) -> None:
+    """The joints between a body and its parent, with links without mass between several, or beside the body's origin."""
+    name, parent = model.body(i).name, model.body(int(model.body_parentid[i])).name
+    position, quaternion = model.body_pos[i].copy(), model.body_quat[i].copy()
+    first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+    unit = np.array([1.0, 0.0, 0.0, 0.0])
+    for j in range(first, first + count):
+        anchor = model.jnt_pos[j]
+        direct = j == first + count - 1 and np.abs(anchor).max() < _SMALL
+        child = name if direct else f"{model.joint(j).name}_link"
+        if not direct:
+            Xml.SubElement(root, "link", name=child)
+        at = position + lie.quaternion_to_rotation(quaternion) @ anchor
+        _movable(root, description, model, j, parent, child, at, quaternion)
+        parent, position, quaternion = child, -anchor, unit
+    if parent != name:
+        _joint(root, f"{name}_fixed", "fixed", parent, name, position, quaternion)
+
+
+def _movable(
+    root: Xml.Element, description: RobotDescription, model: mujoco.MjModel, j: int,
+    parent: str, child: str, position: np.ndarray, quaternion: np.ndarray,
+) -> None:  # fmt: skip
+    name, limits = model.joint(j).name, description.limits
+    kind = _JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[j])), "floating")
+    limited = bool(model.jnt_limited[j])
+    if kind == "revolute" and not limited:
+        kind = "continuous"
+    joint = _joint(root, name, kind, parent, child, position, quaternion)
+    if kind == "floating":
+        return
+    Xml.SubElement(joint, "axis", xyz=_text(model.jnt_axis[j]))
+    bounds = {"velocity": limits.velocity.get(name, 1e3), "effort": limits.effort.get(name, 1e4)}
+    if kind != "continuous":
+        low, high = limits.position.get(name, model.jnt_range[j] if limited else (-1e3, 1e3))
+        bounds |= {"lower": low, "upper": high}
+    Xml.SubElement(joint, "limit", {k: f"{float(v):.9g}" for k, v in bounds.items()})
+
+
+def _link(root: Xml.Element, model: mujoco.MjModel, i: int) -> None:
+    link = Xml.SubElement(root, "link", name=model.body(i).name)
+    if model.body_mass[i] > 0.0:
+        inertial = Xml.SubElement(link, "inertial")
+        _origin(inertial, model.body_ipos[i], model.body_iquat[i])
+        Xml.SubElement(inertial, "mass", value=f"{model.body_mass[i]:.9g}")
+        moments = dict(zip(("ixx", "iyy", "izz"), (f"{v:.9g}" for v in model.body_inertia[i]), strict=True))
+        Xml.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})
+    for g in range(model.ngeom):
+        if int(model.geom_bodyid[g]) == i and model.geom_group[g] <= 2 and model.geom_rgba[g, 3] > 0.0:
+            _visuals(link, model, g)
+
+
+def _visuals(link: Xml.Element, model: mujoco.MjModel, g: int) -> None:
+    size, position, quaternion = model.geom_size[g], model.geom_pos[g], model.geom_quat[g]
+    kind = mujoco.mjtGeom(int(model.geom_type[g]))
+    shapes: list[tuple[str, dict[str, str], np.ndarray]] = []
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        shapes.append(("box", {"size": _text(2.0 * size)}, position))
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        shapes.append(("sphere", {"radius": f"{size[0]:.9g}"}, position))
+    if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        shapes.append(("cylinder", {"radius": f"{size[0]:.9g}", "length": f"{2.0 * size[1]:.9g}"}, position))
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        half = lie.quaternion_to_rotation(quaternion) @ np.array([0.0, 0.0, size[1]])
+        shapes += [("sphere", {"radius": f"{size[0]:.9g}"}, position + end) for end in (half, -half)]
+    for name, attributes, at in shapes:
+        visual = Xml.SubElement(link, "visual")
+        _origin(visual, at, quaternion)
+        Xml.SubElement(Xml.SubElement(visual, "geometry"), name, attributes)
+        material = Xml.SubElement(visual, "material", name=f"geom_{g}")
+        Xml.SubElement(material, "color", rgba=_text(model.geom_rgba[g]))

@@ -1,0 +1,203 @@
+"""A live view of a run: a watcher that hands pictures to a process of its own and takes the user's orders from it.
+
+The hand-over is two mailboxes in shared memory: neither side ever waits for the other, so a browser that hangs, or a view
+that has died, changes nothing in the run.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.loop import Ending, Running
+from wbmpc.mpc import Plans
+from wbmpc.mpc.buffer import Board, Mailbox
+from wbmpc.recording.observer import Observer
+from wbmpc.view.process import BOARD, RATE, serve
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, fields, filled, ground
+from wbmpc.view.steering import ORDERS, Controls, Steering, no_orders, planar, spatial
+
+Array = np.ndarray
+#: A run that is late by more than this [s] gives up catching up with the clock.
+_LATEST = 0.2
+_START = 60.0
+
+
+class View:
+    """A :class:`~wbmpc.loop.Watcher` that shows a run at ``url`` and paces it to the clock.
+
+    ``reset``: whether the run can begin anew; ``wants_reset``: whether it ended for that. ``opened(url)`` is called once the
+    server answers; no browser is waited for. Times in s.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        reset: bool = False,
+        opened: Callable[[str], None] = lambda url: None,
+    ) -> None:
+        if find_spec("viser") is None:
+            raise InputError("view: this needs viser: pip install 'wbmpc[viz]'")
+        if not 0 < port < 65536:
+            raise InputError(f"--port: must be 1 to 65535, got {port}")
+        self.title, self.host, self.port, self.reset, self.opened = title, host, port, reset, opened
+        self.wants_reset = False
+        self._process: Any = None
+        self._orders = no_orders()
+        #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused.
+        self.own_time: list[float] = []
+        self.lateness: list[float] = []
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the view."""
+        return f"http://{'localhost' if self.host == '0.0.0.0' else self.host}:{self.port}"
+
+    # ------------------------------------------------------------------ the process
+    def open(self, running: Running) -> None:
+        """Start the server's process for the world of a run; returns when it answers."""
+        scene = Observer(running).scene
+        steering = Steering(running, np.zeros(3))
+        names = tuple(cost.name for cost in steering.costs)
+        base = "state" in running.mpc.reference
+        controls = Controls(self.title, names, steering.has_legs, base, self.reset)
+        self._snapshots, self._answers = Mailbox.shared(fields(scene)), Mailbox.shared(ORDERS)
+        self._board = Board.shared(BOARD)
+        arguments = (scene.plain(), controls, self._snapshots, self._answers, self._board, self.host, self.port)
+        self._process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
+        self._process.start()
+        deadline = time.monotonic() + _START
+        while not self._board["ready"] and self._process.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if not self._board["ready"]:
+            raise InputError(f"view: the server did not start: {self._board.text or 'no answer'}")
+        self.port = int(self._board["port"])
+        self.opened(self.url)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._board["end"] = 1.0
+            self._process.join(3.0)
+            if self._process.is_alive():
+                self._process.kill()
+            self._process = None
+
+    # ------------------------------------------------------------------ the loop
+    def begin(self, running: Running) -> None:
+        """Show this run from now on. Raises :class:`InputError` if it has no MPC: there would be nothing to steer."""
+        if running.mpc is None:
+            raise InputError("view: this run has no MPC; watch its recording: wbmpc replay")
+        self.running, self.wants_reset = running, False
+        if self._process is None:
+            self.open(running)
+        self._observer = Observer(running)
+        velocity = running.plant.description.limits.velocity
+        self._limits = np.array([velocity.get(n, np.inf) for n in self._observer.reader.joint_names])
+        self._steering = Steering(running, self._observer.lift)
+        self._steering.skip(self._orders)
+        self._steps, self._resets, self._ends = (int(self._orders[n]) for n in ("steps", "resets", "ends"))
+        self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
+        self._next = -np.inf
+        self._anchor(0.0)
+
+    def tick(self, t: float, command: Any, plans: Plans) -> None:
+        """Pictures and orders; then wait until it is time."""
+        start = time.perf_counter()
+        self._take_orders()
+        self._steering.apply(t, self._orders, self._drift)
+        if start >= self._next:
+            self._next = start + 1.0 / RATE
+            self._snapshots.write(**self._snapshot(t, plans))
+        self.own_time.append(time.perf_counter() - start)
+        self._wait(t, plans)
+
+    def end(self, ending: Ending) -> None:
+        """Nothing: the last picture stays until :meth:`close`."""
+
+    # ------------------------------------------------------------------ time
+    def _anchor(self, t: float) -> None:
+        self._origin, self._speed = time.perf_counter() - t / float(self._orders["speed"]), float(self._orders["speed"])
+
+    def _wait(self, t: float, plans: Plans) -> None:
+        """Hold the run while it is paused, and until the wall clock is at t."""
+        if self._orders["paused"]:
+            self._pause(t, plans)
+            self._anchor(t)
+        if float(self._orders["speed"]) != self._speed:
+            self._anchor(t)
+        ahead = self._origin + t / self._speed - time.perf_counter()
+        self.lateness.append(-ahead)
+        if ahead > 0.0:
+            time.sleep(ahead)
+        elif ahead < -_LATEST:
+            self._anchor(t)
+
+    def _pause(self, t: float, plans: Plans) -> None:
+        while self._orders["paused"] and int(self._orders["steps"]) == self._steps:
+            if not self._process.is_alive():
+                self._orders["paused"][...] = 0.0  # nobody could ever let go again
+                return
+            if self.running.interrupted():
+                return
+            time.sleep(0.02)
+            self._take_orders()
+            self._steering.apply(t, self._orders, self._drift)
+            self._snapshots.write(**self._snapshot(t, plans))
+        self._steps = int(self._orders["steps"])
+
+    def _take_orders(self) -> None:
+        message = self._answers.read()
+        if message is None:
+            return
+        self._orders = message.values
+        if int(self._orders["ends"]) != self._ends:
+            raise RunAborted("ended in the view")
+        if int(self._orders["resets"]) != self._resets:
+            self.wants_reset = True
+            raise RunAborted("begun anew in the view")
+
+    # ------------------------------------------------------------------ pictures
+    def _snapshot(self, t: float, plans: Plans) -> dict[str, Array]:
+        running, reader, moment = self.running, self._observer.reader, self._observer.see()
+        data, self._drift = running.plant.data, moment.drift
+        goal = self._observer.hand_goal(t)
+        shown_goal = np.full(7, np.nan) if goal is None else lie.pose_compose(self._drift, goal)
+        on_floor = ground(reader.contacts(data))
+        numbers = {
+            "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": running.mpc.solve_time,
+            "deadline": running.mpc.period, "margin": on_floor.pop("margin"),
+            "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0),
+        }  # fmt: skip
+        return {
+            "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,
+            "base_goal": self._base_goal(t), **self._paths(plans), **on_floor,
+        }  # fmt: skip
+
+    def _base_goal(self, t: float) -> Array:
+        reference, part = self.running.mpc.reference, self.running.mpc.ocp.dynamics.state["base"]
+        if "state" not in reference or part.stop - part.start != 3:
+            return np.full(3, np.nan)
+        return planar(lie.pose_compose(self._drift, spatial(reference["state"].at(t)[part])))
+
+    def _paths(self, plans: Plans) -> dict[str, Array]:
+        """The hand's reference, and the predicted ways of hand and base."""
+        reference = self.running.mpc.reference
+        way = reference["hand"].values[:, :3] + self._observer.lift if "hand" in reference else np.zeros((0, 3))
+        base, hand = self._observer.plan(plans)
+        paths = {"reference": (way, REFERENCE), "hand_plan": (hand[:, :3], PLAN), "base_plan": (base[:, :3], PLAN)}
+        return {name: self._in_map(filled(points, (count, 3))) for name, (points, count) in paths.items()}
+
+    def _in_map(self, points: Array) -> Array:
+        """Positions (n, 3) in ``odom`` as the scene shows them."""
+        return points @ lie.quaternion_to_rotation(self._drift[3:]).T + self._drift[:3]

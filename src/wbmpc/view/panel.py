@@ -1,0 +1,177 @@
+"""The controls and plots beside the picture: they fill in orders, and show the numbers of snapshots."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from wbmpc.mpc.buffer import Mailbox
+from wbmpc.view.snapshot import NUMBERS
+from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
+
+Array = np.ndarray
+#: Samples in a plot, and pictures between two of its updates.
+_SAMPLES, _EVERY = 300, 3
+
+
+class Panel:
+    """Widgets of one server; every change writes all orders anew, so that none can be lost."""
+
+    def __init__(self, server: viser.ViserServer, orders: Mailbox, controls: Controls) -> None:
+        self.server, self._orders, self.controls = server, orders, controls
+        self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
+        self._dragged = False
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        self._status = server.gui.add_markdown(f"**{controls.title}**")
+        self._follow = server.gui.add_checkbox("Camera follows the robot", True)
+        self._run()
+        self._robot()
+        self._weights()
+        self._goals()
+        self._plots()
+        self._send()
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera goes with the robot."""
+        return bool(self._follow.value)
+
+    # ------------------------------------------------------------------ orders
+    def _send(self, **values: Any) -> None:
+        with self._lock:
+            for name, value in values.items():
+                self._values[name][...] = value
+            self._orders.write(**self._values)
+
+    def _click(self, count: str, **values: Any) -> None:
+        self._send(**{count: self._values[count] + 1, **values})
+
+    def _button(self, label: str, count: str, values: Callable[[], dict[str, Any]] = dict) -> None:
+        button = self.server.gui.add_button(label)
+        button.on_click(lambda _: self._click(count, **values()))
+
+    # ------------------------------------------------------------------ widgets
+    def _run(self) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Run"):
+            pause = gui.add_checkbox("Pause", False)
+            pause.on_update(lambda _: self._send(paused=float(pause.value)))
+            self._button("Single step", "steps")
+            speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
+            speed.on_update(lambda _: self._send(speed=speed.value))
+            if self.controls.reset:
+                self._button("Reset", "resets")
+            self._button("End the run", "ends")
+
+    def _robot(self) -> None:
+        gui = self.server.gui
+        if self.controls.legs:
+            with gui.add_folder("Legs"):
+                names = tuple(CONFIGURATIONS)
+                group = gui.add_button_group("Configuration", names)
+                group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
+                brakes = gui.add_checkbox("Brakes open", False)
+                brakes.on_update(lambda _: self._click("brake_clicks", brakes_open=float(brakes.value)))
+        with gui.add_folder("Push"):
+            force = gui.add_slider("Force [N]", 0.0, 300.0, 5.0, 60.0)
+            angle = gui.add_slider("Direction [deg]", -180.0, 180.0, 5.0, 0.0)
+            time = gui.add_slider("Time [s]", 0.05, 2.0, 0.05, 0.2)
+            direction = lambda: (
+                force.value * np.array([np.cos(np.radians(angle.value)), np.sin(np.radians(angle.value)), 0])
+            )
+            self._button("Push", "pushes", lambda: {"push": direction(), "push_time": time.value})
+
+    def _weights(self) -> None:
+        with self.server.gui.add_folder("Weights (powers of ten)", expand_by_default=False):
+            for i, name in enumerate(self.controls.weights):
+                slider = self.server.gui.add_slider(name, -2.0, 2.0, 0.1, 0.0)
+                slider.on_update(partial(self._weigh, i))
+
+    def _weigh(self, i: int, event: Any) -> None:
+        weights = self._values["weights"].copy()
+        weights[i] = 10.0**event.target.value
+        self._send(weights=weights)
+
+    def _goals(self) -> None:
+        scene = self.server.scene
+        self._goal = scene.add_transform_controls("/goal", scale=0.3, visible=False)
+        self._goal.on_drag_start(lambda _: self._hold(True))
+        self._goal.on_update(
+            lambda _: self._click("goals", goal=np.concatenate([self._goal.position, self._goal.wxyz]))
+        )
+        self._goal.on_drag_end(lambda _: self._hold(False))
+        if self.controls.base:
+            self._base = scene.add_transform_controls(
+                "/base_goal", scale=0.6, disable_sliders=True, active_axes=(True, True, False), visible=False
+            )
+            self._base.on_drag_start(lambda _: self._hold(True))
+            self._base.on_update(lambda _: self._click("base_goals", base_goal=self._planar()))
+            self._base.on_drag_end(lambda _: self._hold(False))
+
+    def _hold(self, dragged: bool) -> None:
+        self._dragged = dragged
+
+    def _planar(self) -> Array:
+        w, _, _, z = self._base.wxyz
+        return np.array([self._base.position[0], self._base.position[1], 2.0 * np.arctan2(z, w)])
+
+    def _plots(self) -> None:
+        self._rows: deque[Array] = deque(maxlen=_SAMPLES)
+        self._count, empty = 0, np.zeros(1)
+        line = lambda label, colour: uplot.Series(label=label, stroke=colour, width=1.5)
+        figures = {
+            "Hand error [mm]": (("error", "#d1495b", 1e3),),
+            "Solve time and deadline [ms]": (("solve", "#1f5fa8", 1e3), ("deadline", "#b7791f", 1e3)),
+            "Largest joint speed / limit": (("speed", "#2a9d6f", 1.0),),
+        }
+        self._figures = []
+        with self.server.gui.add_folder("Plots"):
+            for title, lines in figures.items():
+                series = (uplot.Series(label="t"), *(line(name, colour) for name, colour, _ in lines))
+                handle = self.server.gui.add_uplot(
+                    (empty, *(empty for _ in lines)),
+                    series,
+                    title=title,
+                    aspect=2.2,
+                    scales={"x": uplot.Scale(time=False)},
+                )
+                self._figures.append((handle, [(NUMBERS.index(name), factor) for name, _, factor in lines]))
+
+    # ------------------------------------------------------------------ snapshots
+    def show(self, s: dict[str, Array]) -> None:
+        """Show the numbers of a snapshot; move the goals that nobody holds."""
+        numbers = s["numbers"]
+        self._rows.append(numbers)
+        self._count += 1
+        if not self._dragged:
+            self._place(self._goal, s["goal"])
+            if self.controls.base and np.isfinite(s["base_goal"]).all():
+                x, y, yaw = s["base_goal"]
+                self._place(self._base, np.array([x, y, 0.02, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]))
+        if self._count % _EVERY:
+            return
+        value = dict(zip(NUMBERS, numbers, strict=True))
+        text = f"**{self.controls.title}**, {value['t']:.1f} s"
+        if np.isfinite(value["error"]):
+            text += f", hand error {1e3 * value['error']:.1f} mm"
+        if value["margin"] != 0.0:
+            text += f", ZMP {1e3 * value['margin']:.0f} mm inside"
+        self._status.content = text
+        rows = np.array(self._rows)
+        for handle, lines in self._figures:
+            handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
+
+    @staticmethod
+    def _place(handle: Any, pose: Array) -> None:
+        finite = bool(np.isfinite(pose).all())
+        handle.visible = finite
+        if finite and not np.allclose(np.concatenate([handle.position, handle.wxyz]), pose, atol=1e-5):
+            handle.position, handle.wxyz = pose[:3], pose[3:]

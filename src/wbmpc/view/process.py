@@ -1,0 +1,50 @@
+"""The process of a live view: a server, a stage and a panel that follow a mailbox."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+from wbmpc.mpc.buffer import Board, Mailbox
+from wbmpc.plant.scene import Scene
+
+#: Pictures per second.
+RATE = 30.0
+#: What the process (``ready``, ``port``) and the run (``end``) tell each other.
+BOARD = ("ready", "port", "end")
+
+
+def serve(
+    scene: dict[str, Any], controls: Any, snapshots: Mailbox, orders: Mailbox, board: Board, host: str, port: int
+) -> None:
+    """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
+    parent = os.getppid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which then says ``end``
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
+    try:
+        stage, panel = _open(Scene.of_plain(scene), controls, orders, host, port)
+    except Exception as error:
+        board.text = f"{type(error).__name__}: {error}"
+        return
+    board["port"], board["ready"] = stage.server.get_port(), 1.0
+    while not board["end"] and os.getppid() == parent:
+        message = snapshots.read()
+        if message is not None:
+            stage.show(message.values)
+            panel.show(message.values)
+            stage.follow(message.values["poses"], panel.follows)
+        time.sleep(1.0 / RATE)
+    stage.server.stop()
+
+
+def _open(scene: Scene, controls: Any, orders: Mailbox, host: str, port: int) -> tuple[Any, Any]:
+    import viser
+
+    from wbmpc.view.panel import Panel
+    from wbmpc.view.stage import Stage
+
+    server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
+    return Stage(server, scene), Panel(server, orders, controls)

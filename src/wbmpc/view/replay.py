@@ -1,0 +1,195 @@
+"""Recordings as snapshots: what a live view would have shown."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.plant.scene import Contact, Scene
+from wbmpc.recording.plots import hand_error, positions
+from wbmpc.recording.reader import Recording
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground
+
+Array = np.ndarray
+#: Pictures per second of a replay, and of a page (which has to hold them all).
+RATE, PAGE_RATE = 30.0, 20.0
+_NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
+
+
+class Film:
+    """A recording by time. ``times`` (n,) [s] of the recorded pictures.
+
+    Raises :class:`InputError` for recordings that hold no pictures.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        if not recording.topics.get("/tf") or "scene.json" not in recording.attachments:
+            raise InputError(f"{recording.path}: holds no frames (/tf) or no scene to draw")
+        self.scene = Scene.of_plain(recording.attachment("scene.json"))
+        self.times = np.array(recording["/tf"].times)
+        self._frames = [self._transforms(m) for _, m in recording["/tf"].messages()]
+        static = recording.topics.get("/tf_static")
+        self._static = self._transforms(static.last()) if static else {}
+        self._plans = {
+            name: self._paths(topic) for name, topic in (("hand_plan", "/plan/hand"), ("base_plan", "/plan"))
+        }
+        self._forces = {n[9:]: recording.table(n) for n in recording.topics if n.startswith("/contact/")}
+        self._goals = recording.table("/hand/reference") if "/hand/reference" in recording.topics else None
+        way = positions(recording, "/hand/reference")
+        self._way = np.zeros((0, 3)) if way is None else way[1]
+        self._series = self._numbers()
+
+    @staticmethod
+    def _transforms(message: Any) -> dict[str, tuple[str, Array]]:
+        """Parent and pose (7) by frame."""
+        frames = message["transforms"]
+        return {f["child_frame_id"]: (f["header"]["frame_id"], own_pose(f["transform"])) for f in frames}
+
+    def _paths(self, topic: str) -> tuple[Array, list[Array]]:
+        found = self.recording.topics.get(topic)
+        if found is None:
+            return np.zeros(0), []
+        return np.array(found.times), [np.array([p["pose"][:3] for p in m["poses"]]) for _, m in found.messages()]
+
+    def _numbers(self) -> dict[str, tuple[Array, Array]]:
+        """Times and values of the plotted numbers."""
+        found = {}
+        error = hand_error(self.recording)
+        if error is not None:
+            found["error"] = error
+        if "/mpc/solve_time" in self.recording.topics:
+            table = self.recording.table("/mpc/solve_time")
+            found["solve"] = (table.times, table.columns["data"])
+        return found
+
+    # ------------------------------------------------------------------ pictures
+    def snapshot(self, t: float) -> dict[str, Array]:
+        """What there was at time t [s]."""
+        k = latest(self.times, t)
+        frames = {**self._static, **self._frames[k]}
+        poses = np.array([self._placed(frames, b.name) for b in self.scene.bodies])
+        drift = frames.get("odom", ("map", _NOWHERE))[1]
+        in_map = lambda p: p @ lie.quaternion_to_rotation(drift[3:]).T + drift[:3]
+        contacts = [
+            Contact(
+                body, np.array([table.columns[f"wrench.force.{a}"][latest(table.times, t)] for a in "xyz"]), place[:3]
+            )
+            for body, table in self._forces.items()
+            if (place := frames.get(f"contact_{body}", ("", None))[1]) is not None
+        ]
+        on_floor = ground(contacts)
+        values = {name: v[latest(times, t)] for name, (times, v) in self._series.items()}
+        period = self.recording.topics.get("/mpc/period")
+        values |= {"t": t, "margin": on_floor.pop("margin"), "deadline": period.last() if period else np.nan}
+        paths = {
+            n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
+        }
+        return {
+            "numbers": np.array([float(values.get(name, np.nan)) for name in NUMBERS]), "poses": poses,
+            "reference": in_map(filled(self._way, (REFERENCE, 3))), "goal": self._goal(t, drift),
+            "base_goal": np.full(3, np.nan), **paths, **on_floor,
+        }  # fmt: skip
+
+    def _placed(self, frames: dict[str, tuple[str, Array]], name: str) -> Array:
+        """A frame in ``map``."""
+        pose, seen = _NOWHERE, 0
+        while name != "map":
+            if name not in frames or seen > len(frames):
+                raise InputError(f"{self.recording.path}: frame '{name}' is not connected to 'map'")
+            name, step = frames[name]
+            pose, seen = lie.pose_compose(step, pose), seen + 1
+        return pose
+
+    def _goal(self, t: float, drift: Array) -> Array:
+        if self._goals is None:
+            return np.full(7, np.nan)
+        k, names = latest(self._goals.times, t), ("position.x", "position.y", "position.z")
+        quaternion = ("orientation.x", "orientation.y", "orientation.z", "orientation.w")
+        pose = np.array([self._goals.columns[f"pose.{n}"][k] for n in (*names, *quaternion)])
+        return lie.pose_compose(drift, own_pose(pose))
+
+
+def own_pose(pose: Array) -> Array:
+    """This library's pose (quaternion w, x, y, z) of one of ROS (x, y, z, w)."""
+    return np.asarray(pose)[[0, 1, 2, 6, 3, 4, 5]]
+
+
+def latest(times: Array, t: float) -> int:
+    """The place of the last sample at or before t; the first if there is none."""
+    return max(int(np.searchsorted(times, t + 1e-9, side="right")) - 1, 0)
+
+
+# ---------------------------------------------------------------------- in the browser
+class Player:
+    """A time bar over a film."""
+
+    def __init__(self, film: Film, host: str, port: int) -> None:
+        import viser
+
+        from wbmpc.view.stage import Stage
+
+        self.film = film
+        self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
+        self.stage = Stage(self.server, film.scene)
+        gui, end = self.server.gui, float(film.times[-1])
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        self._text = gui.add_markdown(f"**{film.recording.title}**")
+        self._playing = gui.add_checkbox("Play", True)
+        self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
+        self._speed = gui.add_slider("Speed", 0.1, 4.0, 0.1, 1.0)
+        self._follow = gui.add_checkbox("Camera follows the robot", True)
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def show(self, t: float) -> None:
+        """One moment."""
+        s = self.film.snapshot(t)
+        self.stage.show(s)
+        self.stage.follow(s["poses"], bool(self._follow.value))
+        numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
+        error = f", hand error {1e3 * numbers['error']:.1f} mm" if np.isfinite(numbers["error"]) else ""
+        self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{error}"
+
+    def run(self) -> None:
+        """Play, again and again, until Ctrl-C."""
+        end, shown = float(self.film.times[-1]), -1.0
+        while True:
+            if self._playing.value:
+                later = float(self._time.value) + float(self._speed.value) / RATE
+                self._time.value = 0.0 if later > end else later
+            if self._time.value != shown:
+                shown = float(self._time.value)
+                self.show(shown)
+            time.sleep(1.0 / RATE)
+
+
+def write_page(film: Film, path: Path, port: int) -> None:
+    """The film as one page with a time bar, which needs no server and no network."""
+    import viser
+
+    from wbmpc.view.stage import Stage
+
+    server = viser.ViserServer(host="127.0.0.1", port=port, label=film.recording.title, verbose=False)
+    try:
+        stage, serializer = Stage(server, film.scene), None
+        for t in np.arange(film.times[0], film.times[-1] + 1e-9, 1.0 / PAGE_RATE):
+            s = film.snapshot(float(t))
+            stage.show(s)
+            if serializer is None:
+                stage.follow(s["poses"])
+                serializer = server.get_scene_serializer()
+            serializer.insert_sleep(1.0 / PAGE_RATE)
+        assert serializer is not None
+        path.write_text(serializer.as_html())
+    finally:
+        server.stop()

@@ -1,0 +1,60 @@
+"""What a view draws at one moment: arrays of fixed shape, so that they fit into a mailbox."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from wbmpc.plant.scene import Contact, Scene
+from wbmpc.view.support import hull, margin, pressure_point
+
+Array = np.ndarray
+#: Points of the reference path and of plans, and contacts, at most.
+REFERENCE, PLAN, CONTACTS = 200, 31, 8
+#: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit.
+NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin")
+
+
+def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Shapes of a snapshot. What there is less of is filled with nan; positions are in ``map`` [m]."""
+    return {
+        "numbers": (len(NUMBERS),),
+        "poses": (len(scene.bodies), 7),
+        "reference": (REFERENCE, 3),
+        "hand_plan": (PLAN, 3),
+        "base_plan": (PLAN, 3),
+        "support": (CONTACTS, 3),
+        "pressure": (3,),
+        "forces": (CONTACTS, 2, 3),
+        "goal": (7,),
+        "base_goal": (3,),
+    }
+
+
+def filled(rows: Any, shape: tuple[int, ...]) -> Array:
+    """``rows`` in an array of ``shape``: thinned out if there are more, nan after the last if there are fewer."""
+    out = np.full(shape, np.nan)
+    rows = np.asarray(rows, float)
+    if len(rows) > shape[0]:
+        rows = rows[np.linspace(0, len(rows) - 1, shape[0]).round().astype(int)]
+    if len(rows):
+        out[: len(rows)] = rows
+    return out
+
+
+def ground(contacts: list[Contact], size: float = 0.002) -> dict[str, Array]:
+    """Of contacts: forces as arrows (``size`` [m/N]), support polygon, point of pressure (the ZMP on a flat floor), and how
+    far it is inside [m]."""
+    arrows = [(c.point, c.point + size * c.force) for c in contacts]
+    carrying = [c for c in contacts if c.force[2] > 1.0]
+    points = np.array([c.point for c in carrying]).reshape(-1, 3)
+    corners = hull(points[:, :2]) if len(points) else np.zeros((0, 2))
+    level = float(points[:, 2].mean()) if len(points) else 0.0
+    found = pressure_point(points, np.array([c.force[2] for c in carrying]))
+    return {
+        "forces": filled(arrows, (CONTACTS, 2, 3)),
+        "support": filled(np.column_stack([corners, np.full(len(corners), level)]), (CONTACTS, 3)),
+        "pressure": found,
+        "margin": np.array(margin(corners, found[:2])),
+    }

@@ -1,0 +1,141 @@
+"""The 3D picture in the browser: a scene and what is drawn over it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import trimesh
+import viser
+
+from wbmpc.plant.scene import Scene, Shape
+
+Array = np.ndarray
+#: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
+REFERENCE, HAND, BASE, SUPPORT, PRESSURE, FORCE = (
+    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (240, 170, 20), (200, 40, 120),
+)  # fmt: skip
+_THICKNESS = 0.008
+#: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
+CAMERA, FOLLOW = np.array([1.9, 2.3, 1.5]), 0.02
+
+
+class Stage:
+    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server."""
+
+    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
+        self.server, self.scene = server, scene
+        server.scene.set_up_direction("+z")
+        server.scene.add_grid("/floor", 40.0, 40.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001))
+        self._bodies = [server.scene.add_frame(f"/bodies/{b.name}", show_axes=False) for b in scene.bodies]
+        for i, shape in enumerate(scene.shapes):
+            self._shape(i, shape)
+        self._followed: Array | None = None
+        self._light()
+        self._lines: dict[str, Any] = {}
+        self._shown: dict[str, Array] = {}
+
+    def _shape(self, i: int, shape: Shape) -> None:
+        if shape.kind == "plane":
+            return  # the grid
+        mesh = _mesh(shape)
+        if mesh is None:
+            return
+        parent = "/world" if shape.body == "world" else f"/bodies/{shape.body}"
+        pose = np.array(shape.pose)
+        self.server.scene.add_mesh_simple(
+            f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.colour[:3]),
+            opacity=None if shape.colour[3] >= 1.0 else shape.colour[3], flat_shading=shape.kind == "box",
+            position=pose[:3], wxyz=pose[3:],
+        )  # fmt: skip
+
+    def _light(self) -> None:
+        scene = self.server.scene
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.6)
+        scene.add_light_directional("/light/sun", intensity=2.2, position=(2.0, -3.0, 5.0))
+
+    def follow(self, poses: Array, on: bool = True) -> None:
+        """Move every camera by as much as the robot has moved along the floor since it was followed last; ``poses`` (n, 7)."""
+        place = poses[self.scene.index, :3]
+        if self._followed is None:
+            self.server.initial_camera.position = tuple(place + camera_offset(poses, self.scene.index))
+            self.server.initial_camera.look_at = tuple(place)
+            self._followed = place.copy()
+        moved = (place - self._followed) * [1.0, 1.0, 0.0]
+        if np.linalg.norm(moved) < FOLLOW:
+            return
+        self._followed = place.copy()
+        self.server.initial_camera.position = tuple(np.array(self.server.initial_camera.position) + moved)
+        self.server.initial_camera.look_at = tuple(np.array(self.server.initial_camera.look_at) + moved)
+        for client in self.server.get_clients().values() if on else ():
+            with client.atomic():
+                position, target = client.camera.position + moved, client.camera.look_at + moved
+                client.camera.position, client.camera.look_at = position, target
+
+    def show(self, s: Mapping[str, Array]) -> None:
+        """Draw a snapshot; only what has changed is sent."""
+        with self.server.atomic():
+            for i, (handle, pose) in enumerate(zip(self._bodies, s["poses"], strict=True)):
+                if self._changed(f"body {i}", pose):
+                    handle.position, handle.wxyz = pose[:3], pose[3:]
+            self._path("reference", s["reference"], REFERENCE)
+            self._path("hand_plan", s["hand_plan"], HAND)
+            self._path("base_plan", s["base_plan"], BASE)
+            corners = s["support"][np.isfinite(s["support"]).all(axis=1)]
+            self._path("support", np.vstack([corners, corners[:1]]), SUPPORT)
+            cross = s["pressure"] + 0.05 * np.array([[-1, 0, 0], [1, 0, 0], [0, 0, 0], [0, -1, 0], [0, 1, 0]])
+            self._path("pressure", cross, PRESSURE)
+            self._arrows(s["forces"])
+
+    def _changed(self, name: str, value: Array) -> bool:
+        old = self._shown.get(name)
+        if old is not None and np.array_equal(old, value, equal_nan=True):
+            return False
+        self._shown[name] = value.copy()
+        return True
+
+    def _path(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+        if not self._changed(name, points):
+            return
+        points = points[np.isfinite(points).all(axis=1)]
+        segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        self._segments(name, segments, colour, self.server.scene.add_line_segments, thickness=_THICKNESS)
+
+    def _arrows(self, forces: Array) -> None:
+        if self._changed("forces", forces):
+            chosen = forces[np.isfinite(forces).all(axis=(1, 2))].astype(np.float32)
+            self._segments("forces", chosen, FORCE, self.server.scene.add_arrows, shaft_radius=0.012, head_radius=0.03)
+
+    def _segments(self, name: str, segments: Array, colour: tuple[int, int, int], add: Any, **style: float) -> None:
+        if name in self._lines:
+            self._lines[name].visible = len(segments) > 0
+            if len(segments):
+                self._lines[name].points = segments
+        elif len(segments):
+            self._lines[name] = add(f"/over/{name}", segments, colour, **style)
+
+
+def camera_offset(poses: Array, robot: int) -> Array:
+    """Where the camera stands at first, from the robot [m]: the farther away, the larger the robot is."""
+    near = poses[np.linalg.norm(poses[:, :2] - poses[robot, :2], axis=1) < 2.0]
+    return CAMERA * float(np.clip(np.ptp(near[:, :3], axis=0).max() / 1.4, 0.4, 1.5))
+
+
+def _mesh(shape: Shape) -> trimesh.Trimesh | None:
+    size = shape.size
+    if shape.kind == "box":
+        return trimesh.creation.box(extents=2.0 * np.array(size))
+    if shape.kind in ("sphere", "ellipsoid"):
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        mesh.apply_scale(np.array(size) if shape.kind == "ellipsoid" else size[0])
+        return mesh
+    if shape.kind == "cylinder":
+        return trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=40)
+    if shape.kind == "capsule":
+        mesh = trimesh.creation.capsule(2.0 * size[1], size[0], count=[24, 24])
+        return mesh
+    if shape.kind == "mesh":
+        return trimesh.Trimesh(np.reshape(shape.vertices, (-1, 3)), np.reshape(shape.faces, (-1, 3)), process=False)
+    return None

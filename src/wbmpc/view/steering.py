@@ -1,0 +1,176 @@
+"""What a user of the view may do to a run: goals, pushes, leg configurations, brakes, weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.loop import Running
+from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
+
+Array = np.ndarray
+#: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I, for legs LF, RF, LB, RB.
+_SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
+CONFIGURATIONS = {
+    "H": 0.0 * _SIGNS,
+    "X": np.pi / 4 * _SIGNS,
+    "A": _SIGNS * np.array([-0.498, -0.498, 0.747, 0.747]),
+}
+#: How many places there are for weights in the orders.
+MOST_WEIGHTS = 16
+#: Legs are where they should be within this [rad]; then their brakes close.
+_THERE = 0.01
+
+#: Shapes of what the panel sends. Names in the plural count how often something was asked for. ``weights``: factors.
+ORDERS: dict[str, tuple[int, ...]] = {
+    "goals": (), "goal": (7,), "base_goals": (), "base_goal": (3,),
+    "pushes": (), "push": (3,), "push_time": (),
+    "configurations": (), "configuration": (), "brake_clicks": (), "brakes_open": (),
+    "weights": (MOST_WEIGHTS,),
+    "paused": (), "steps": (), "speed": (), "resets": (), "ends": (),
+}  # fmt: skip
+
+
+def no_orders() -> dict[str, Array]:
+    """Nothing is asked for; real time."""
+    return {name: np.ones(shape) if name in ("weights", "speed") else np.zeros(shape) for name, shape in ORDERS.items()}
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What there is to control: a title, names of weights, whether legs, a base goal, a reset."""
+
+    title: str
+    weights: tuple[str, ...]
+    legs: bool
+    base: bool
+    reset: bool
+
+
+class Steering:
+    """Applies orders to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it."""
+
+    def __init__(self, running: Running, lift: Array) -> None:
+        self.running, self.mpc, self._lift = running, running.mpc, lift
+        self._done = {name: 0 for name in ORDERS if name.endswith("s") and name != "weights"}
+        self._weights = np.ones(MOST_WEIGHTS)
+        self._push_ends: float | None = None
+        self._legs: Array | None = None
+        self.costs = [t for t in self.mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether there are four passive legs with brakes that the problem knows as modes."""
+        d = self.mpc.ocp.dynamics
+        return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
+
+    def skip(self, orders: dict[str, Array]) -> None:
+        """What was asked for before this run is not for it."""
+        self._done = {name: int(orders[name]) for name in self._done}
+
+    def _asked(self, orders: dict[str, Array], name: str) -> bool:
+        new = int(orders[name]) != self._done[name]
+        self._done[name] = int(orders[name])
+        return new
+
+    def apply(self, t: float, orders: dict[str, Array], drift: Array) -> None:
+        """Do what is new at time t [s]."""
+        if self._asked(orders, "goals"):
+            self._hand_goal(lie.pose_between(drift, orders["goal"]))
+        if self._asked(orders, "base_goals"):
+            self._base_goal(planar(lie.pose_between(drift, spatial(orders["base_goal"]))))
+        if self._asked(orders, "pushes"):
+            self._push_ends = t + float(orders["push_time"])
+            self.running.plant.push(orders["push"])
+        if self._push_ends is not None and t >= self._push_ends:
+            self._push_ends = None
+            self.running.plant.push(np.zeros(3))
+        if self._asked(orders, "configurations") and self.has_legs:
+            self._move_legs(list(CONFIGURATIONS.values())[int(orders["configuration"])])
+        if self._asked(orders, "brake_clicks") and self.has_legs:
+            self._legs = None
+            self._brakes(bool(orders["brakes_open"]))
+        if self._legs is not None and np.abs(self.running.agent.state()[self._leg_part] - self._legs).max() < _THERE:
+            self._legs = None
+            self._brakes(False)
+        if not np.array_equal(orders["weights"], self._weights):
+            self._weigh(orders["weights"])
+
+    # ------------------------------------------------------------------ goals
+    def _hand_goal(self, goal: Array) -> None:
+        """The hand's goal from now on; the base goes to where the hand is beside it as at home."""
+        if "hand" not in self.mpc.reference:
+            return
+        goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
+        self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
+        robot = self.running.agent.robot
+        if "state" in self.mpc.reference:
+            yaw = self._target()[2]
+            beside = robot.pose(robot.home)[0][:2] - robot.home[robot.state["base"]][:2]
+            c, s = np.cos(yaw), np.sin(yaw)
+            self._base_goal(
+                np.array([*(goal[:2] - [c * beside[0] - s * beside[1], s * beside[0] + c * beside[1]]), yaw])
+            )
+
+    def _target(self) -> Array:
+        """The present reference (nx) of the state."""
+        value: Array = self.mpc.reference["state"].values[0].copy()
+        return value
+
+    def _base_goal(self, pose: Array) -> None:
+        """The base's goal (x, y, yaw) from now on, at rest. A ball robot has none: it goes where its hand needs it."""
+        if "state" not in self.mpc.reference:
+            return
+        target, part = self._target(), self.mpc.ocp.dynamics.state["base"]
+        if part.stop - part.start == 3:
+            target[part] = pose
+            self._hold(target)
+
+    def _hold(self, target: Array) -> None:
+        self.mpc.reference["state"] = Reference.constant(target)
+        if "input" in self.mpc.reference:
+            self.mpc.reference["input"] = Reference.constant(np.zeros(self.mpc.ocp.dynamics.input.size))
+
+    # ------------------------------------------------------------------ legs
+    @property
+    def _leg_part(self) -> slice:
+        part: slice = self.mpc.ocp.dynamics.state["leg"]
+        return part
+
+    def _move_legs(self, angles: Array) -> None:
+        target = self._target()
+        target[self._leg_part] = angles
+        self._hold(target)
+        self._legs = angles
+        self._brakes(True)
+
+    def _brakes(self, is_open: bool) -> None:
+        values = np.full(4, float(is_open))
+        name = "legs free" if is_open else "legs braked"
+        self.mpc.set_schedule(ModeSchedule((Mode(name, {"brake": tuple(values)}),)))
+        self.running.agent.brakes = lambda t: values
+
+    # ------------------------------------------------------------------ weights
+    def _weigh(self, factors: Array) -> None:
+        for cost, factor, old in zip(self.costs, factors, self._weights, strict=False):
+            if factor == old:
+                continue
+            weight = cost.expand(cost.weight)
+            end = weight if cost.terminal_weight is None else cost.expand(cost.terminal_weight)
+            for place, value in (("path", weight), ("terminal", end)):
+                if cost.at in (place, "all"):
+                    self.mpc.solver.set_weight(cost.name, list(factor * value), place)  # type: ignore[arg-type]
+        self._weights = factors.copy()
+
+
+def planar(pose: Array) -> Array:
+    """(x, y, yaw) of a pose (7)."""
+    yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(pose[3:]))[0]
+    return np.array([pose[0], pose[1], yaw])
+
+
+def spatial(pose: Array) -> Array:
+    """The pose (7) on the floor of (x, y, yaw)."""
+    return np.array([pose[0], pose[1], 0.0, *lie.quaternion_about((0.0, 0.0, 1.0), float(pose[2]))])

@@ -1,0 +1,85 @@
+"""Robots as URDF. Truth: Pinocchio, which reads the text by code of its own, against MuJoCo's kinematics and masses."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+
+from wbmpc.robots import available_robots, load_description, load_spec
+from wbmpc.robots.description import RobotDescription
+from wbmpc.robots.urdf import to_urdf
+
+
+def compare(description: RobotDescription, seed: int) -> None:
+    spec = load_spec(description)
+    model, rng = spec.compile(), np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    theirs = pinocchio.buildModelFromXML(to_urdf(description))
+    memory, q = theirs.createData(), pinocchio.neutral(theirs)
+    for j in range(model.njnt):
+        if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL:
+            continue
+        angle, joint = rng.uniform(-1.0, 1.0), theirs.joints[theirs.getJointId(model.joint(j).name)]
+        data.qpos[model.jnt_qposadr[j]] = angle
+        # a continuous joint is a point on the circle there
+        q[joint.idx_q : joint.idx_q + joint.nq] = [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]
+    mujoco.mj_kinematics(model, data)
+    pinocchio.framesForwardKinematics(theirs, memory, q)
+    base = model.body(description.base.body).id
+    turn, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
+    frames = [(model.body(i).name, data.xpos[i], data.xmat[i]) for i in range(1, model.nbody)]
+    if any(s.name == description.arm.tool for s in spec.sites):
+        site = model.site(description.arm.tool).id
+        frames.append((description.arm.tool, data.site_xpos[site], data.site_xmat[site]))
+    for name, position, rotation in frames:
+        placed = memory.oMf[theirs.getFrameId(name, pinocchio.FrameType.BODY)]
+        np.testing.assert_allclose(placed.translation, turn.T @ (position - origin), atol=1e-8, err_msg=name)
+        np.testing.assert_allclose(placed.rotation, turn.T @ rotation.reshape(3, 3), atol=1e-8, err_msg=name)
+    mass = pinocchio.computeTotalMass(theirs) + theirs.inertias[0].mass
+    assert mass == pytest.approx(model.body_mass[1:].sum(), rel=1e-8)
+    centre = pinocchio.centerOfMass(theirs, memory, q) * pinocchio.computeTotalMass(theirs)
+    centre = (centre + theirs.inertias[0].mass * theirs.inertias[0].lever) / mass
+    mujoco.mj_comPos(model, data)
+    np.testing.assert_allclose(centre, turn.T @ (data.subtree_com[base] - origin), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", available_robots())
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_and_masses(name: str, seed: int) -> None:
+    compare(load_description(name), seed)
+
+
+ODD = """
+<mujoco model="odd"><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 1">
+  <inertial pos="0 0 0.1" mass="2" diaginertia="1 1 1"/>
+  <body name="two" pos="0.1 0.2 0.3" euler="0.3 -0.4 0.5">
+    <inertial pos="0.05 0 0" quat="0.8 0.6 0 0" mass="1" diaginertia="0.1 0.2 0.25"/>
+    <joint name="slide" type="slide" axis="1 0 0" range="-1 1"/>
+    <joint name="turn" type="hinge" axis="0 0 1" pos="0.02 0.03 0.04" range="-2 2"/>
+    <geom type="capsule" size="0.02 0.1" mass="0"/><geom type="ellipsoid" size="0.1 0.2 0.3" mass="0"/>
+    <body name="hand" pos="0 0 0.2"><inertial pos="0 0 0" mass="0.5" diaginertia="0.1 0.1 0.1"/></body>
+  </body></body></worldbody></mujoco>
+"""
+
+
+def test_joints_beside_their_bodies(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "odd.xml").write_text(ODD)
+    (tmp_path / "odd.yaml").write_text(
+        "name: odd\nmodel: odd.xml\nbase: {type: fixed, body: trunk}\narm: {joints: [slide, turn], tool: hand}\n"
+    )
+    description = load_description(tmp_path / "odd.yaml")
+    for seed in range(3):
+        compare(description, seed)
+    text = to_urdf(description)
+    assert text.count("<sphere") == 2 and text.count("<cylinder") == 1 and 'upper="2"' in text
+
+
+def test_a_robot_that_is_urdf_stays_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    text = to_urdf(load_description("swerve-ur10"))
+    (tmp_path / "own.urdf").write_text(text)
+    (tmp_path / "own.yaml").write_text(
+        "name: own\nmodel: own.urdf\nbase: {type: fixed, body: body}\narm: {joints: [elbow_joint], tool: tool0}\n"
+    )
+    assert to_urdf(load_description(tmp_path / "own.yaml")) == text

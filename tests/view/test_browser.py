@@ -1,0 +1,103 @@
+"""The live view in a real browser. Truth: pixels of the canvas, and the recording of the run that was steered."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser, project
+from test_live import free_port
+
+from wbmpc import lie
+from wbmpc.cli import main
+from wbmpc.recording.plots import positions
+from wbmpc.recording.reader import read
+from wbmpc.view.replay import Film
+from wbmpc.view.stage import camera_offset
+
+pytest.importorskip("viser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+SHORT = [text for key in ("hold=1.5", "settle=0.5", "rest=0", "preview=false") for text in ("--set", key)]
+#: viser's cameras, vertically [rad].
+FIELD = np.radians(75.0)
+
+
+def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    """A command that opens a view, and its address."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    command = [sys.executable, "-m", "wbmpc", *arguments, "--port", str(free_port())]
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if " is at http" in line:
+            return process, line.split()[-1]
+    raise AssertionError("the view did not open")
+
+
+def test_the_view_draws_and_steers(tmp_path: Path) -> None:
+    """The hand's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
+    run = ("run", "rezero-steps", "--set", "settle=120", "--out", str(tmp_path), "--json", "--view")
+    process, url = start(*run)
+    try:
+        with browser() as page:
+            page.open(url, 10.0)
+            assert page.errors == [] and page.outside == []
+            assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
+            film = Film(_partly(tmp_path))
+            eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
+            page.click("Push")
+            assert page.changed(1.5) > 300
+            page.wait(6.0)
+            # the gizmo's red arrow, three quarters of its 0.3 m out: it is pulled further along itself
+            goal, base, box = film.snapshot(0.0)["goal"], np.array([0.0, 0.0, 0.125]), (676.0, 700.0)
+            arrow = lie.quaternion_to_rotation(goal[3:])[:, 0]
+            pixel = lambda along: project(goal[:3] + along * arrow, base + eye, base, box, FIELD)
+            page.drag(tuple(pixel(0.22)), tuple(pixel(0.22 + 0.12)))
+            page.wait(5.0)
+            page.click("End the run")
+            out, _ = process.communicate(timeout=60)
+        assert process.returncode == 1 and "ended in the view" in out
+    finally:
+        process.kill()
+    recording = read(tmp_path)
+    _, goal_path = positions(recording, "/hand/reference")  # type: ignore[misc]
+    _, hand_path = positions(recording, "/hand/pose")  # type: ignore[misc]
+    # pushed: the hand left its place before the goal was touched
+    touched = int(np.argmax(np.linalg.norm(goal_path - goal_path[0], axis=1) > 1e-6))
+    assert touched > 0
+    off = np.linalg.norm(hand_path[:touched] - goal_path[0], axis=1)
+    assert off.max() > 0.03
+    # dragged: the goal went along the arrow, and the hand with it
+    moved = goal_path[-1] - goal_path[0]
+    assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
+    assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
+
+
+def _partly(folder: Path):  # type: ignore[no-untyped-def]
+    """The recording of a run that is still going on."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        if (folder / "run.mcap").exists() and "/hand/pose" in (found := read(folder)).topics:
+            return found
+        time.sleep(0.2)
+    raise AssertionError("nothing was recorded")
+
+
+@pytest.mark.parametrize("what", ["view", "replay"])
+def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
+    """As a terminal sends it: to the view's process too."""
+    if what == "replay":
+        assert main(["run", "rezero-steps", *SHORT, "--out", str(tmp_path), "--json"]) == 0
+    process, _ = start(what, "rezero" if what == "view" else str(tmp_path))
+    time.sleep(1.0)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 0 and "Traceback" not in err

@@ -1,0 +1,236 @@
+"""The live view beside a run. Truth: the run without it; a browser's stand-in that never reads; a view that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wbmpc.cli import main
+from wbmpc.errors import InputError
+from wbmpc.loop import Ending, Running, Watch, run_lockstep
+from wbmpc.model import load_robot
+from wbmpc.mpc import Plans
+from wbmpc.mpc.buffer import Mailbox
+from wbmpc.view.session import _swerve, run_session
+from wbmpc.view.steering import ORDERS, no_orders
+
+pytest.importorskip("viser")
+live = pytest.importorskip("wbmpc.view.live")
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def panel_of(view: Any) -> Mailbox:
+    """The panel's end of the orders, as a writer that goes on where the panel has stopped."""
+    writer = Mailbox(ORDERS, view._answers.memory, view._answers.checked)
+    writer._written = int(writer._latest[0])
+    return writer
+
+
+class Hand:
+    """Takes the panel's part: writes orders into the mailbox at times of the run."""
+
+    def __init__(self, view: Any, plan: list[tuple[float, dict[str, Any]]]) -> None:
+        self.view, self.plan, self.seen = view, plan, []  # type: ignore[var-annotated]
+
+    def begin(self, running: Running) -> None:
+        self.writer = panel_of(self.view)
+        self.orders = no_orders()
+
+    def tick(self, t: float, command: Any, plans: Plans) -> None:
+        self.seen.append((t, time.perf_counter()))
+        while self.plan and t >= self.plan[0][0]:
+            self.give(self.plan.pop(0)[1])
+
+    def give(self, orders: dict[str, Any]) -> None:
+        for name, value in orders.items():
+            self.orders[name][...] = value
+        self.writer.write(**self.orders)
+
+    def end(self, ending: Ending) -> None: ...
+
+
+def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending, Running]:
+    plant, agent, mpc, timing = _swerve(load_robot("swerve-ur10"), seed)
+    kept: list[Running] = []
+
+    class Keep:
+        def begin(self, running: Running) -> None:
+            kept.append(running)
+
+        def tick(self, t: float, command: Any, plans: Plans) -> None: ...
+        def end(self, ending: Ending) -> None: ...
+
+    watchers = (Keep(), *([view] if view else []), *others)
+    return run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, watchers)), kept[0]
+
+
+def test_a_run_with_a_view_is_in_real_time_and_the_same() -> None:
+    view = live.View("test", port=free_port())
+    try:
+        start = time.perf_counter()
+        view.open(run(None, 0.01)[1])
+        opened = time.perf_counter()
+        ending, watched = run(view, 1.5)
+        assert ending.reason == "" and time.perf_counter() - opened == pytest.approx(1.5, abs=1.0)
+        assert opened - start < 60.0
+    finally:
+        view.close()
+    _, alone = run(None, 1.5)
+    np.testing.assert_array_equal(watched.plant.data.qpos, alone.plant.data.qpos)
+
+
+def test_browsers_that_hang_change_nothing() -> None:
+    """Two clients connect, ask for everything and never read: the time that watching takes at a tick stays as it was."""
+    view = live.View("test", port=free_port())
+    sockets: list[socket.socket] = []
+
+    class Connect:
+        def begin(self, running: Running) -> None: ...
+
+        def tick(self, t: float, command: Any, plans: Plans) -> None:
+            if t >= 1.5 and not sockets:
+                self.before = len(view.own_time)
+                for _ in range(2):
+                    sockets.append(hanging_client(view.port))
+
+        def end(self, ending: Ending) -> None: ...
+
+    connect = Connect()
+    try:
+        ending, _ = run(view, 3.5, connect)
+        assert ending.reason == ""
+        before, after = view.own_time[100 : connect.before], view.own_time[connect.before :]
+        assert np.median(after) < 1.5 * np.median(before) + 20e-6
+        assert np.percentile(after, 90) < 2.0 * np.percentile(before, 90) + 1e-3
+    finally:
+        view.close()
+        for s in sockets:
+            s.close()
+
+
+def hanging_client(port: int) -> socket.socket:
+    s = socket.create_connection(("127.0.0.1", port))
+    s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    lines = (
+        "GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
+    )  # fmt: skip
+    s.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+    return s
+
+
+def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
+    view = live.View("test", port=free_port())
+
+    try:
+        hand = Hand(view, [(0.3, {"paused": 1.0})])
+        view.open(run(None, 0.01)[1])
+        killer = threading.Timer(3.0, os.kill, (view._process.pid, signal.SIGKILL))
+        killer.start()
+        start = time.perf_counter()
+        ending, _ = run(view, 1.0, hand)
+        assert ending.reason == "" and 2.5 < time.perf_counter() - start < 8.0
+    finally:
+        view.close()
+
+
+def test_pause_step_speed_and_end() -> None:
+    view = live.View("test", port=free_port())
+    try:
+        hand = Hand(view, [(0.2, {"speed": 0.5}), (0.6, {"paused": 1.0})])
+
+        def later() -> None:
+            time.sleep(1.5)
+            for k in (1, 2, 3):
+                hand.give({"steps": k})
+                time.sleep(0.2)
+            hand.give({"paused": 0.0, "speed": 1.0})
+            time.sleep(0.3)
+            hand.give({"ends": 1})
+
+        view.open(run(None, 0.01)[1])
+        thread = threading.Timer(0.0, later)
+        hand_begin = hand.begin
+        hand.begin = lambda running: (hand_begin(running), thread.start())  # type: ignore[method-assign,assignment]
+        ending, _ = run(view, 60.0, hand)
+        assert ending.reason.endswith("ended in the view")
+        seen = np.array(hand.seen)
+        wall = lambda a, b: np.interp(b, seen[:, 0], seen[:, 1]) - np.interp(a, seen[:, 0], seen[:, 1])
+        assert wall(0.25, 0.55) == pytest.approx(0.6, abs=0.15)  # half the speed
+        waits = np.diff(seen[:, 1])
+        held = np.flatnonzero(waits > 0.12)
+        assert 3 <= len(held) <= 4 and np.all(np.diff(held) == 1)  # the pause, and three single steps
+    finally:
+        view.close()
+
+
+def test_a_session_begins_anew_on_reset() -> None:
+    view = live.View("test", port=free_port(), reset=True)
+    begun: list[float] = []
+    original = view.begin
+
+    def begin(running: Running) -> None:
+        original(running)
+        begun.append(time.perf_counter())
+        writer, orders = panel_of(view), no_orders()
+        orders["resets" if len(begun) == 1 else "ends"][...] = len(begun)
+        orders["resets"][...] = 1
+        threading.Timer(0.5, lambda: writer.write(**orders)).start()
+
+    view.begin = begin  # type: ignore[method-assign]
+    try:
+        ending = run_session("rezero", 1, view)
+        assert ending.reason.endswith("ended in the view") and len(begun) == 2
+    finally:
+        view.close()
+
+
+def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="--port: must be 1 to 65535, got 70000"):
+        live.View("test", port=70000)
+    assert main(["view", "swerv-ur10"]) == 2
+    assert "did you mean 'swerve-ur10'" in capsys.readouterr().err
+    monkeypatch.setattr(live, "find_spec", lambda name: None)
+    assert main(["run", "swerve-track", "--view"]) == 2
+    assert capsys.readouterr().err == "wbmpc: view: this needs viser: pip install 'wbmpc[viz]'\n"
+
+
+def test_a_view_that_cannot_open_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["run", "rezero-steps", "--view", "--host", "no.such.host.invalid", "--out", str(out)]) == 2
+    err = capsys.readouterr().err
+    assert "view: the server did not start" in err and "Traceback" not in err and not out.exists()
+
+
+def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    from wbmpc.cli.views import open_view
+
+    open_view("x", "127.0.0.1", 8080)
+    assert capsys.readouterr().err == ""
+    open_view("x", "0.0.0.0", 8080)
+    assert "without authentication" in capsys.readouterr().err
+
+
+def test_the_server_listens_on_this_machine_alone() -> None:
+    view = live.View("test", port=free_port())
+    try:
+        view.open(run(None, 0.01)[1])
+        with open("/proc/net/tcp") as table:
+            rows = [line.split() for line in table.readlines()[1:]]
+        listening = {r[1].split(":")[0] for r in rows if r[3] == "0A" and int(r[1].split(":")[1], 16) == view.port}
+        assert listening == {"0100007F"}
+    finally:
+        view.close()

@@ -1,0 +1,234 @@
+"""Replays and clips of recordings. Truth: MuJoCo's poses and contacts during the run; files read by imageio; a browser."""
+
+from __future__ import annotations
+
+import base64
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import browser
+from test_live import free_port
+
+from wbmpc import lie, reproduce
+from wbmpc.cli import main
+from wbmpc.errors import InputError, WbmpcError
+from wbmpc.loop import Ending, Running, Watch, run_lockstep
+from wbmpc.model import load_robot
+from wbmpc.mpc import Plans
+from wbmpc.recording.reader import read
+from wbmpc.recording.recorder import Recorder
+from wbmpc.recording.writer import McapFile
+from wbmpc.view import render
+from wbmpc.view.replay import Film
+from wbmpc.view.session import _swerve
+
+
+class Truth:
+    """Notes where the bodies are, straight from the simulator."""
+
+    def __init__(self) -> None:
+        self.poses: dict[float, np.ndarray] = {}
+
+    def begin(self, running: Running) -> None:
+        self.plant, self.agent = running.plant, running.agent
+        # the controller believes that it is elsewhere: what is shown must not
+        running.agent.odometry.pose = running.agent.odometry.pose + [0.3, -0.1, 0.2]
+
+    def tick(self, t: float, command: Any, plans: Plans) -> None:
+        self.plant.truth()
+        d = self.plant.data
+        self.poses[round(t, 6)] = np.hstack([d.xpos[1:], d.xquat[1:]])
+
+    def end(self, ending: Ending) -> None: ...
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    folder, truth = tmp_path_factory.mktemp("run"), Truth()
+    recorder = Recorder(folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1}})
+    plant, agent, mpc, timing = _swerve(load_robot("swerve-ur10"), 1)
+    watch = Watch(None, (truth, recorder))
+    ending = run_lockstep(plant, agent, mpc, timing, 1.0, lambda *_: None, watch)
+    assert ending.reason == ""
+    recorder.close({"completed": "true"})
+    return SimpleNamespace(folder=folder, truth=truth, film=Film(read(folder)), goal=mpc.reference["hand"].at(0.0))
+
+
+def test_bodies_are_where_they_were(run: SimpleNamespace) -> None:
+    for t in (0.0, 0.5, 0.98):
+        shown, true = run.film.snapshot(t)["poses"], run.truth.poses[round(t, 6)]
+        np.testing.assert_allclose(shown[:, :3], true[:, :3], atol=1e-9)
+        same = np.abs(np.sum(shown[:, 3:] * true[:, 3:], axis=1))
+        np.testing.assert_allclose(same, 1.0, atol=1e-12)
+    assert np.linalg.norm(run.film.snapshot(0.98)["poses"] - run.film.snapshot(0.0)["poses"]) > 1e-3
+    np.testing.assert_array_equal(run.film.snapshot(0.511)["poses"], run.film.snapshot(0.5)["poses"])
+
+
+def test_goals_and_plans_are_shown_in_the_world(run: SimpleNamespace) -> None:
+    """The goal of the controller's frame lies beside the true hand by as much as the controller is wrong."""
+    s = run.film.snapshot(0.0)
+    wrong = np.array([0.3, -0.1, 0.2])
+    drift = np.array([*lie.se2_compose([0, 0, 0], [0, 0, -wrong[2]])[:2], 0.0])
+    turn = lie.quaternion_to_rotation(lie.quaternion_about((0, 0, 1), -wrong[2]))
+    expected = turn @ (run.goal[:3] - [0.3, -0.1, 0.0]) + drift
+    np.testing.assert_allclose(s["goal"][:3], expected, atol=2e-3)
+    assert np.isfinite(s["hand_plan"]).all() and np.isfinite(s["base_plan"]).all()
+    assert np.linalg.norm(s["base_plan"][0, :2]) < 0.05  # it starts at the true base
+
+
+def test_numbers_and_forces(run: SimpleNamespace) -> None:
+    s = run.film.snapshot(0.5)
+    forces = s["forces"][np.isfinite(s["forces"]).all(axis=(1, 2))]
+    weight = np.sum(forces[:, 1, 2] - forces[:, 0, 2]) / 0.002
+    assert len(forces) == 4 and weight == pytest.approx(run.truth.plant.weight, rel=0.05)
+    assert s["numbers"][0] == 0.5 and 0.0 < s["numbers"][2] < 1.0 and s["numbers"][3] == 0.02
+
+
+def test_recordings_without_pictures_are_refused(tmp_path: Path) -> None:
+    file = McapFile(tmp_path / "run.mcap")
+    file.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
+    file.close()
+    with pytest.raises(InputError, match=r"holds no frames \(/tf\) or no scene"):
+        Film(read(tmp_path))
+
+
+# ---------------------------------------------------------------------- pages
+@pytest.fixture(scope="module")
+def page(run: SimpleNamespace) -> Path:
+    pytest.importorskip("viser")
+    path = run.folder / "replay.html"
+    assert main(["replay", str(run.folder), "--html", str(path), "--port", str(free_port())]) == 0
+    return path
+
+
+def test_the_page_holds_the_whole_film(page: Path) -> None:
+    msgpack = pytest.importorskip("msgspec").msgpack
+    zstandard = pytest.importorskip("zstandard")
+    data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]*)"', page.read_text())[0])
+    plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
+    content = msgpack.decode(plain[8 : 8 + int.from_bytes(plain[:8], "little")])
+    assert content["durationSeconds"] == pytest.approx(1.0, abs=0.06)
+    moved = [t for t, m in content["messages"] if m["type"] == "SetPositionMessage" and m["name"] == "/bodies/body"]
+    assert len(moved) >= 15 and moved == sorted(moved)
+
+
+def test_the_page_draws_without_a_network(page: Path) -> None:
+    with browser() as tab:
+        tab.page.context.set_offline(True)
+        tab.open(page.as_uri(), 8.0)
+        assert tab.errors == [] and tab.outside == []
+        assert len(np.unique(tab.picture().reshape(-1, 3), axis=0)) > 50
+
+
+def test_replay_needs_viser(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["replay", str(run.folder)]) == 2
+    assert capsys.readouterr().err == "wbmpc: replay: this needs viser: pip install 'wbmpc[viz]'\n"
+
+
+def test_the_player_shows_moments(run: SimpleNamespace) -> None:
+    pytest.importorskip("viser")
+    from wbmpc.view.replay import Player
+
+    player = Player(run.film, "127.0.0.1", free_port())
+    try:
+        for t in (0.0, 0.98):
+            player.show(t)
+            shown = [h.position for h in player.stage._bodies]
+            np.testing.assert_allclose(shown, run.truth.poses[t][:, :3], atol=1e-6)
+        assert "0.98 s" in player._text.content
+    finally:
+        player.server.stop()
+
+
+# ---------------------------------------------------------------------- clips
+def graphics(run: SimpleNamespace) -> None:
+    try:
+        next(render._pictures(run.film, np.array([0.0]), (64, 48)))
+    except WbmpcError as error:
+        pytest.skip(str(error))
+
+
+# imageio's readers leave their pipes to the garbage collector
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_clips(run: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    imageio = pytest.importorskip("imageio.v3")
+    graphics(run)
+    size = ["--width", "160", "--height", "90"]
+    files = [tmp_path / f"a.{kind}" for kind in ("png", "gif", "mp4")]
+    options = [f"--{f.suffix[1:]}" for f in files]
+    named = [text for pair in zip(options, map(str, files), strict=True) for text in pair]
+    assert main(["render", str(run.folder), *named, "--start", "0.5", *size]) == 0
+    assert "a.png: 1 picture\n" in capsys.readouterr().out
+    still = imageio.imread(files[0])
+    assert still.shape[:2] == (90, 160) and len(np.unique(still.reshape(-1, still.shape[2]), axis=0)) > 50
+    assert len(imageio.imread(files[1], index=None)) == 6 + 1  # 0.48 s at 12.5 Hz; both ends
+    film = imageio.imread(files[2])
+    assert len(film) == 15 and film.shape[1:3] == (90, 160)
+    assert np.abs(film[0].astype(int) - still[..., :3].astype(int)).mean() < 6.0  # the same moment, compressed
+
+
+def test_a_clip_shows_motion(run: SimpleNamespace) -> None:
+    graphics(run)
+    pictures = [p.astype(int) for p in render._pictures(run.film, np.array([0.0, 0.0, 0.98]), (160, 90))]
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert np.abs(pictures[2] - pictures[0]).max() > 20
+
+
+BAD = {
+    (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE",
+    ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",
+    ("--png", "a.png", "--start", "9"): "there is nothing to draw",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD)
+def test_bad_input(run: SimpleNamespace, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["render", str(run.folder), *arguments]) == 2
+    err = capsys.readouterr().err
+    assert BAD[arguments] in err and err.count("\n") == 1
+
+
+def test_without_graphics_there_is_one_sentence_that_names_packages(
+    run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def nothing(*_: object) -> None:
+        raise WbmpcError("no picture: OpenGL does not start")
+
+    pytest.importorskip("imageio")
+    monkeypatch.setattr(render, "Renderer", nothing)
+    assert main(["render", str(run.folder), "--png", str(tmp_path / "a.png")]) == 2
+    err = capsys.readouterr().err
+    assert "neither EGL nor OSMesa starts" in err and "libegl1" in err and "libosmesa6" in err and err.count("\n") == 1
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_recordings_are_read_without_viser() -> None:
+    """`wbmpc log` and `wbmpc render` work without the extra ``viz``."""
+    code = "import sys; sys.modules['viser'] = None; import wbmpc.view.replay, wbmpc.view.render, wbmpc.view.live"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_site_has_its_clip(run: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn once, from the first run that is finished; without graphics the page says why there is none."""
+    pytest.importorskip("imageio_ffmpeg")
+    (job,) = reproduce.plan(["toy"], [1], tmp_path)
+    job.directory.mkdir(parents=True)
+    (job.directory / "run.mcap").write_bytes((run.folder / "run.mcap").read_bytes())
+    job.mark.touch()
+    with monkeypatch.context() as broken:
+        broken.setattr(render, "Renderer", lambda *_: (_ for _ in ()).throw(WbmpcError("none")))
+        assert "There is no clip: render: neither EGL nor OSMesa" in reproduce._clip([job], "toy", tmp_path, True)
+    graphics(run)
+    monkeypatch.setattr(reproduce, "CLIP_SIZE", (64, 48))
+    assert 'src="clip.mp4"' in reproduce._clip([job], "toy", tmp_path, True)
+    drawn = (tmp_path / "toy" / "clip.mp4").stat()
+    assert drawn.st_size > 500
+    reproduce._clip([job], "toy", tmp_path, True)
+    assert (tmp_path / "toy" / "clip.mp4").stat().st_mtime_ns == drawn.st_mtime_ns

@@ -1,0 +1,151 @@
+"""Orders of a user, applied to robots in physics. Truth: where MuJoCo says hand, legs and base are afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wbmpc import lie
+from wbmpc.loop import Ending, Running, Watch, run_lockstep
+from wbmpc.model import load_robot
+from wbmpc.mpc import Plans
+from wbmpc.view.session import _ball, _swerve
+from wbmpc.view.steering import CONFIGURATIONS, Steering, no_orders
+
+NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
+
+
+class Orders:
+    """A watcher that gives orders at times: ``(t, {name: value})``."""
+
+    def __init__(self, plan: list[tuple[float, dict[str, Any]]], look: Callable[[float, Running], None]) -> None:
+        self.plan, self.look, self.orders = plan, look, no_orders()
+
+    def begin(self, running: Running) -> None:
+        self.running = running
+        lift = getattr(running.plant.description.base, "ball_radius", 0.0)
+        self.steering = Steering(running, np.array([0.0, 0.0, lift]))
+
+    def tick(self, t: float, command: Any, plans: Plans) -> None:
+        while self.plan and t >= self.plan[0][0]:
+            for name, value in self.plan.pop(0)[1].items():
+                self.orders[name][...] = value
+        self.steering.apply(t, self.orders, NOWHERE)
+        self.look(t, self.running)
+
+    def end(self, ending: Ending) -> None:
+        assert ending.reason == ""
+
+
+def drive(make: Any, name: str, seconds: float, plan: list[tuple[float, dict[str, Any]]], look: Any = None) -> Running:
+    robot = load_robot(name)
+    plant, agent, mpc, timing = make(robot, 1)
+    watcher = Orders(plan, look or (lambda t, running: None))
+    ending = run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, (watcher,)))
+    assert ending.reason == ""
+    return watcher.running
+
+
+def test_the_hand_goes_where_its_goal_is_dragged() -> None:
+    robot = load_robot("swerve-ur10")
+    position, orientation = robot.pose(robot.home)
+    goal = position + [1.2, -0.4, 0.15]  # far beyond the arm's reach: the base must come along
+    running = drive(_swerve, "swerve-ur10", 7.0, [(0.5, {"goals": 1, "goal": [*goal, *orientation]})])
+    truth = running.plant.truth()
+    assert np.linalg.norm(truth.tool - goal) < 0.06  # the odometry drifts on the way
+    assert np.linalg.norm(truth.pose[:2] - [1.2, -0.4]) < 0.3
+
+
+def test_a_goal_is_given_in_the_world() -> None:
+    """With a drift the goal that the MPC gets is the one that the user sees, in the estimate's frame."""
+    running = drive(_swerve, "swerve-ur10", 0.01, [])
+    drift = np.array([0.5, -0.2, 0.0, *lie.quaternion_about((0, 0, 1), 0.3)])
+    steering, orders = Steering(running, np.zeros(3)), no_orders()
+    seen = np.array([1.0, 0.5, 0.8, *lie.quaternion_about((0, 1, 0), 0.2)])
+    orders["goals"][...], orders["goal"][...] = 1, seen
+    steering.apply(0.0, orders, drift)
+    given = running.mpc.reference["hand"].at(0.0)
+    np.testing.assert_allclose(lie.pose_compose(drift, given), seen, atol=1e-12)
+
+
+def test_the_base_goes_to_its_goal() -> None:
+    robot = load_robot("swerve-ur10")
+    running = drive(_swerve, "swerve-ur10", 6.0, [(0.2, {"base_goals": 1, "base_goal": [0.25, -0.1, 0.3]})])
+    truth = running.plant.truth()
+    assert np.linalg.norm(truth.tool - robot.pose(robot.home)[0]) < 0.05  # the hand stays
+    assert truth.pose[2] > 0.1 and truth.pose[0] > 0.05
+
+
+@pytest.mark.parametrize("name", ["H", "A"])
+def test_legs_move_and_are_braked_again(name: str) -> None:
+    modes: list[str] = []
+
+    def look(t: float, running: Running) -> None:
+        schedule = running.mpc.solver.schedule
+        modes.append(schedule.modes[schedule.index(t)].name)
+
+    order = {"configurations": 1, "configuration": list(CONFIGURATIONS).index(name)}
+    running = drive(_swerve, "swerve-ur10", 9.0, [(0.5, order)], look)
+    legs = [running.plant.truth().joints[f"leg_{leg}"] for leg in ("LF", "RF", "LB", "RB")]
+    np.testing.assert_allclose(legs, CONFIGURATIONS[name], atol=0.02)
+    assert list(dict.fromkeys(modes)) == ["default", "legs free", "legs braked"]
+    np.testing.assert_array_equal(running.agent.brakes(0.0), 0.0)
+
+
+def test_brakes_open_at_once() -> None:
+    running = drive(_swerve, "swerve-ur10", 0.5, [(0.1, {"brake_clicks": 1, "brakes_open": 1})])
+    np.testing.assert_array_equal(running.agent.brakes(0.0), 1.0)
+
+
+def test_a_push_ends_by_itself() -> None:
+    forces: dict[float, float] = {}
+
+    def look(t: float, running: Running) -> None:
+        forces[t] = float(running.plant.data.xfrc_applied[running.plant.world.body, 1])
+
+    drive(_ball, "rezero", 2.0, [(0.5, {"pushes": 1, "push": [0, 15.0, 0], "push_time": 0.2})], look)
+    pushed = [t for t, f in forces.items() if f > 0.0]
+    assert max(forces.values()) == 15.0
+    assert pushed[0] == pytest.approx(0.5, abs=0.01) and pushed[-1] == pytest.approx(0.7, abs=0.01)
+
+
+def test_the_ball_robot_follows_its_goal() -> None:
+    robot = load_robot("rezero")
+    position, orientation = robot.pose(robot.home)
+    seen = position + [0.3, 0.2, robot.description.base.ball_radius]  # in the world the floor is at 0
+    running = drive(_ball, "rezero", 5.0, [(0.5, {"goals": 1, "goal": [*seen, *orientation]})])
+    assert np.linalg.norm(running.plant.truth().tool - position - [0.3, 0.2, 0]) < 0.03
+
+
+def test_weights_act_without_compiling() -> None:
+    """A hand that costs a hundredth gives way to the base's goal; back at its weight it is held again."""
+    base = {"base_goals": 1, "base_goal": [2.5, 0.0, 0.0]}
+    robot = load_robot("swerve-ur10")
+    home = robot.pose(robot.home)[0]
+    firm = drive(_swerve, "swerve-ur10", 5.0, [(0.2, base)])
+    steering = Steering(firm, np.zeros(3))
+    factors = np.ones(16)
+    factors[[c.name for c in steering.costs].index("hand")] = 1e-2
+    soft = drive(_swerve, "swerve-ur10", 5.0, [(0.1, {"weights": factors}), (0.2, base)])
+    assert firm.mpc.solver.kernel is not None
+    far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
+    assert far[1] > 2.0 * far[0] + 0.02
+    again = soft.mpc.solver.ws.w.copy()
+    steering = Steering(soft, np.zeros(3))
+    steering._weights = factors
+    steering.apply(0.0, no_orders(), NOWHERE)
+    assert not np.array_equal(soft.mpc.solver.ws.w, again)
+    np.testing.assert_array_equal(soft.mpc.solver.ws.w, firm.mpc.solver.ws.w)
+
+
+def test_orders_before_a_run_are_not_for_it() -> None:
+    running = drive(_ball, "rezero", 0.01, [])
+    steering, orders = Steering(running, np.zeros(3)), no_orders()
+    orders["pushes"][...], orders["push"][...], orders["push_time"][...] = 3, [9, 0, 0], 1.0
+    steering.skip(orders)
+    steering.apply(0.0, orders, NOWHERE)
+    assert not running.plant.data.xfrc_applied.any()
+    assert not steering.has_legs
