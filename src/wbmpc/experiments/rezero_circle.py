@@ -36,7 +36,7 @@ class RezeroCircleSettings(RezeroSettings):
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
-    """Ball positions (n, 2) [m]: it starts and ends at rest, a second each of constant angular acceleration, in between at
+    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular acceleration, in between at
     constant speed."""
     rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
     end = settings.settle + total / rate + 1.0
@@ -44,7 +44,7 @@ def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
     last = end - settings.settle
     angle = np.where(t < 1.0, 0.5 * rate * t**2, rate * (t - 0.5))
     angle = np.where(t > last - 1.0, total - 0.5 * rate * (last - t) ** 2, angle)
-    return settings.radius * np.stack([np.cos(angle) - 1.0, np.sin(angle)], axis=1)
+    return settings.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
 
 
 def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = None) -> RunResult:
