@@ -7,8 +7,18 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, ball_felt, common_plots, hand_felt, rms, run_task
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import (
+    RezeroSettings,
+    Task,
+    accurate,
+    ball_felt,
+    common_plots,
+    hand_felt,
+    rms,
+    run_task,
+)
+from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -25,9 +35,8 @@ IDEALISATIONS = ["the hand's orientation is free but for a small weight: three j
 class RezeroCircleSettings(RezeroSettings):
     """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
 
-    cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=100.0, yaw=20.0)
-    )
+    mpc: MpcSettings = accurate(ball=100.0)[0]
+    cost: RezeroCost = accurate(ball=100.0)[1]
     radius: float = Field(0.15, gt=0, le=1.0)
     lap: float = Field(6.0, ge=1.0, le=60.0)
     rounds: int = Field(3, ge=1, le=50)
