@@ -126,8 +126,8 @@ def test_switched_terms_count_in_their_modes_only() -> None:
 
 
 def test_spin_of_the_ball_is_the_vertical_part_of_the_wheels_torque() -> None:
-    """By statics: each wheel's friction force acts at its contact, horizontally along the circle; with radius r sin z of the contact
-    and force τ / r_w its torque about the vertical is (r / r_w) sin z τ, and all three add up."""
+    """By statics: each wheel's friction acts at its contact, horizontally along a circle of radius r sin z; with the
+    force τ / r_w its torque about the vertical is (r / r_w) sin z τ, and all three add up."""
     ball = robot("rezero")
     u = ca.SX.sym("u", ball.input.size)
     empty = ca.SX(0, 1)

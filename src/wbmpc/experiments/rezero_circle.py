@@ -45,8 +45,8 @@ class RezeroCircleSettings(RezeroSettings):
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
-    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular acceleration, in between at
-    constant speed."""
+    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular
+    acceleration, in between at constant speed."""
     rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
     end = settings.settle + total / rate + 1.0
     t = np.clip(times, settings.settle, end) - settings.settle
