@@ -34,8 +34,8 @@ class RezeroPushBallSettings(RezeroPushSettings):
     """The ball is held and, of the hand, only its orientation (the paper's first task)."""
 
     cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=0.0, orientation=40.0, limit=0.015),
-        body=BodyCost(ball=20.0, ball_speed=5.0, tilt_rate=5.0),
+        hand=HandCost(weight=0.0, orientation=10.0, limit=0.015),
+        body=BodyCost(ball=10.0, ball_speed=5.0, tilt_rate=5.0),
         torque=TorqueCost(wheel=0.3),
     )
 
