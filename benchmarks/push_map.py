@@ -6,12 +6,13 @@ Usage: python benchmarks/push_map.py [--mode hand] [--directions 16] [--lengths 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
 from pathlib import Path
 
 import numpy as np
 
-from wbmpc.experiments.push_map import MODES, points, push_map
+from wbmpc.experiments.push_map import MODES, measure, points, push_map
 
 
 def main() -> None:
@@ -23,10 +24,15 @@ def main() -> None:
     parser.add_argument("--file", type=Path, default=Path("push_map.json"))
     given = parser.parse_args()
     todo, started, stands = points(given.mode, given.directions, tuple(given.lengths), given.seed), time.time(), []
-    for k, (key, (low, high)) in enumerate(push_map(todo, given.file), start=1):
-        stands.append(low)
-        falls = "never falls" if high is None else f"falls at {high:.1f} N s"
-        print(f"{k} of {len(todo)}, {time.time() - started:.0f} s: {key}: stands at {low:.1f} N s, {falls}", flush=True)
+    with multiprocessing.get_context("spawn").Pool() as pool:  # all cores
+        results = push_map(todo, given.file, lambda left: pool.imap_unordered(measure, left))
+        for k, (key, (low, high)) in enumerate(results, start=1):
+            stands.append(low)
+            falls = "never falls" if high is None else f"falls at {high:.1f} N s"
+            print(
+                f"{k} of {len(todo)}, {time.time() - started:.0f} s: {key}: stands at {low:.1f} N s, {falls}",
+                flush=True,
+            )
     print(f"impulse after which it stands: median {np.median(stands):.1f}, least {min(stands):.1f} N s")
 
 

@@ -43,13 +43,13 @@ def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
     s = RezeroCircleSettings(radius=0.2, lap=4.0, rounds=2, settle=1.0)
     t = np.arange(0.0, 14.0, 0.001)
     path = rezero_circle.ball_path(s, t)
-    centred = path + [0.2, 0.0]
+    centred = path - [0.0, 0.2]
     np.testing.assert_allclose(np.hypot(*centred.T), 0.2, atol=1e-12)
     speed = np.linalg.norm(np.gradient(path, t, axis=0), axis=1)
     assert speed[t < 0.99].max() < 1e-9 and speed[t > 10.1].max() < 1e-9
     np.testing.assert_allclose(speed[(t > 2.1) & (t < 8.9)], 0.2 * 2.0 * np.pi / 4.0, rtol=1e-3)
     turned = np.unwrap(np.arctan2(centred[:, 1], centred[:, 0]))
-    assert turned[-1] == pytest.approx(4.0 * np.pi, abs=1e-9)
+    assert turned[-1] - turned[0] == pytest.approx(4.0 * np.pi, abs=1e-9)
     assert np.abs(np.gradient(speed, t)).max() < 1.1 * 0.2 * 2.0 * np.pi / 4.0
 
 
@@ -71,7 +71,7 @@ def test_hand_stays_while_the_ball_drives_round() -> None:
     felt = np.linalg.norm(log.array("hand_estimated")[use] - hand, axis=1)
     assert m["hand_error_rms"] == pytest.approx(np.sqrt(np.mean(felt**2)))
     assert 1e-4 < m["hand_error_rms"] < 0.01
-    assert np.ptp(log.array("state")[:, 1]) == pytest.approx(0.3, rel=0.3)
+    assert np.ptp(log.array("state")[:, 1]) == pytest.approx(0.3, rel=0.15)
     assert m["ball_error_rms"] < 0.06
 
 

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, swerve_solver
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, sets
+from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, robot, swerve_solver
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, residuals, sets
 
 MAKERS = {
     "swerve": lambda: swerve_solver(backend="interpreted"),
@@ -123,3 +123,15 @@ def test_switched_terms_count_in_their_modes_only() -> None:
     np.testing.assert_allclose(cost, [4.0, 4.0 + 25.0 - np.log(2.0), 4.0], rtol=1e-12)
     rows = [float(problem.values["equality"](2.0, 5.0, row, w)) for row in tables]
     assert rows == [2.0, 0.0, 0.0]
+
+
+def test_spin_of_the_ball_is_the_vertical_part_of_the_wheels_torque() -> None:
+    """By statics: each wheel's friction acts at its contact, horizontally along a circle of radius r sin z; with the
+    force τ / r_w its torque about the vertical is (r / r_w) sin z τ, and all three add up."""
+    ball = robot("rezero")
+    u = ca.SX.sym("u", ball.input.size)
+    empty = ca.SX(0, 1)
+    symbols = residuals.Symbols(ca.SX(ball.state.size, 1), u, empty, empty, empty, empty, u)
+    spin = ca.Function("spin", [u], [residuals.BallSpin(ball)(symbols)])
+    torque = np.array([1.0, 2.5, -0.5, 7.0, 8.0, 9.0])
+    assert float(spin(torque)) == pytest.approx(0.125 / 0.064 * np.sin(np.pi / 4) * 3.0)

@@ -6,9 +6,7 @@ One bisection for each direction and length; results are written after each, so 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,24 +59,24 @@ def simulated(point: Point, impulse: float) -> bool:
     return bool(result["stands"])
 
 
-def _measure(point: Point) -> tuple[str, tuple[float, float]]:
+def measure(point: Point) -> tuple[str, tuple[float, float]]:
+    """The push's key and its impulses [N s], simulated."""
     return point.key, impulse_at_failure(point, simulated)
 
 
-def push_map(todo: list[Point], file: Path, workers: int | None = None) -> Iterator[tuple[str, list[float | None]]]:
+def push_map(
+    todo: list[Point], file: Path, work: Callable[[list[Point]], Iterable[tuple[str, tuple[float, float]]]]
+) -> Iterator[tuple[str, list[float | None]]]:
     """Impulses [N s] of (stands, falls) by push, as they come (falls: None if it never does); what ``file`` has is kept.
 
-    ``workers`` processes (all cores when left out).
+    ``work`` does :func:`measure` for many pushes, in any order, e.g. in several processes.
     """
     done: dict[str, list[float | None]] = json.loads(file.read_text()) if file.exists() else {}
     left = [p for p in todo if p.key not in done]
     yield from ((p.key, done[p.key]) for p in todo if p.key in done)
-    if not left:
-        return
-    with multiprocessing.get_context("spawn").Pool(workers or os.cpu_count() or 1) as pool:
-        for key, (stands, falls) in pool.imap_unordered(_measure, left):
-            done[key] = [stands, falls if np.isfinite(falls) else None]
-            part = file.with_suffix(".part")
-            part.write_text(json.dumps(done, indent=1) + "\n")
-            part.replace(file)  # a file that is half written never stands there
-            yield key, done[key]
+    for key, (stands, falls) in work(left):
+        done[key] = [stands, falls if np.isfinite(falls) else None]
+        part = file.with_suffix(".part")
+        part.write_text(json.dumps(done, indent=1) + "\n")
+        part.replace(file)  # a file that is half written never stands there
+        yield key, done[key]

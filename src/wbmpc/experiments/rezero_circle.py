@@ -7,8 +7,18 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, ball_felt, common_plots, hand_felt, rms, run_task
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import (
+    RezeroSettings,
+    Task,
+    accurate,
+    ball_felt,
+    common_plots,
+    hand_felt,
+    rms,
+    run_task,
+)
+from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -25,9 +35,8 @@ IDEALISATIONS = ["the hand's orientation is free but for a small weight: three j
 class RezeroCircleSettings(RezeroSettings):
     """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
 
-    cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=100.0, yaw=20.0)
-    )
+    mpc: MpcSettings = accurate(ball=100.0)[0]
+    cost: RezeroCost = accurate(ball=100.0)[1]
     radius: float = Field(0.15, gt=0, le=1.0)
     lap: float = Field(6.0, ge=1.0, le=60.0)
     rounds: int = Field(3, ge=1, le=50)
@@ -36,15 +45,15 @@ class RezeroCircleSettings(RezeroSettings):
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
-    """Ball positions (n, 2) [m]: it starts and ends at rest, a second each of constant angular acceleration, in between at
-    constant speed."""
+    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular
+    acceleration, in between at constant speed."""
     rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
     end = settings.settle + total / rate + 1.0
     t = np.clip(times, settings.settle, end) - settings.settle
     last = end - settings.settle
     angle = np.where(t < 1.0, 0.5 * rate * t**2, rate * (t - 0.5))
     angle = np.where(t > last - 1.0, total - 0.5 * rate * (last - t) ** 2, angle)
-    return settings.radius * np.stack([np.cos(angle) - 1.0, np.sin(angle)], axis=1)
+    return settings.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
 
 
 def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = None) -> RunResult:

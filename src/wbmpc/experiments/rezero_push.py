@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost
 from wbmpc.experiments.rezero_task import Push, RezeroSettings, Task, ball_felt, common_plots, hand_felt, run_task
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
@@ -33,7 +33,11 @@ class RezeroPushSettings(RezeroSettings):
 class RezeroPushBallSettings(RezeroPushSettings):
     """The ball is held and, of the hand, only its orientation (the paper's first task)."""
 
-    cost: RezeroCost = RezeroCost(hand=HandCost(weight=0.0, orientation=10.0), body=BodyCost(ball=60.0, ball_speed=5.0))
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=0.0, orientation=10.0, limit=0.015),
+        body=BodyCost(ball=10.0, ball_speed=5.0, tilt_rate=5.0),
+        torque=TorqueCost(wheel=0.3),
+    )
 
 
 class RezeroPushHandSettings(RezeroPushSettings):

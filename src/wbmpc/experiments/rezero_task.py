@@ -12,7 +12,7 @@ from pydantic import Field
 from wbmpc import lie
 from wbmpc.control import RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
@@ -31,13 +31,34 @@ IDEALISATIONS = [
 ]
 
 
+#: One set of weights for fast steps of the hand and for pushes of 200 N: an error beyond 15 mm or 15 mrad pulls no harder, so
+#: that a hand that was pushed away does not ask for more than 4 N m at the wheels; a stronger barrier keeps torque in reserve.
+STEPS_AND_PUSHES = RezeroCost(
+    hand=HandCost(weight=450.0, orientation=80.0, limit=0.015, twist=0.3, angular=0.05),
+    body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
+    torque=TorqueCost(wheel=0.2),
+)
+
+
+def mpc_settings(barrier_mu: float) -> MpcSettings:
+    """80 Hz, a horizon of 1.3 s in 65 intervals."""
+    return MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu)
+
+
+def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
+    """MPC and weights for a hand that is led accurately while the ball has a place of its own (weight ``ball``); stiff, for
+    references that move slowly."""
+    hand = HandCost(weight=1000.0, orientation=2.0, roll=0.0)
+    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0))
+
+
 class RezeroSettings(ExperimentSettings):
     """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand."""
 
-    mpc: MpcSettings = MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=3e-2)
-    cost: RezeroCost = RezeroCost()
+    mpc: MpcSettings = mpc_settings(barrier_mu=0.1)
+    cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     estimator: Literal["filter", "truth"] = "filter"

@@ -7,8 +7,18 @@ import itertools
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, ball_felt, common_plots, hand_felt, rms, run_task
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import (
+    RezeroSettings,
+    Task,
+    accurate,
+    ball_felt,
+    common_plots,
+    hand_felt,
+    rms,
+    run_task,
+)
+from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -30,9 +40,8 @@ IDEALISATIONS = ["the load is unknown to the controller; the rivals of the paper
 class RezeroWholebodySettings(RezeroSettings):
     """``move`` [s] from corner to corner, ``hold`` [s] there, ``settle`` [s] at home before."""
 
-    cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0)
-    )
+    mpc: MpcSettings = accurate(ball=150.0)[0]
+    cost: RezeroCost = accurate(ball=150.0)[1]
     payload: float = Field(1.0, ge=0, le=5.0)
     move: float = Field(1.5, gt=0, le=60.0)
     hold: float = Field(3.5, ge=STEADY, le=60.0)
