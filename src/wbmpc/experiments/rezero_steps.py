@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, run_task
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, mpc_settings, run_task
+from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing
 from wbmpc.model import RobotModel, load_robot
@@ -56,9 +58,12 @@ STEADY, MOVING = 1.0, 0.5
 class RezeroStepsSettings(RezeroSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
-    ``preview``: whether the MPC sees a step before it comes.
+    ``preview``: whether the MPC sees a step before it comes. Weights are sharper than :data:`STEPS_AND_PUSHES`, with which
+    the steps take up to 1.2 s.
     """
 
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
+    cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle: float = Field(5.0, ge=0.5, le=600.0)
     rest: float = Field(10.0, ge=0.0, le=600.0)
