@@ -28,7 +28,7 @@ ONLY_IN = {
     "viser": {"view"},
     "llvmlite": {"kernel"},
     "threading": {"mpc", "kernel", "loop", "view"},
-    "multiprocessing": {"mpc", "benchmark", "view"},
+    "multiprocessing": {"mpc", "benchmark", "view", "experiments"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")

