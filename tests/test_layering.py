@@ -16,7 +16,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "ocp", "kernel", "solver", "zoo", "mpc", "estimation",
-    "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "cli", "__main__",
+    "plant", "control", "loop", "log", "result", "experiments", "report", "benchmark", "ros2", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
@@ -24,7 +24,10 @@ ONLY_IN = {
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "llvmlite": {"kernel"},
-    "threading": {"mpc", "kernel", "loop"},
+    "threading": {"mpc", "kernel", "loop", "ros2"},
+    "cyclonedds": {"ros2"},
+    "rosbags": {"ros2"},
+    "rclpy": {"ros2"},
     "multiprocessing": {"mpc", "benchmark"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
@@ -91,8 +94,8 @@ def test_the_check_sees_a_wrong_import() -> None:
 
 def test_the_architecture_page_lists_the_rooms_in_this_order() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
-    rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z_]+(\.py|/)`", cells)]
-    listed = [name for row in rows for name in re.findall(r"`([a-z_]+)(?:\.py|/)`", row)]
+    rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z0-9_]+(\.py|/)`", cells)]
+    listed = [name for row in rows for name in re.findall(r"`([a-z0-9_]+)(?:\.py|/)`", row)]
     assert listed == [name for name in ROOMS if name != "__main__"]
 
 
