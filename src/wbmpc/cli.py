@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -11,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,7 +21,9 @@ from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiments import Experiment
+    from wbmpc.model import RobotModel
     from wbmpc.result import MpcStatistics, RunResult
+    from wbmpc.ros2.settings import RosSettings
 
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -253,6 +256,90 @@ def bench(
     with _progress("bench", not as_json) as progress:
         figures = run_benchmark(repeat, progress)
     typer.echo(json.dumps(figures)) if as_json else print_table(figures)
+
+
+ros2 = typer.Typer(help="ROS 2: the controller, a simulated robot, a check of a robot's bus.", no_args_is_help=True)
+app.add_typer(ros2, name="ros2")
+Robot = Annotated[str, typer.Argument(help="Name of the robot (see 'wbmpc list') or its YAML file.")]
+Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics, frames, joints, rates.")]
+BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
+
+
+def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple[Any, RobotModel, RosSettings]:
+    """A node for a command that runs until it is interrupted or told to end."""
+    import logging
+
+    from wbmpc.model import load_robot
+    from wbmpc.ros2.bus import open_node
+    from wbmpc.ros2.settings import load_settings
+
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", force=True)
+    model = load_robot(robot)
+    settings = load_settings(config, model)
+    return open_node(f"{settings.node}{suffix}", backend), model, settings
+
+
+@contextmanager
+def _until_told() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C or the signal to end has come; a second one acts at once."""
+    told: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if told:
+            raise KeyboardInterrupt
+        told.append(number)
+
+    before = {n: signal.signal(n, note) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(told)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@ros2.command("control")
+def ros2_control(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    use_sim_time: Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")] = False,
+) -> None:
+    """Run the controller as a node; it waits for joint states and a goal."""
+    node, model, settings = _on_bus(robot, config, backend, "")
+    from wbmpc.ros2.control import ControlNode
+
+    # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
+    sys.setswitchinterval(5e-4)
+    if use_sim_time:
+        settings = settings.model_copy(update={"use_sim_time": True})
+    try:
+        with _until_told() as ended:
+            ControlNode(node, model, settings).spin(ended)
+    finally:
+        node.close()
+
+
+@ros2.command("sim")
+def ros2_sim(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the plant and of all noise.")] = 200,
+    factor: Annotated[float, typer.Option(min=0.01, help="How much faster than real time.")] = 1.0,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Wait for the commands to every state.")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Simulated time after which it ends.")] = 1e9,
+) -> None:
+    """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
+    node, model, settings = _on_bus(robot, config, backend, "_sim")
+    from wbmpc.ros2.sim import SimNode
+
+    try:
+        with _until_told() as ended:
+            sim = SimNode(node, model, settings, seed, lockstep=lockstep, factor=factor)
+            typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
+            typer.echo(f"{sim.spin(ended, seconds)}; too slow {sim.behind} times", err=True)
+    finally:
+        node.close()
 
 
 def _complain(error: Exception, debug: bool) -> None:

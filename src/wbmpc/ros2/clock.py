@@ -1,0 +1,55 @@
+"""The runner's time from a bus: what ``/clock`` says, for simulators that are slower or faster than the wall's clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+#: Differences of times [s] below this are none.
+_ROUNDING = 1e-7
+
+
+class BusClock:
+    """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
+    message [s], None before the first."""
+
+    def __init__(self) -> None:
+        self.origin, self.heard = 0.0, None  # type: float, float | None
+        self._time = 0.0
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def set(self, time_of_bus: float) -> None:
+        """The bus's time [s] is now this. Time that goes back is taken for a simulator that was started anew."""
+        with self._changed:
+            if self.heard is None or time_of_bus != self._time:
+                self.heard = time.monotonic()
+            self._time = time_of_bus
+            self._changed.notify_all()
+
+    def stamp(self) -> float:
+        """The bus's time [s]."""
+        return self._time
+
+    def restart(self) -> None:
+        """Now is 0."""
+        self.origin = self._time
+
+    def now(self) -> float:
+        """Time [s]."""
+        return self._time - self.origin
+
+    def wait(self, until: float) -> None:
+        """Return when it is ``until`` [s], or the clock was closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self.now() >= until - _ROUNDING)
+
+    def close(self) -> None:
+        """Nobody waits any more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def computing(self) -> float:
+        """0: solves take their time."""
+        return 0.0
