@@ -17,7 +17,7 @@ class BusClock:
         self.origin, self.heard = 0.0, None  # type: float, float | None
         self._time = 0.0
         self._changed = threading.Condition()
-        self._closed = False
+        self._released = 0
 
     def set(self, time_of_bus: float) -> None:
         """The bus's time [s] is now this. Time that goes back is taken for a simulator that was started anew."""
@@ -40,14 +40,15 @@ class BusClock:
         return self._time - self.origin
 
     def wait(self, until: float) -> None:
-        """Return when it is ``until`` [s], or the clock was closed."""
+        """Return when it is ``until`` [s], or at :meth:`release`."""
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or self.now() >= until - _ROUNDING)
+            before = self._released
+            self._changed.wait_for(lambda: self._released != before or self.now() >= until - _ROUNDING)
 
-    def close(self) -> None:
-        """Nobody waits any more."""
+    def release(self) -> None:
+        """Whoever waits now waits no more: time may never come that far."""
         with self._changed:
-            self._closed = True
+            self._released += 1
             self._changed.notify_all()
 
     def computing(self) -> float:

@@ -70,18 +70,36 @@ class BusAgent(SwerveAgent):
     """A swerve robot's agent whose odometry another localisation may correct."""
 
     source: PoseSource | None = None
+    #: the newest measurement with the pose that belongs to it, for other threads
+    seen: tuple[SwerveMeasurement, np.ndarray] | None = None
     _used = -np.inf
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and a new pose if there is one."""
         super().measure(measurement)
         source = self.source
-        if source is None:
-            return
-        age = time.monotonic() - source.at
-        if age > POSE_AGE:
-            raise SafeStop(f"the pose on {source.settings.topics.pose} is {age:.2f} s old, the limit is {POSE_AGE:g} s")
+        if source is not None:
+            age = source.now() - source.at
+            if age > POSE_AGE:
+                topic = source.settings.topics.pose
+                raise SafeStop(f"the pose on {topic} is {age:.2f} s old, the limit is {POSE_AGE:g} s")
+            self.correct()
+        self.seen = measurement, self.odometry.pose
+
+    def stand(self, m: SwerveMeasurement) -> None:
+        """Follow the wheels at times that have nothing to do with the controller's period."""
+        self.measured = m
+        self.wheels_alone.update(m.leg, m.steer, m.wheel)
+        self.odometry.update(m.leg, m.steer, m.wheel)
         self.correct()
+        self.seen = m, self.odometry.pose
+
+    def snapshot(self) -> tuple[float, np.ndarray]:
+        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread."""
+        assert self.seen is not None
+        m, pose = self.seen
+        parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
+        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def correct(self) -> None:
         """The newest pose of the other localisation is the odometry's, yaw not wrapped."""
@@ -107,12 +125,13 @@ class ControlNode:
         self.references = References(robot)
         self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.references)
         self.period = 1.0 / settings.rates.control
+        steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
+        self.source = PoseSource(node, settings, steady)
         self.agent = self._new_agent(np.zeros(3), 0.0)
         robot.pose(robot.home)  # builds the function: not in a tick
         self.planner = Planner(robot, settings.speeds)
         self.body = BusRobot(node, robot, settings, self.clock)
-        self.inbox = Inbox(node, self.planner, settings, self._origin)
-        self.source = PoseSource(node, settings)
+        self.inbox = Inbox(node, self.planner, settings, self._origin, steady)
         self.runner: Runner | None = None
         self._rival, self._said = "", ""
         self._task: Task | None = None
@@ -158,10 +177,13 @@ class ControlNode:
             self.body.rest()
 
     def _end_runner(self) -> None:
+        runner = self.runner
+        if runner is None:
+            return
+        runner.orders["end"] = 1.0
         if isinstance(self.clock, BusClock):
-            self.clock.close()
-        if self.runner is not None:
-            self.runner.shutdown()
+            self.clock.release()
+        runner.shutdown()
 
     # ------------------------------------------------------------------ state
     @property
@@ -183,13 +205,17 @@ class ControlNode:
         if isinstance(self.clock, BusClock) and self.clock.heard is None:
             return "waiting: no time on /clock yet"
         why = self._rival or self.body.waits_for()
-        if not why and self.settings.topics.pose and time.monotonic() - self.source.at > POSE_AGE:
+        if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
         return self.clock.stamp() if isinstance(self.clock, BusClock) else time.time()
+
+    def stamp_of(self, t: float) -> float:
+        """Stamp [s] of a time of the runner's clock."""
+        return self.now() - (self.clock.now() - t)
 
     def _origin(self) -> float:
         """The bus's time [s] at which the plan's is 0."""
@@ -199,6 +225,7 @@ class ControlNode:
     def _new_agent(self, pose: np.ndarray, bias: float) -> BusAgent:
         agent = BusAgent(self.robot, pose, self.period, lag=self.settings.drive_lag)
         agent.gyro_bias = bias
+        agent.source = self.source if self.settings.topics.pose else None
         return agent
 
     def _stand(self) -> None:
@@ -210,10 +237,7 @@ class ControlNode:
         except (SafeStop, InputError):
             return
         before, agent = self.agent.measured, self.agent
-        agent.measured = m
-        agent.wheels_alone.update(m.leg, m.steer, m.wheel)
-        agent.odometry.update(m.leg, m.steer, m.wheel)
-        agent.correct()
+        agent.stand(m)
         still = before is not None and np.abs(m.wheel - before.wheel).max() < _STANDING
         if still and self.body.has_imu and self._rested < _REST_SAMPLES:
             self._rested += 1
@@ -225,10 +249,10 @@ class ControlNode:
         if request is None:
             return
         why = "" if self.running else self.waits_for()
-        if why or self.agent.measured is None:
+        if why or self.agent.seen is None:
             self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
             return
-        x, t = self.agent.state(), self.clock.now() if self.running else 0.0
+        x, t = self.agent.snapshot()[1], self.clock.now() if self.running else 0.0
         try:
             task = request(x, t)
             references = task.references(self.robot, x)
@@ -241,12 +265,11 @@ class ControlNode:
             self._start(x)
 
     def _start(self, x: np.ndarray) -> None:
-        if self.runner is not None:
-            self.runner.shutdown()
+        self._end_runner()
         settings, old = self.settings, self.agent
         self.agent = self._new_agent(old.odometry.pose, old.gyro_bias)
+        self.agent.seen = old.seen
         self.agent.gyro_share = settings.gyro_share if self.body.has_imu and self._rested > 25 else 0.0
-        self.agent.source = self.source if settings.topics.pose else None
         self.mpc.reset(x)
         times = RealTime(
             settings.rates.control, max_policy_age=0.5, max_observation_age=settings.safety.watchdog, records=_RECORDS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -22,6 +21,7 @@ _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
 #: (state (nx), time of the plan [s]) -> what is to be done from then on.
 Request = Callable[[Array, float], Task]
+Time = Callable[[], float]
 #: More points than this are a mistake.
 _MOST_POINTS = 100_000
 _TWISTS: dict[str, Callable[[Any], Any]] = {
@@ -33,11 +33,12 @@ _TWISTS: dict[str, Callable[[Any], Any]] = {
 class Inbox:
     """Listens to goals; the newest one counts. ``refused``: why the last bad one was not taken.
 
-    ``origin()``: the bus's time [s] that is 0 for the plan. ``running``: the task in force, set by who takes them up.
+    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
+    force, set by who takes them up.
     """
 
-    def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Callable[[], float]) -> None:
-        self.node, self.planner, self.settings, self.origin = node, planner, settings, origin
+    def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
+        self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
         self.refused = ""
         self.running: Task | None = None
         self._requests: deque[Request] = deque(maxlen=1)
@@ -57,8 +58,7 @@ class Inbox:
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:
         """The newest request, once."""
-        now = time.monotonic()
-        if self._moving and now - self._twist_at > self.settings.safety.cmd_vel:
+        if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
             self._slow_down()
         return self._requests.popleft() if self._requests else None
 
@@ -135,7 +135,7 @@ class Inbox:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         limits = self.planner.robot.limits.input_upper[self.planner.robot.input["base"]]
         wanted = np.clip(np.array([linear[0], linear[1], angular[2]]), -limits, limits)
-        self._twist_at = time.monotonic()
+        self._twist_at = self.now()
         if np.any(wanted):
             self._put(lambda x, t: self.planner.drive(x, t, wanted))
             self._twist, self._moving = wanted, True
@@ -178,10 +178,10 @@ class Inbox:
 
 
 class PoseSource:
-    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame)."""
+    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame); ``at`` [s] of ``now()``."""
 
-    def __init__(self, node: Node, settings: RosSettings) -> None:
-        self.node, self.settings = node, settings
+    def __init__(self, node: Node, settings: RosSettings, now: Time) -> None:
+        self.node, self.settings, self.now = node, settings, now
         self.pose: Array | None = None
         self.at = -np.inf
         self._listening = False
@@ -204,4 +204,4 @@ class PoseSource:
         except NotFinite as error:
             _LOG.error("%s", error)
             return
-        self.pose, self.at = pose, time.monotonic()
+        self.pose, self.at = pose, self.now()

@@ -90,8 +90,12 @@ class BusRobot:
         return ""
 
     def age(self) -> float:
-        """Since the last joint states came [s of the wall]; infinite before the first."""
-        return np.inf if self._joints is None else time.perf_counter() - self._joints[1]
+        """Of the last joint states [s]; infinite before the first."""
+        if self._joints is None:
+            return np.inf
+        if isinstance(self.clock, BusClock):
+            return self.clock.stamp() - self._joints[0].stamp
+        return time.perf_counter() - self._joints[1]
 
     def arm(self) -> None:
         """From now on faults stop the robot."""

@@ -60,7 +60,7 @@ class SimNode:
         self._controllers = settings.command_topics(robot)
         self._count = dict.fromkeys(self._controllers, 0)
         self._heard = dict.fromkeys(self._controllers, -np.inf)
-        self._silent = True
+        self._silent, self._lost = True, False
         self._open()
 
     def _drives(self) -> dict[str, list[str]]:
@@ -97,7 +97,7 @@ class SimNode:
             for (group, i), value in zip(places, values, strict=True):
                 self._groups[group][i] = value
             self._count[name] += 1
-            self._heard[name] = self.plant.time
+            self._heard[name], self._lost = self.plant.time, False
             self._changed.notify_all()
 
     # ------------------------------------------------------------------ time
@@ -113,7 +113,7 @@ class SimNode:
                 return f"{seconds:g} s are over"
             before = dict(self._count)
             self.publish()
-            if self.lockstep and not self._silent:
+            if self.lockstep and not (self._silent or self._lost):
                 self._await(before)
             else:
                 due = self._pace(due)
@@ -137,7 +137,10 @@ class SimNode:
         return due
 
     def _await(self, before: dict[str, int]) -> None:
-        """Commands to what was just published; asked again now and then, for a sensor's message may be lost."""
+        """Commands to what was just published; asked again now and then, for a sensor's message may be lost.
+
+        Who does not answer at all is not waited for again until it does.
+        """
         end = time.monotonic() + PATIENCE
         answered = lambda: all(self._count[n] > before[n] for n in before)
         while not answered() and time.monotonic() < end:
@@ -145,6 +148,7 @@ class SimNode:
                 there = self._changed.wait_for(answered, AGAIN)
             if not there:
                 self.publish()
+        self._lost = not answered()
 
     # ------------------------------------------------------------------ messages
     def _command(self) -> SwerveCommand:

@@ -54,9 +54,10 @@ class Teller:
 
     def _odometry(self) -> None:
         c = self.controller
-        if c.agent.measured is None:
+        if c.agent.seen is None:
             return
-        x, now, frames = c.agent.state(), c.now(), c.settings.frames
+        (t, x), frames = c.agent.snapshot(), c.settings.frames
+        now = c.stamp_of(t)
         base = x[c.robot.state["base"]]
         position, turned = upright(base, c.robot.base.height)
         covariance = np.diag([_POSE[0] ** 2, _POSE[1] ** 2, *[_UNKNOWN] * 3, _POSE[2] ** 2]).ravel()
@@ -82,12 +83,12 @@ class Teller:
         if policy is None:
             return
         now, world = c.now(), c.settings.frames.world
-        times = now + policy.times - c.clock.now()
+        times = [c.stamp_of(float(t)) for t in policy.times]
         base = [upright(p, c.robot.base.height) for p in policy.x[:, c.robot.state["base"]]]
         hand = [c.robot.pose(x) for x in policy.x]
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
-            self._send(key, path(now, world, positions, turned, list(times)))
+            self._send(key, path(now, world, positions, turned, times))
 
     def _diagnostics(self) -> None:
         c = self.controller
