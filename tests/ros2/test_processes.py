@@ -45,6 +45,7 @@ def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
     bus.wait_for(lambda: recorder.rows["base"], 10.0)
     go(2.0)
     bus.control.kill()
+    bus.control.wait()
     bus.wait_for(lambda: "the robot stops" in bus.output(), 20.0)
     stopped_at = len(recorder.rows["base"])
     bus.wait_for(lambda: len(recorder.rows["base"]) > stopped_at + 60, 20.0)
@@ -65,4 +66,4 @@ def test_what_ends_ends_well(bus: Bus) -> None:
     """The signal to end: exit code 0, nothing but log lines was written."""
     bus.control.terminate()
     assert bus.control.wait(20.0) == 0
-    assert "Traceback" not in bus.output() and "Exception" not in bus.output()
+    assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()

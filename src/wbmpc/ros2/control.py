@@ -157,8 +157,7 @@ class ControlNode:
         self._watch()
         if not self.running:
             self._stand()
-        if self.inbox.waiting or self.running:
-            self._take_up()
+        self._take_up()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
@@ -245,24 +244,23 @@ class ControlNode:
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
-        request = self.inbox.take()
-        if request is None:
-            return
-        why = "" if self.running else self.waits_for()
-        if why or self.agent.seen is None:
-            self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
-            return
-        x, t = self.agent.snapshot()[1], self.clock.now() if self.running else 0.0
-        try:
-            task = request(x, t)
-            references = task.references(self.robot, x)
-        except InputError as error:
-            self.inbox.refuse(f"a goal is refused: {error}")
-            return
-        self.inbox.running, self._task = task, task
-        self.references.set(references)
-        if not self.running:
-            self._start(x)
+        """All goals that wait, in the order in which they came."""
+        while (request := self.inbox.take()) is not None:
+            why = "" if self.running else self.waits_for()
+            if why or self.agent.seen is None:
+                self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
+                continue
+            x, t = self.agent.snapshot()[1], self.clock.now() if self.running else 0.0
+            try:
+                task = request(x, t)
+                references = task.references(self.robot, x)
+            except InputError as error:
+                self.inbox.refuse(f"a goal is refused: {error}")
+                continue
+            self.inbox.running, self._task = task, task
+            self.references.set(references)
+            if not self.running:
+                self._start(x)
 
     def _start(self, x: np.ndarray) -> None:
         self._end_runner()

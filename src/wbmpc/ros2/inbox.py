@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -31,7 +31,7 @@ _TWISTS: dict[str, Callable[[Any], Any]] = {
 
 
 class Inbox:
-    """Listens to goals; the newest one counts. ``refused``: why the last bad one was not taken.
+    """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was not taken.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
     force, set by who takes them up.
@@ -41,7 +41,8 @@ class Inbox:
         self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
         self.refused = ""
         self.running: Task | None = None
-        self._requests: deque[Request] = deque(maxlen=1)
+        self._requests: dict[str, Request] = {}
+        self._lock = threading.Lock()
         self._twist, self._twist_at = np.zeros(3), -np.inf
         self._moving = False
         self._twist_kind = ""
@@ -60,12 +61,8 @@ class Inbox:
         """The newest request, once."""
         if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
             self._slow_down()
-        return self._requests.popleft() if self._requests else None
-
-    @property
-    def waiting(self) -> bool:
-        """Whether there is a request."""
-        return bool(self._requests)
+        with self._lock:
+            return self._requests.pop(next(iter(self._requests))) if self._requests else None
 
     def refuse(self, sentence: str) -> None:
         """Say once why a goal is not taken."""
@@ -92,9 +89,12 @@ class Inbox:
         except InputError as error:
             self.refuse(f"{topic}: {error}")
 
-    def _put(self, request: Request) -> None:
+    def _put(self, request: Request, kind: str = "") -> None:
+        """``kind`` of paths: a path replaces what waits but for the other kind of path."""
         self.refused, self._moving = "", False
-        self._requests.append(request)
+        with self._lock:
+            others = {k: r for k, r in self._requests.items() if kind and k and k != kind}
+            self._requests = {**others, kind: request}
 
     def _goal_pose(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
@@ -114,7 +114,7 @@ class Inbox:
             keep = going is not None and not going.carried and going.hand.times[-1] > t
             return self.planner.along_base(x, t, track, going.hand if going is not None and keep else None)
 
-        self._put(request)
+        self._put(request, "base path")
 
     def _hand_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
@@ -126,7 +126,7 @@ class Inbox:
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
             return self.planner.along_hand(x, t, track, going.base if going is not None and keep else None)
 
-        self._put(request)
+        self._put(request, "hand path")
 
     def _take_speed(self, part: Callable[[Any], Any], message: Any) -> None:
         self._try(self.settings.topics.cmd_vel, self._speed, part(message))
