@@ -258,11 +258,18 @@ def bench(
     typer.echo(json.dumps(figures)) if as_json else print_table(figures)
 
 
-ros2 = typer.Typer(help="ROS 2: the controller, a simulated robot, a check of a robot's bus.", no_args_is_help=True)
-app.add_typer(ros2, name="ros2")
+ros2 = typer.Typer()
+app.add_typer(ros2, name="ros2", help="ROS 2: the controller, a simulated robot, a check of a robot's bus.")
 Robot = Annotated[str, typer.Argument(help="Name of the robot (see 'wbmpc list') or its YAML file.")]
 Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics, frames, joints, rates.")]
 BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
+
+
+@ros2.callback(invoke_without_command=True)
+def ros2_options(context: typer.Context) -> None:
+    """ROS 2: the controller, a simulated robot, a check of a robot's bus."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple[Any, RobotModel, RosSettings]:
@@ -271,10 +278,11 @@ def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple
 
     from wbmpc.model import load_robot
     from wbmpc.ros2.bus import open_node
-    from wbmpc.ros2.settings import load_settings
+    from wbmpc.ros2.settings import load_settings, need_swerve
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", force=True)
     model = load_robot(robot)
+    need_swerve(model)
     settings = load_settings(config, model)
     return open_node(f"{settings.node}{suffix}", backend), model, settings
 
@@ -340,6 +348,31 @@ def ros2_sim(
             typer.echo(f"{sim.spin(ended, seconds)}; too slow {sim.behind} times", err=True)
     finally:
         node.close()
+
+
+@ros2.command("check")
+def ros2_check(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long it listens.")] = 3.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+) -> None:
+    """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
+    node, model, settings = _on_bus(robot, config, backend, "_check")
+    from wbmpc.ros2.check import ERROR, check
+
+    try:
+        found = check(node, model, settings, seconds)
+    finally:
+        node.close()
+    if as_json:
+        typer.echo(json.dumps({"findings": [vars(f) for f in found]}))
+    else:
+        for f in found:
+            typer.echo(f"{f.level:8s}{f.topic:34s}{f.text}")
+    if any(f.level == ERROR for f in found):
+        raise typer.Exit(ABORTED)
 
 
 def _complain(error: Exception, debug: bool) -> None:

@@ -23,7 +23,7 @@ from wbmpc.ros2.convert import nearest_turn, seconds
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.inbox import Inbox, PoseSource
 from wbmpc.ros2.robot import BusRobot
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import RosSettings, need_swerve
 from wbmpc.ros2.telling import Teller
 from wbmpc.solver import Solver
 
@@ -116,10 +116,7 @@ class ControlNode:
     """
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
-        if robot.description.base.type != "swerve":
-            raise InputError(
-                f"ros2 control: '{robot.description.name}' has a base of type '{robot.description.base.type}'; valid: swerve"
-            )
+        need_swerve(robot)
         self.node, self.robot, self.settings = node, robot, settings
         self.clock: WallClock | BusClock = BusClock() if settings.use_sim_time else WallClock()
         self.references = References(robot)

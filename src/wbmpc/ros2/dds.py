@@ -47,6 +47,7 @@ _INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64
 _BASE: dict[str, Any] = {name: getattr(idl_types, name) for name in _INTEGERS}
 _BASE |= {"float32": idl_types.float32, "float64": idl_types.float64, "bool": bool}
 _BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
+Take = Callable[[DataReader], None]
 #: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3).
 _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation"}
 #: A domain is configured once in a process and stays.
@@ -107,7 +108,7 @@ class DdsNode:
         """Call back for every message. What the callback raises is logged: the bus must go on."""
         name = full_name(topic)
 
-        def take(reader: DataReader | None) -> None:
+        def take(reader: DataReader) -> None:
             for data in _taken(reader):
                 with self._lock:
                     try:
@@ -115,12 +116,8 @@ class DdsNode:
                     except Exception as error:
                         _LOG.error("%s: %s: %s", name, type(error).__name__, error)
 
-        listener = _Watch(lambda policy: self._mismatch("publisher", name, policy), take)
-        reader = DataReader(
-            self._participant, self._topic(f"rt{name}", kind), qos=self._qos(qos, kind), listener=listener
-        )
-        self._own(self._readers, reader)
-        take(reader)  # what came before the listener knew its reader
+        qualities = self._qos(qos, kind)
+        self._read(self._topic(f"rt{name}", kind), qualities, take, lambda p: self._mismatch("publisher", name, p))
 
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
@@ -130,7 +127,7 @@ class DdsNode:
         replies = self._topic(f"rr{name}Reply", answered, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
 
-        def take(reader: DataReader | None) -> None:
+        def take(reader: DataReader) -> None:
             for data in _taken(reader):
                 head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
                 with self._lock:
@@ -142,13 +139,8 @@ class DdsNode:
                 reply = self.types.encode(answered, self.types.make(answered, values))
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))
 
-        requests = self._topic(f"rq{name}Request", asked, _HEADER)
-        reader = DataReader(
-            self._participant, requests, qos=self._qos(DEFAULT, asked, mark), listener=_Watch(None, take)
-        )
         self._own(self._writers, writer)
-        self._own(self._readers, reader)
-        take(reader)
+        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take)
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
@@ -220,10 +212,20 @@ class DdsNode:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []
         for entity in entities:
-            entity.set_listener(Listener())
+            entity.set_listener(None)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
 
     # ------------------------------------------------------------------ inside
+    def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> None:
+        """A reader that calls ``take``. The package calls listeners before the reader is complete: what came then is taken
+        as soon as it is."""
+        complete = threading.Event()
+        watch = _Watch(mismatch, lambda reader: take(reader) if complete.is_set() else None)
+        reader = DataReader(self._participant, topic, qos=qos, listener=watch)
+        complete.set()
+        self._own(self._readers, reader)
+        take(reader)
+
     def _own(self, group: list[Any], entity: Any) -> None:
         with self._lock:
             group.append(entity)
@@ -280,9 +282,7 @@ class DdsPublisher:
 class _Watch(Listener):  # type: ignore[misc]
     """``take`` for new data; ``mismatch`` with the number of the policy in which two endpoints do not agree."""
 
-    def __init__(
-        self, mismatch: Callable[[int], None] | None, take: Callable[[DataReader | None], None] | None = None
-    ) -> None:
+    def __init__(self, mismatch: Callable[[int], None] | None, take: Take | None = None) -> None:
         super().__init__()
         if take is not None:
             self.set_on_data_available(take)
@@ -343,13 +343,8 @@ def _idl_field(known: Types, form: Any, made: dict[str, type]) -> Any:
     return idl_types.sequence[part, size] if size else idl_types.sequence[part]
 
 
-def _taken(reader: DataReader | None) -> list[bytes]:
-    """The CDR of all samples that have come; none of those that only say that a writer has gone.
-
-    A listener may be called before the package knows its reader: there is none then, and the samples wait.
-    """
-    if reader is None:
-        return []
+def _taken(reader: DataReader) -> list[bytes]:
+    """The CDR of all samples that have come; none of those that only say that a writer has gone."""
     with suppress(DDSException):
         return [s.data for s in reader.take(N=64) if getattr(s, "data", None)]
     return []

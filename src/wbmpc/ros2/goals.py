@@ -21,6 +21,8 @@ from wbmpc.ros2.settings import Speeds
 Array = np.ndarray
 #: Between two samples of a reference [s]; how far the hand goes before the base comes along [m].
 STEP, LEASH = 0.02, 0.3
+#: Ways that take less than this [s] are none.
+_ROUNDING = 1e-4
 #: A speed is held for longer than the horizon [s].
 HOLD = 12.0
 
@@ -242,9 +244,9 @@ def planar_path(positions: Array, orientations: Array) -> Array:
 
 def _profile(shortest: float) -> Array:
     """Shares of a way over samples every :data:`STEP`, as a cosine; ``shortest`` [s]: at full speed all the way."""
-    count = int(np.ceil(0.5 * np.pi * shortest / STEP))
-    if count == 0:
+    if shortest < _ROUNDING:
         return np.ones(1)
+    count = int(np.ceil(0.5 * np.pi * shortest / STEP))
     return np.asarray(0.5 * (1.0 - np.cos(np.pi * np.arange(count + 1) / count)))
 
 

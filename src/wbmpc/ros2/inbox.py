@@ -31,7 +31,8 @@ _TWISTS: dict[str, Callable[[Any], Any]] = {
 
 
 class Inbox:
-    """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was not taken.
+    """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was
+    not taken.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
     force, set by who takes them up.

@@ -140,6 +140,13 @@ class RosSettings(Settings):
         return self.controllers
 
 
+def need_swerve(robot: RobotModel) -> None:
+    """Raise :class:`InputError` for robots that this room cannot drive yet: a ball robot has no estimator of its own."""
+    kind = robot.description.base.type
+    if kind != "swerve":
+        raise InputError(f"ros2: '{robot.description.name}' has a base of type '{kind}'; valid: swerve")
+
+
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     """The settings of a YAML file, defaults without one. Raises :class:`InputError` naming file and key."""
     if path is None:
