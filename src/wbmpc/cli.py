@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -316,6 +317,8 @@ def ros2_control(
     node, model, settings = _on_bus(robot, config, backend, "")
     from wbmpc.ros2.control import ControlNode
 
+    gc.collect()
+    gc.freeze()  # what is there now stays: later collections look at little and take no time from a tick
     # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
     sys.setswitchinterval(5e-4)
     if use_sim_time:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -67,3 +68,24 @@ def test_what_ends_ends_well(bus: Bus) -> None:
     bus.control.terminate()
     assert bus.control.wait(20.0) == 0
     assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
+
+
+def test_a_driver_that_hangs_in_real_time() -> None:
+    """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached; states that stop for
+    longer than the watchdog stop the robot, and it stays stopped when they come back."""
+    settings = {"topics": {"imu": ""}, "rates": {"control": 100}, "safety": {"watchdog": 1.0, "clock": 60.0}}
+    with open_bus(72, SEED, lockstep=False, settings=settings) as bus:
+        recorder = Recorder(bus.node)
+        goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions() and recorder.rows["base"], 10.0)
+        goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 0.3}}})
+        bus.wait_for(lambda: abs(recorder.rows["base"][-1][1] - 0.3) < 0.02, 30.0)
+        assert "running" in bus.said
+        bus.sim.send_signal(signal.SIGSTOP)
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
+        bus.sim.send_signal(signal.SIGCONT)
+        assert "s old, the limit is 1 s" in bus.said
+        rows = len(recorder.rows["base"])
+        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
+        assert "stopped" in bus.said
+        assert np.ptp(np.array(recorder.rows["base"])[-20:, 1]) < 1e-3

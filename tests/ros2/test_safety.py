@@ -5,18 +5,24 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
-from wbmpc.model import load_robot
+from wbmpc.model import load_robot, rolling_inverse_kinematics
 from wbmpc.ros2 import Network
 
 pytestmark = needs_dds
 if not MISSING:
+    from rosbags.rosbag2 import Reader, Writer
+    from rosbags.typesys import Stores, get_typestore
     from standin import PERIOD, Pair
+
+    from wbmpc.ros2.convert import header
+    from wbmpc.ros2.messages import types
 
 ROBOT = load_robot("swerve-ur10")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "45"})
@@ -221,6 +227,46 @@ def test_a_goal_after_a_stop_starts_again(pair: Callable[..., Any], caplog: pyte
     p.go(2.0)
     assert p.until(lambda: p.standin.speed > 0.5), p.control.state
     assert "running" in p.control.state
+
+
+# ---------------------------------------------------------------------- a recording
+def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_path: Path) -> None:
+    """A bag in which all wheels, parallel as at home, roll a turn ahead: its untouched bytes give the odometry 2 π r ahead, and
+    nothing is commanded."""
+    geometry = ROBOT.base.geometry
+    ahead = np.sign(
+        rolling_inverse_kinematics(geometry, *(ROBOT.home[ROBOT.state[g]] for g in ("leg", "steer")), [1, 0, 0])[1]
+    )
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "sensor_msgs/msg/JointState"
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+    t = types("jazzy")
+    with Writer(tmp_path / "bag", version=9) as bag:
+        connection = bag.add_connection("/joint_states", kind, typestore=store)
+        for k in range(101):
+            x = ROBOT.home.copy()
+            x[ROBOT.state["wheel"]] = ahead * 2 * np.pi * k / 100
+            stamped = header(1.0 + 0.01 * k, "")
+            message = t.make(kind, {"header": stamped, "name": names, "position": x[3:]})
+            bag.write(connection, k * 10_000_000, t.encode(kind, message))
+    p = pair(topics={"imu": ""})
+    node = p.standin.node
+    clock = node.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    joints = node.publisher("/joint_states", kind)
+    assert wait_until(lambda: joints._writer.get_matched_subscriptions() and clock._writer.get_matched_subscriptions())
+    with Reader(tmp_path / "bag") as bag:
+        for _, at, data in bag.messages():
+            joints.send(data)
+            clock.publish({"clock": {"sec": 1 + at // 10**9, "nanosec": at % 10**9}})
+            stamp = 1.0 + 1e-9 * at
+            arrived = lambda s=stamp: (  # type: ignore[misc]
+                p.control.body._joints is not None and abs(p.control.body._joints[0].stamp - s) < 1e-6
+                and abs(p.control.clock.stamp() - s) < 1e-6
+            )  # fmt: skip
+            assert wait_until(arrived)
+            p.control.step()
+    pose = p.control.agent.snapshot()[1][:3]
+    np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
+    assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
 
 
 # ---------------------------------------------------------------------- goals that are none

@@ -266,8 +266,13 @@ class ControlNode:
         self.agent.seen = old.seen
         self.agent.gyro_share = settings.gyro_share if self.body.has_imu and self._rested > 25 else 0.0
         self.mpc.reset(x)
+        watchdog = settings.safety.watchdog
         times = RealTime(
-            settings.rates.control, max_policy_age=0.5, max_observation_age=settings.safety.watchdog, records=_RECORDS
+            settings.rates.control,
+            max_policy_age=0.5,
+            max_observation_age=watchdog,
+            watchdog=watchdog,
+            records=_RECORDS,
         )
         self.runner = Runner(self.body, self.agent, self.mpc, times, self.clock)
         self.body.arm()
@@ -318,6 +323,7 @@ class ControlNode:
             "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
             "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
+            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),
         }  # fmt: skip
 
 
