@@ -161,6 +161,22 @@ def test_a_driver_that_repeats_itself_is_stale(pair: Callable[..., Any], caplog:
     stopped(p, "s old, the limit is 0.1 s", caplog)
 
 
+def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(pair: Callable[..., Any]) -> None:
+    """Two machines' clocks may differ by hours; a driver that hangs repeats itself."""
+    body, t = pair(use_sim_time=False).control.body, types("jazzy")
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+    message = lambda at: t.make(
+        "sensor_msgs/msg/JointState", {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}
+    )
+    for at in (5.0, 5.1):
+        body._take_joints(message(at))
+        assert body.age() < 0.1 and body.waits_for() == ""
+    for _ in range(5):
+        time.sleep(0.03)
+        body._take_joints(message(5.1))
+    assert body.age() > 0.14 and "s old" in body.waits_for()
+
+
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 0.4})
     running(p)
