@@ -30,7 +30,7 @@ from wbmpc.ros2.convert import header, path, planar, read_pose, seconds, upright
 from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
-AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 0.5
+AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0
 CONTROLLERS = ("wheel", "steer", "arm", "brake")
 
 
@@ -155,10 +155,13 @@ def hand_of(way: SinePath, t: np.ndarray) -> np.ndarray:
 def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     """Let the hand follow the sine on the bus: mean error [m] in the estimated frame, 2 s after the beginning and later."""
     recorder, way = Recorder(bus.node), sine(settings)
+    goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
     bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 20.0)
     begin = recorder.time
-    bus.wait_for(lambda: recorder.time - begin > rest and all(_matched(p) for p in paths.values()), 60.0 + rest)
+    bus.wait_for(lambda: recorder.time - begin > rest and all(map(_matched, (goal, *paths.values()))), 60.0 + rest)
+    goal.publish({"header": header(0.0, "odom")})  # to stay: in lockstep time then passes as fast as the commands come
+    bus.wait_for(lambda: "running" in bus.said, 30.0)
     start = recorder.time + LEAD
     t = np.arange(0.0, way.end + 0.5, 0.02)
     s, _ = way.arc(t)
@@ -167,7 +170,7 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
         path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
     )
     paths["hand"].publish(path(start, "odom", hand_of(way, t), np.tile(HAND_ORIENTATION, (t.size, 1)), start + t))
-    bus.wait_for(lambda: "running" in bus.said, 30.0)
+    bus.wait_for(lambda: "path" in bus.said, 30.0)
     bus.wait_for(lambda: recorder.time > start + way.end + 0.4 or "stopped" in bus.said, 600.0)
     if "running" not in bus.said:
         raise RuntimeError(f"{bus.said}\n{bus.output()}")

@@ -83,11 +83,12 @@ class Pair:
         for k in range(round(seconds / PERIOD)):
             if k % 8 == 0:
                 self.control.step()
-            self.standin.tick(wait=self.control.runner is not None)
+            self.standin.tick(wait=self.control.running)
 
     def until(self, condition: Callable[[], object], seconds: float = 5.0) -> bool:
-        """Let time pass until a condition comes true; whether it did."""
-        for _ in range(round(seconds / (8 * PERIOD))):
+        """Let time pass until a condition comes true; whether it did within ``seconds`` of the bus's and of the wall's time."""
+        begin, least = self.standin.time, time.monotonic() + seconds
+        while self.standin.time < begin + seconds or time.monotonic() < least:
             self.run(8 * PERIOD)
             if condition():
                 return True

@@ -211,6 +211,20 @@ def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCap
     assert sum("/clock has stopped" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
 
 
+def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    """A simulator that was started anew; a goal afterwards is taken again."""
+    p = pair()
+    running(p)
+    p.standin.time -= 0.5
+    p.standin.answers = 0.01
+    assert p.until(lambda: p.control.runner.stopped, 1.0)
+    assert "went back" in p.control.state
+    p.run(0.2)
+    p.standin.answers = 0.5
+    p.go(2.0)
+    assert p.until(lambda: "running" in p.control.state, 3.0), (p.control.state, p.control.inbox.refused)
+
+
 def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     p = pair(topics={"pose": "/amcl_pose"})
     assert p.until(lambda: p.control.state == "waiting: no pose on /amcl_pose"), p.control.state

@@ -7,21 +7,24 @@ import time
 
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-7
+#: Messages may overtake each other by this [s].
+_REORDERED = 0.02
 
 
 class BusClock:
     """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
-    message [s], None before the first."""
+    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`."""
 
     def __init__(self) -> None:
         self.origin, self.heard = 0.0, None  # type: float, float | None
-        self._time = 0.0
+        self._time, self.went_back = 0.0, False
         self._changed = threading.Condition()
         self._released = 0
 
     def set(self, time_of_bus: float) -> None:
-        """The bus's time [s] is now this. Time that goes back is taken for a simulator that was started anew."""
+        """The bus's time [s] is now this. Time that goes back is a simulator that was started anew."""
         with self._changed:
+            self.went_back |= time_of_bus < self._time - _REORDERED
             if self.heard is None or time_of_bus != self._time:
                 self.heard = time.monotonic()
             self._time = time_of_bus
@@ -33,7 +36,7 @@ class BusClock:
 
     def restart(self) -> None:
         """Now is 0."""
-        self.origin = self._time
+        self.origin, self.went_back = self._time, False
 
     def now(self) -> float:
         """Time [s]."""

@@ -151,6 +151,7 @@ class ControlNode:
 
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
+        self.node.work()
         self._watch()
         if not self.running:
             self._stand()
@@ -288,6 +289,8 @@ class ControlNode:
             silent = time.monotonic() - clock.heard
             if silent > limit and self.running:
                 self._halt(f"the time on /clock has stopped for {silent:.1f} s")
+            elif clock.went_back and self.running:
+                self._halt("the time on /clock went back: the simulator was started anew")
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
             self._looked_at_graph = time.monotonic()
             self.inbox.look_for_speeds()

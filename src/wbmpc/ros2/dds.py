@@ -13,6 +13,7 @@ import re
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass as make_dataclass
@@ -40,6 +41,10 @@ from wbmpc.ros2.network import Network
 _LOG = logging.getLogger("wbmpc")
 idl_types: Any = idl_types_of_package  # its annotations say less than it can do
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+#: How old an answer about the graph may be [s].
+_GRAPH_AGE = 0.05
+#: Of more messages that wait for :meth:`DdsNode.work` the oldest are dropped.
+_MOST_DEFERRED = 100
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
@@ -86,10 +91,13 @@ class DdsNode:
         self._key = self._participant.guid
         self._topics: dict[str, tuple[str, Any]] = {}
         self._readers: list[DataReader] = []
+        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
         ]
+        self._known: list[tuple[float, list[Any]]] = [(-np.inf, []), (-np.inf, [])]
+        self._graph_lock = threading.Lock()  # reading the graph takes milliseconds: callbacks do not wait for it
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
         self._announce()
@@ -104,20 +112,35 @@ class DdsNode:
         self._own(self._writers, writer)
         return DdsPublisher(writer, place.data_type, self.types, kind)
 
-    def subscribe(self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT) -> None:
-        """Call back for every message. What the callback raises is logged: the bus must go on."""
+    def subscribe(
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
+    ) -> None:
+        """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
+        go on."""
         name = full_name(topic)
+
+        def call(data: bytes) -> None:
+            try:
+                callback(self.types.decode(kind, data))
+            except Exception as error:
+                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
 
         def take(reader: DataReader) -> None:
             for data in _taken(reader):
-                with self._lock:
-                    try:
-                        callback(self.types.decode(kind, data))
-                    except Exception as error:
-                        _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                if deferred:
+                    self._deferred.append((call, data))
+                else:
+                    with self._lock:
+                        call(data)
 
         qualities = self._qos(qos, kind)
         self._read(self._topic(f"rt{name}", kind), qualities, take, lambda p: self._mismatch("publisher", name, p))
+
+    def work(self) -> None:
+        """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
+        while self._deferred:
+            call, data = self._deferred.popleft()
+            call(data)
 
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
@@ -186,8 +209,11 @@ class DdsNode:
         wanted, found = f"rt{full_name(topic)}", []
         reader = self._graph[side]
         alive = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Alive)
-        with self._lock:
-            samples = reader.read(N=4096, condition=alive)
+        with self._graph_lock:
+            read, samples = self._known[side]
+            if time.monotonic() - read > _GRAPH_AGE:
+                samples = reader.read(N=4096, condition=alive)
+                self._known[side] = time.monotonic(), samples
         for s in samples:
             if getattr(s, "topic_name", None) == wanted:
                 own = s.participant_key == self._key

@@ -23,7 +23,7 @@ Array = np.ndarray
 Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
-_MOST_POINTS = 100_000
+_MOST_POINTS = 20_000
 _TWISTS: dict[str, Callable[[Any], Any]] = {
     "geometry_msgs/msg/Twist": lambda message: message,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
@@ -55,7 +55,7 @@ class Inbox:
             (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
         ):
             if topic:
-                node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT)
+                node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:

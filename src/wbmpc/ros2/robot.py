@@ -17,6 +17,9 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, read_imu
 from wbmpc.ros2.settings import GROUPS, RosSettings
 
+#: How long zeros are sent after the ramp of a stop [s].
+ZEROS = 1.0
+
 
 class BusRobot:
     """See :class:`wbmpc.mpc.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed.
@@ -130,11 +133,16 @@ class BusRobot:
         self._send(self._last)
 
     def stop(self) -> None:
-        """The last speeds, ramped down, and zero for good; then the brakes close. To be called again and again."""
+        """The last speeds, ramped down, then zero, brakes closed, then nothing: who else commands the robot is not disturbed.
+
+        To be called again and again.
+        """
         now = time.perf_counter()
         if self._stopping is None:
             self._stopping = now
         ramp = self.settings.safety.ramp
+        if now - self._stopping > ramp + ZEROS:
+            return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
         brakes = self._last["brake"] if left > 0.0 else self._zero["brake"]
         self._send({**{g: left * v for g, v in self._last.items()}, "brake": brakes})

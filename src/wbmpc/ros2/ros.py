@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -32,6 +33,7 @@ class RosNode:
     def __init__(self, name: str) -> None:
         self.name = name
         self.faults: list[str] = []
+        self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(name, context=self._context)
@@ -52,8 +54,11 @@ class RosNode:
         events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch("subscription", name, e))
         return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
 
-    def subscribe(self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT) -> None:
-        """Call back for every message. What the callback raises is logged: the bus must go on."""
+    def subscribe(
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
+    ) -> None:
+        """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
+        go on."""
         name = full_name(topic)
         events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch("publisher", name, e))
 
@@ -63,7 +68,15 @@ class RosNode:
             except Exception as error:
                 _LOG.error("%s: %s: %s", name, type(error).__name__, error)
 
-        self._node.create_subscription(get_message(kind), name, call, _profile(qos), event_callbacks=events)
+        later = lambda message: self._deferred.append((call, message))
+        taken = later if deferred else call
+        self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
+
+    def work(self) -> None:
+        """Call back for the messages of deferred subscriptions that have come, in this thread."""
+        while self._deferred:
+            call, message = self._deferred.popleft()
+            call(message)
 
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
         """Answer a service."""
