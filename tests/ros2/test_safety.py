@@ -58,10 +58,9 @@ def stopped(p: Any, because: str, caplog: pytest.LogCaptureFixture) -> None:
     assert p.until(lambda: p.control.runner.stopped, 1.0), p.control.state
     assert because in p.control.state
     p.standin.change = lambda message: message
-    p.run(0.1)
-    time.sleep(p.settings.safety.ramp)
+    assert p.until(lambda: p.standin.speed == 0.0, 2.0)
     p.said.clear()
-    p.run(0.05)
+    p.run(0.1)
     assert p.standin.speed == 0.0
     assert sum(because in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records) == 1
     assert p.until(lambda: any(s.level == 2 and because in s.message for m in p.said for s in m.status), 2.0)
@@ -255,8 +254,13 @@ def test_a_goal_after_a_stop_starts_again(pair: Callable[..., Any], caplog: pyte
     p.run(0.2)
     assert p.standin.speed == 0.0  # it does not go on by itself
     p.go(2.0)
+    moved = 0.0
+    while "running" not in p.control.state:  # until there is a policy it stands
+        p.control.step()
+        p.standin.tick(wait=p.control.running)
+        moved = max(moved, p.standin.speed if "standing by" in p.control.state else 0.0)
+    assert moved == 0.0
     assert p.until(lambda: p.standin.speed > 0.5), p.control.state
-    assert "running" in p.control.state
 
 
 # ---------------------------------------------------------------------- a recording

@@ -101,8 +101,9 @@ class BusRobot:
         return time.perf_counter() - self._joints[1]
 
     def arm(self) -> None:
-        """From now on faults stop the robot."""
+        """From now on faults stop the robot; it is at rest."""
         self.fault, self._stopping, self._armed = "", None, True
+        self._last = dict(self._zero)
 
     def disarm(self) -> None:
         """Faults are reported only, and pass with the next good message."""
