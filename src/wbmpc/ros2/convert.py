@@ -36,7 +36,7 @@ def vector(values: Array) -> dict[str, float]:
 
 def quaternion(values: Array) -> dict[str, float]:
     """A quaternion of this library."""
-    return dict(zip(("w", "x", "y", "z"), map(float, values), strict=True))
+    return dict(zip(lie.PARTS, map(float, values), strict=True))
 
 
 def pose(position: Array, orientation: Array) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def read_vector(v: Any, what: str) -> Array:
 
 def read_pose(p: Any, what: str) -> tuple[Array, Array]:
     """Position (3) [m] and unit quaternion (4) of this library."""
-    q = _finite(np.array([p.orientation.w, p.orientation.x, p.orientation.y, p.orientation.z], float), what)
+    q = _finite(np.array([getattr(p.orientation, n) for n in lie.PARTS], float), what)
     length = float(np.linalg.norm(q))
     if abs(length - 1.0) > 0.05:
         raise InputError(f"{what}: the quaternion has length {length:.3g}, 1 is needed")

@@ -65,11 +65,6 @@ class Task:
     carried: bool
     said: str
 
-    @property
-    def end(self) -> float:
-        """When all is there [s]."""
-        return float(max(self.base.times[-1], self.hand.times[-1]))
-
     def references(self, robot: RobotModel, x: Array) -> dict[str, Reference]:
         """For the terms ``hand``, ``state`` and ``input``; legs stay as in the state ``x`` (nx), the arm likes its home."""
         states = np.tile(robot.home, (self.base.times.size, 1))
