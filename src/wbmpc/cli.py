@@ -320,7 +320,7 @@ def ros2_control(
     gc.collect()
     gc.freeze()  # what is there now stays: later collections look at little and take no time from a tick
     # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
-    sys.setswitchinterval(5e-4)
+    sys.setswitchinterval(5e-5)
     if use_sim_time:
         settings = settings.model_copy(update={"use_sim_time": True})
     try:

@@ -58,8 +58,8 @@ class Rates(Settings):
 
     control: float = Field(400.0, gt=0, le=2000)
     odom: float = Field(50.0, gt=0, le=1000)
-    plan: float = Field(5.0, gt=0, le=100)
-    diagnostics: float = Field(2.0, gt=0, le=100)
+    plan: float = Field(2.0, gt=0, le=100)
+    diagnostics: float = Field(1.0, gt=0, le=100)
 
 
 class Speeds(Settings):

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 #: Standard deviations of the odometry that are told: position [m], yaw [rad], speeds [m/s, rad/s]; unknown for the rest.
 _POSE, _TWIST, _UNKNOWN = (0.02, 0.02, 0.01), (0.01, 0.01, 0.01), 1e6
 WELL, WARNING, ERROR = 0, 1, 2
+#: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
+EVERY = 2
 
 
 class Teller:
@@ -83,9 +85,10 @@ class Teller:
         if policy is None:
             return
         now, world = c.now(), c.settings.frames.world
-        times = [c.stamp_of(float(t)) for t in policy.times]
-        base = [upright(p, c.robot.base.height) for p in policy.x[:, c.robot.state["base"]]]
-        hand = [c.robot.pose(x) for x in policy.x]
+        nodes = slice(None, None, EVERY)
+        times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
+        base = [upright(p, c.robot.base.height) for p in policy.x[nodes, c.robot.state["base"]]]
+        hand = [c.robot.pose(x) for x in policy.x[nodes]]
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
