@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime soak study reproduce grids limits lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce grids limits lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -24,6 +24,10 @@ race: $(VENV)/.installed
 # both robots by the wall clock, 60 s each; REALTIME_ARGS="--process --fifo" and others
 realtime: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/realtime.py $(REALTIME_ARGS)
+
+# the swerve robot over a ROS 2 bus: two processes against one, the stream of commands
+bus: $(VENV)/.tested
+	$(ENVIRONMENT) $(BIN)/python benchmarks/ros2_bus.py $(BUS_ARGS)
 
 # 100 000 solves: memory and drift
 soak: $(VENV)/.installed

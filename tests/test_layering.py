@@ -17,7 +17,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "configuration", "lie", "trajectory", "robots", "model", "stability", "ocp", "kernel", "solver", "zoo", "mpc",
     "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
-    "compare", "reproduce", "benchmark", "cli", "__main__",
+    "compare", "reproduce", "benchmark", "ros2", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
@@ -27,8 +27,11 @@ ONLY_IN = {
     "mcap": {"recording"},
     "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"mpc", "kernel", "loop", "view"},
+    "threading": {"mpc", "kernel", "loop", "view", "ros2"},
     "multiprocessing": {"mpc", "benchmark", "view", "experiments"},
+    "cyclonedds": {"ros2"},
+    "rosbags": {"ros2"},
+    "rclpy": {"ros2"},
     "mujoco": {"robots", "model", "plant", "experiments"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
@@ -94,8 +97,8 @@ def test_the_check_sees_a_wrong_import() -> None:
 
 def test_the_architecture_page_lists_the_rooms_in_this_order() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
-    rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z_]+(\.py|/)`", cells)]
-    listed = [name for row in rows for name in re.findall(r"`([a-z_]+)(?:\.py|/)`", row)]
+    rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z0-9_]+(\.py|/)`", cells)]
+    listed = [name for row in rows for name in re.findall(r"`([a-z0-9_]+)(?:\.py|/)`", row)]
     assert listed == [name for name in ROOMS if name != "__main__"]
 
 

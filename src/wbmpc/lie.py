@@ -1,4 +1,4 @@
-"""SO(3), SE(2) and quaternions (w, x, y, z): the only file that knows a quaternion's order.
+"""SO(3), SE(2) and quaternions (w, x, y, z): the only file that knows a quaternion's order (:data:`PARTS` for others).
 
 Functions named ``quaternion_…`` take NumPy arrays or CasADi expressions; the others take NumPy arrays.
 """
@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+#: Names of a quaternion's numbers, in order.
+PARTS = ("w", "x", "y", "z")
 
 
 def _stack(like: Any, *parts: Any) -> Any:

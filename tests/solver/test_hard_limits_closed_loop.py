@@ -138,9 +138,7 @@ def test_limits_hold(loop: Callable[[str], Excess]) -> None:
     assert np.isfinite(found.end).all()
 
 
-@pytest.mark.parametrize(
-    ("loop", "variant"), [(ball_robot, "soft"), (swerve_robot, "soft"), (swerve_robot, "kept")]
-)
+@pytest.mark.parametrize(("loop", "variant"), [(ball_robot, "soft"), (swerve_robot, "soft"), (swerve_robot, "kept")])
 def test_scenarios_tell_hard_from_less(loop: Callable[[str], Excess], variant: str) -> None:
     """With relaxed barriers, and (where the barrier is small) without the slack reset, the same loops pass the limits by far."""
     found = loop(variant)

@@ -20,7 +20,8 @@ import typer
 from wbmpc import __version__
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
-from wbmpc.cli.terminal import logged, progress_bar, silent
+from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.terminal import ABORTED, BAD_INPUT, COMPLETED, INTERRUPTED, logged, progress_bar, silent
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -30,13 +31,13 @@ if TYPE_CHECKING:
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
-COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 app = typer.Typer(
     name="wbmpc", pretty_exceptions_enable=False,
     help="Whole-body model predictive control for mobile manipulators.",
 )  # fmt: skip
 app.add_typer(log)
+app.add_typer(ros2)
 for _command in (view, replay, render, compare, reproduce):
     app.command()(_command)
 

@@ -8,6 +8,9 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 
+#: Exit statuses.
+COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
 
 @contextmanager
 def progress_bar(title: str, show: bool) -> Iterator[Callable[[float, str], None] | None]:

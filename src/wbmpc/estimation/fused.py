@@ -178,6 +178,21 @@ class FusedOdometry:
         radius = prior.wheel_radius * (1.0 + c[n:])
         return WheelCalibration(prior.steer_zero + c[:n], prior.leg_zero, radius, self._state.p[WHEELS:, WHEELS:])
 
+    # ------------------------------------------------------------------ from outside
+    def place(self, pose: ArrayLike) -> None:
+        """The base is at ``pose`` (3), exactly; what is known of gyro and wheels stays. Older global poses no longer count."""
+        mean, p = self._state.mean.copy(), self._state.p.copy()
+        mean[:3] = _three("pose", pose)
+        p[:3, :], p[:, :3] = 0.0, 0.0
+        self._state = _State(self._state.t, mean, p)
+        self._past.clear()
+
+    def restart_clock(self) -> None:
+        """Times start anew: the next message only starts; what is known stays."""
+        self._state = _State(-np.inf, self._state.mean, self._state.p)
+        self._past.clear()
+        self._last = None
+
     # ------------------------------------------------------------------ wheels and gyro
     def update(self, t: float, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, gyro: float | None = None) -> Array:
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and the yaw rate ``gyro`` [rad/s].

@@ -1,0 +1,244 @@
+"""The swerve robot over a ROS 2 bus: `wbmpc ros2 sim` and `wbmpc ros2 control` in two processes, loopback, a private domain.
+
+Usage: python benchmarks/ros2_bus.py [--periods 1] [--seconds 60] [--realtime] [--json FILE]
+First the hand follows the sine of `swerve-track`, on the bus in lockstep (or in real time) and inside one process, same seed;
+then the stream of commands is timed in real time: how regular it is, whether a message is lost, from state to command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.experiments import REGISTRY
+from wbmpc.experiments.paths import SinePath
+from wbmpc.experiments.swerve_track import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
+from wbmpc.ros2 import DEFAULT, Network, Qos, open_node
+from wbmpc.ros2.convert import header, path, planar, read_pose, seconds, upright
+from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
+
+#: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
+AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0
+CONTROLLERS = ("wheel", "steer", "arm", "brake")
+
+
+def private(domain: int) -> dict[str, str]:
+    """Environment of a bus that nobody else is on."""
+    tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4()}</Tag></Discovery></Domain></CycloneDDS>"
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "CYCLONEDDS_URI": tag}
+    return {**os.environ, **own}
+
+
+class Bus:
+    """The two processes and a node that watches them. ``said``: the last state of the controller."""
+
+    def __init__(self, environment: dict[str, str], seed: int, lockstep: bool, factor: float, config: str) -> None:
+        self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115
+        run = [sys.executable, "-m", "wbmpc", "ros2"]
+        given = ["swerve-ur10", "--backend", "dds", "--config", config]
+        sim = [*run, "sim", *given, "--seed", str(seed), "--factor", str(factor), *(["--lockstep"] if lockstep else [])]
+        start = lambda command: subprocess.Popen(command, env=environment, stdout=self.log, stderr=self.log)
+        self.start_control = lambda: start([*run, "control", *given])
+        self.control = self.start_control()
+        self.node: Any = open_node("watcher", "dds", Network.of(environment))
+        self.said, self.level = "", 0
+        self.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._diagnostics)
+        self.wait_for(lambda: "waiting" in self.said, 120.0)  # the controller has built its solver
+        self.sim = start(sim)
+        self.wait_for(lambda: self.said == "waiting for a goal", 60.0)
+
+    def _diagnostics(self, message: Any) -> None:
+        self.said, self.level = message.status[0].message, message.status[0].level
+        self.figures = {v.key: v.value for v in message.status[0].values}
+
+    def wait_for(self, condition: Callable[[], object], limit: float) -> None:
+        """Wait for a condition [s]; show the processes' output if it does not come."""
+        end = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > end:
+                raise TimeoutError(f"the controller says: '{self.said}'\n{self.output()}")
+            time.sleep(0.01)
+
+    def output(self) -> str:
+        """What both processes have written."""
+        self.log.flush()
+        self.log.seek(0)
+        return self.log.read()
+
+    def close(self) -> None:
+        """End both processes."""
+        for process in (self.control, getattr(self, "sim", None)):
+            if process is not None and process.poll() is None:
+                process.terminate()
+        for process in (self.control, getattr(self, "sim", None)):
+            if process is not None:
+                process.wait(10.0)
+        self.node.close()
+        self.log.close()
+
+
+@contextmanager
+def open_bus(
+    domain: int, seed: int, lockstep: bool = True, factor: float = 1.0, settings: dict[str, Any] | None = None
+) -> Iterator[Bus]:
+    """Both processes on a private bus, ready for a goal."""
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "bus.yaml"
+        config.write_text(json.dumps({"use_sim_time": lockstep, **(settings or {})}))
+        bus = Bus(private(domain), seed, lockstep, factor, str(config))
+        try:
+            yield bus
+        finally:
+            bus.close()
+
+
+class Recorder:
+    """Poses from the bus over their stamps: true base and hand, estimated base."""
+
+    def __init__(self, node: Any) -> None:
+        self.rows: dict[str, list[list[float]]] = {"base": [], "hand": [], "odom": []}
+        node.subscribe(
+            TRUTH_ODOM, "nav_msgs/msg/Odometry", lambda m: self._planar("base", m, m.pose.pose), Qos(depth=100)
+        )
+        node.subscribe("/odom", "nav_msgs/msg/Odometry", lambda m: self._planar("odom", m, m.pose.pose), Qos(depth=100))
+        node.subscribe(TRUTH_HAND, "geometry_msgs/msg/PoseStamped", self._hand, Qos(depth=100))
+
+    def _planar(self, name: str, message: Any, pose: Any) -> None:
+        self.rows[name].append([seconds(message.header.stamp), *planar(*read_pose(pose, name))])
+
+    def _hand(self, message: Any) -> None:
+        self.rows["hand"].append([seconds(message.header.stamp), *read_pose(message.pose, "hand")[0]])
+
+    @property
+    def time(self) -> float:
+        """The newest stamp [s]."""
+        return self.rows["base"][-1][0] if self.rows["base"] else 0.0
+
+    def hand_in_estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n) [s] and positions (n, 3) of the hand in the estimated frame: estimated base, true hand in the base."""
+        base, hand, odom = (np.array(sorted(self.rows[n])) for n in ("base", "hand", "odom"))
+        t = hand[(hand[:, 0] > odom[0, 0]) & (hand[:, 0] < odom[-1, 0]), 0]
+        column = lambda i, c: np.unwrap(c) if i == 2 else c
+        at = lambda rows: np.stack([np.interp(t, rows[:, 0], column(i, c)) for i, c in enumerate(rows.T[1:])], axis=1)
+        true, tool, seen = at(base), at(hand), at(odom)
+        turn = seen[:, 2] - true[:, 2]
+        d = tool[:, :2] - true[:, :2]
+        c, s = np.cos(turn), np.sin(turn)
+        moved = np.stack([c * d[:, 0] - s * d[:, 1], s * d[:, 0] + c * d[:, 1]], axis=1) + seen[:, :2]
+        return t, np.concatenate([moved, tool[:, 2:]], axis=1)
+
+
+def sine(settings: SwerveTrackSettings) -> SinePath:
+    """The hand's path of the experiment; it begins at 0.5 s."""
+    s = settings
+    return SinePath(s.amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=0.5, ramp=2.0)
+
+
+def hand_of(way: SinePath, t: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) [m] of the hand's reference at times t (n) [s]."""
+    along, across = way.point(t)
+    return np.stack([along + AHEAD, SIDE + across, np.full_like(along, HEIGHT)], axis=1)
+
+
+def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
+    """Let the hand follow the sine on the bus: mean error [m] in the estimated frame, 2 s after the beginning and later."""
+    recorder, way = Recorder(bus.node), sine(settings)
+    goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+    paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
+    bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 20.0)
+    begin = recorder.time
+    bus.wait_for(lambda: recorder.time - begin > rest and all(map(_matched, (goal, *paths.values()))), 60.0 + rest)
+    goal.publish({"header": header(0.0, "odom")})  # to stay: in lockstep time then passes as fast as the commands come
+    bus.wait_for(lambda: "running" in bus.said, 30.0)
+    start = recorder.time + LEAD
+    t = np.arange(0.0, way.end + 0.5, 0.02)
+    s, _ = way.arc(t)
+    base = [upright(np.array([x, 0.0, 0.0])) for x in s * way.length / way.arc_length]
+    paths["base"].publish(
+        path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
+    )
+    paths["hand"].publish(path(start, "odom", hand_of(way, t), np.tile(HAND_ORIENTATION, (t.size, 1)), start + t))
+    bus.wait_for(lambda: "path" in bus.said, 30.0)
+    bus.wait_for(lambda: recorder.time > start + way.end + 0.4 or "stopped" in bus.said, 600.0)
+    if "running" not in bus.said:
+        raise RuntimeError(f"{bus.said}\n{bus.output()}")
+    times, hand = recorder.hand_in_estimate()
+    use = (times > start + 2.0) & (times < start + way.end + 0.4)
+    return float(np.linalg.norm(hand[use] - hand_of(way, times[use] - start), axis=1).mean())
+
+
+def inside(settings: SwerveTrackSettings, seed: int) -> float:
+    """The same in one process."""
+    result = REGISTRY["swerve-track"].run(settings, seed, None)
+    return result.metrics["hand_error_mean_odometry"].value
+
+
+def stream(bus: Bus, seconds_: float) -> dict[str, float]:
+    """Times of the wheels' commands and of the joint states as they come to a third process, while the base drives."""
+    arrivals: dict[str, list[float]] = {"command": [], "state": []}
+    take = lambda name: lambda message: arrivals[name].append(time.perf_counter())
+    many = Qos(depth=1000)
+    bus.node.subscribe("/wheel_controller/commands", "std_msgs/msg/Float64MultiArray", take("command"), many)
+    bus.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", take("state"), many)
+    goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+    bus.wait_for(lambda: _matched(goal), 10.0)
+    goal.publish({"header": header(0.0, "odom"), "pose": {"position": {"x": 0.3 * seconds_}}})
+    bus.wait_for(lambda: "running" in bus.said, 30.0)
+    arrivals["command"].clear()
+    begin = time.perf_counter()
+    while time.perf_counter() < begin + seconds_:
+        time.sleep(0.1)
+    t, states, period = np.array(arrivals["command"]), np.array(arrivals["state"]), 1.0 / 400.0
+    ticks = np.round((t - t[0]) / period)
+    off = t - t[0] - ticks * period
+    off -= np.median(off)
+    before = states[np.maximum(np.searchsorted(states, t) - 1, 0)]
+    return {
+        "commands": float(t.size), "expected": float(round((t[-1] - t[0]) / period) + 1),
+        "within 1 ms of their time": float(np.mean(np.abs(off) < 1e-3)), "worst [ms]": 1e3 * float(np.abs(off).max()),
+        "state to command, median [ms]": 1e3 * float(np.median(t - before)),
+    }  # fmt: skip
+
+
+def _matched(publisher: Any) -> bool:
+    return bool(publisher._writer.get_matched_subscriptions())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--periods", type=int, default=1)
+    parser.add_argument("--speed", type=float, default=0.255, help="of the hand [m/s]")
+    parser.add_argument("--rest", type=float, default=20.0, help="standing before [s]")
+    parser.add_argument("--seed", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the command stream; 0: none")
+    parser.add_argument("--realtime", action="store_true", help="follow the sine in real time too, not in lockstep")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    given = parser.parse_args()
+    settings = SwerveTrackSettings(periods=given.periods, speed=given.speed, rest=given.rest)
+    figures: dict[str, Any] = {"load": os.getloadavg()[0], "inside": inside(settings, given.seed)}
+    with open_bus(61, given.seed, lockstep=not given.realtime, factor=1.0 if given.realtime else 10.0) as bus:
+        figures["bus"] = track(bus, settings, given.rest)
+        figures["controller"] = bus.figures
+    if given.seconds > 0.0:
+        with open_bus(62, given.seed, lockstep=False) as bus:
+            figures["stream"] = stream(bus, given.seconds)
+            figures["controller in real time"] = bus.figures
+    print(json.dumps(figures, indent=2))
+    if given.json is not None:
+        given.json.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

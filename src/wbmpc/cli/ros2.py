@@ -1,0 +1,137 @@
+"""Commands of ROS 2: the controller as a node, a simulated robot as one, a check of a bus."""
+
+from __future__ import annotations
+
+import gc
+import json
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wbmpc.cli.terminal import ABORTED
+
+if TYPE_CHECKING:
+    from wbmpc.model import RobotModel
+    from wbmpc.ros2.settings import RosSettings
+
+ros2 = typer.Typer(name="ros2", help="ROS 2: the controller, a simulated robot, a check of a robot's bus.")
+Robot = Annotated[str, typer.Argument(help="Name of the robot (see 'wbmpc list') or its YAML file.")]
+Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics, frames, joints, rates.")]
+BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
+
+
+@ros2.callback(invoke_without_command=True)
+def ros2_options(context: typer.Context) -> None:
+    """ROS 2: the controller, a simulated robot, a check of a robot's bus."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple[Any, RobotModel, RosSettings]:
+    """A node for a command that runs until it is interrupted or told to end."""
+    import logging
+
+    from wbmpc.model import load_robot
+    from wbmpc.ros2.bus import open_node
+    from wbmpc.ros2.settings import load_settings, need_swerve
+
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", force=True)
+    model = load_robot(robot)
+    need_swerve(model)
+    settings = load_settings(config, model)
+    return open_node(f"{settings.node}{suffix}", backend), model, settings
+
+
+@contextmanager
+def _until_told() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C or the signal to end has come; a second one acts at once."""
+    told: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if told:
+            raise KeyboardInterrupt
+        told.append(number)
+
+    before = {n: signal.signal(n, note) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(told)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@ros2.command("control")
+def ros2_control(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    use_sim_time: Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")] = False,
+) -> None:
+    """Run the controller as a node; it waits for joint states and a goal."""
+    node, model, settings = _on_bus(robot, config, backend, "")
+    from wbmpc.ros2.control import ControlNode
+
+    gc.collect()
+    gc.freeze()  # what is there now stays: later collections look at little and take no time from a tick
+    # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
+    sys.setswitchinterval(5e-5)
+    if use_sim_time:
+        settings = settings.model_copy(update={"use_sim_time": True})
+    try:
+        with _until_told() as ended:
+            ControlNode(node, model, settings).spin(ended)
+    finally:
+        node.close()
+
+
+@ros2.command("sim")
+def ros2_sim(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the plant and of all noise.")] = 200,
+    factor: Annotated[float, typer.Option(min=0.01, help="How much faster than real time.")] = 1.0,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Wait for the commands to every state.")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Simulated time after which it ends.")] = 1e9,
+) -> None:
+    """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
+    node, model, settings = _on_bus(robot, config, backend, "_sim")
+    from wbmpc.ros2.sim import SimNode
+
+    try:
+        with _until_told() as ended:
+            sim = SimNode(node, model, settings, seed, lockstep=lockstep, factor=factor)
+            typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
+            typer.echo(f"{sim.spin(ended, seconds)}; too slow {sim.behind} times", err=True)
+    finally:
+        node.close()
+
+
+@ros2.command("check")
+def ros2_check(
+    robot: Robot,
+    config: Config = None,
+    backend: BackEnd = "auto",
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long it listens.")] = 3.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+) -> None:
+    """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
+    node, model, settings = _on_bus(robot, config, backend, "_check")
+    from wbmpc.ros2.check import ERROR, check
+
+    try:
+        found = check(node, model, settings, seconds)
+    finally:
+        node.close()
+    if as_json:
+        typer.echo(json.dumps({"findings": [vars(f) for f in found]}))
+    else:
+        for f in found:
+            typer.echo(f"{f.level:8s}{f.topic:34s}{f.text}")
+    if any(f.level == ERROR for f in found):
+        raise typer.Exit(ABORTED)

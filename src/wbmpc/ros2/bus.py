@@ -1,0 +1,102 @@
+"""What a ROS 2 node is for the rest of this room, whichever back end it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+from wbmpc.errors import InputError
+from wbmpc.ros2.network import Network
+
+BACK_ENDS = ("auto", "rclpy", "dds")
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service: ``reliable`` or best effort; ``latched``: late joiners get the last ``depth`` messages too."""
+
+    reliable: bool = True
+    latched: bool = False
+    depth: int = 10
+
+    def refuses(self, offered: Qos) -> str:
+        """Why a subscription with this does not match a publisher that offers that; empty if it does."""
+        parts = []
+        if self.reliable and not offered.reliable:
+            parts.append("it offers best effort, reliable is asked for")
+        if self.latched and not offered.latched:
+            parts.append("it offers volatile, transient local is asked for")
+        return " and ".join(parts)
+
+
+#: Reliable for commands and goals. For sensors best effort is asked for, which matches every publisher.
+DEFAULT, SENSOR, LATCHED = Qos(), Qos(reliable=False, depth=5), Qos(latched=True, depth=1)
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A publisher or a subscription that somebody has; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``."""
+
+    topic: str
+    type: str
+    qos: Qos
+    own: bool
+
+
+class Publisher(Protocol):
+    """Sends messages of one topic."""
+
+    def publish(self, values: Mapping[str, Any]) -> None:
+        """A message from a nested mapping; what is not given is zero or empty."""
+        ...
+
+
+class Node(Protocol):
+    """A node. Callbacks come from a thread of the back end, one at a time, so they must be short; those of ``deferred``
+    subscriptions from :meth:`work`. Messages have attributes as in ROS.
+
+    ``faults``: sentences about endpoints that do not match, each once; ``backend``: its name.
+    """
+
+    backend: str
+    faults: list[str]
+
+    def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> Publisher: ...
+    def subscribe(
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
+    ) -> None: ...
+    def work(self) -> None: ...
+    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...
+    def publishers(self, topic: str) -> list[Endpoint]: ...
+    def subscribers(self, topic: str) -> list[Endpoint]: ...
+    def close(self) -> None: ...
+
+
+def full_name(name: str) -> str:
+    """A topic's name from the root; this bridge has no namespaces but those that are written out."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def open_node(name: str, backend: str = "auto", network: Network | None = None) -> Node:
+    """A node: by ``rclpy`` where it can be imported (ROS 2 is sourced), else by ``dds`` alone (extra ``ros2``).
+
+    Raises :class:`InputError` if neither is there.
+    """
+    if backend not in BACK_ENDS:
+        raise InputError(f"backend: '{backend}' is not known; valid: {', '.join(BACK_ENDS)}")
+    if backend == "rclpy" or (backend == "auto" and find_spec("rclpy") is not None):
+        if find_spec("rclpy") is None:
+            raise InputError("backend: rclpy cannot be imported: source ROS 2 (setup.bash) first")
+        from wbmpc.ros2.ros import RosNode
+
+        return RosNode(name)
+    missing = [p for p in ("cyclonedds", "rosbags") if find_spec(p) is None]
+    if missing:
+        raise InputError(
+            f"ROS 2: {' and '.join(missing)} cannot be imported: source ROS 2 (setup.bash), or install 'wbmpc[ros2]'"
+        )
+    from wbmpc.ros2.dds import DdsNode
+
+    return DdsNode(name, network or Network.of())

@@ -1,0 +1,145 @@
+"""A look at a robot's bus before anything moves: what is missing, mistyped, too slow, or has the wrong quality of service."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.model import RobotModel
+from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
+from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.joints import JointReader, read_imu
+from wbmpc.ros2.settings import RosSettings
+
+OK, WARNING, ERROR = "ok", "warning", "error"
+#: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
+_LEAST_RATE, _WITHIN_WATCHDOG = 100.0, 2.0
+#: Discovery takes this long [s] before what is not there counts as missing.
+_DISCOVERY = 1.0
+COMMANDS = "std_msgs/msg/Float64MultiArray"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """``level``: ok, warning or error; ``topic``; a sentence."""
+
+    level: str
+    topic: str
+    text: str
+
+
+class _Ear:
+    """Listens to one topic: arrival times, the last stamp's age, and what a reader says of the messages."""
+
+    def __init__(self, node: Node, topic: str, kind: str, read: Any) -> None:
+        self.times: list[float] = []
+        self.fault, self.offset = "", np.nan
+        self._read = read
+        node.subscribe(topic, kind, self._take, SENSOR)
+
+    def _take(self, message: Any) -> None:
+        self.times.append(time.perf_counter())
+        if hasattr(message, "header"):
+            self.offset = time.time() - seconds(message.header.stamp)
+        try:
+            self._read(message)
+        except InputError as error:
+            self.fault = self.fault or str(error)
+
+    @property
+    def rate(self) -> float:
+        """Messages a second."""
+        t = self.times
+        return (len(t) - 1) / (t[-1] - t[0]) if len(t) > 2 else 0.0
+
+    @property
+    def gap(self) -> float:
+        """The longest time [s] between two messages."""
+        return float(np.diff(self.times).max()) if len(self.times) > 1 else np.inf
+
+
+def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
+    """Listen for ``listen`` [s] and say what was found; sends nothing."""
+    topics, reader = settings.topics, JointReader(robot, settings)
+    wanted: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
+    if topics.imu:
+        wanted[topics.imu] = "sensor_msgs/msg/Imu", read_imu
+    if settings.use_sim_time:
+        wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
+    ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in wanted.items()}
+    time.sleep(max(listen, _DISCOVERY))
+    found: list[Finding] = []
+    for topic, (kind, _) in wanted.items():
+        found += _source(node, topic, kind, ears[topic], settings, needed=topic != topics.imu)
+    for controller in settings.command_topics(robot).values():
+        found += _sink(node, controller.topic, needed="brake" not in controller.topic)
+    found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
+    poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    found += _several_types(node, topics.pose, poses, True)
+    return found
+
+
+def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings, needed: bool) -> list[Finding]:
+    level = ERROR if needed else WARNING
+    publishers = node.publishers(topic)
+    if not publishers:
+        without = "" if needed else " (the odometry is then of the wheels alone)"
+        return [Finding(level, topic, f"nobody publishes it{without}")]
+    wrong = _wrong_types(topic, publishers, (kind,))
+    if wrong or not ear.times:
+        return wrong or [Finding(level, topic, "it has a publisher but no message came")]
+    found = []
+    if len(publishers) > 1:
+        found.append(Finding(ERROR, topic, f"{len(publishers)} publishers: their messages mix"))
+    if ear.fault:
+        found.append(Finding(ERROR, topic, ear.fault))
+    limit = settings.safety.watchdog
+    if ear.rate < _WITHIN_WATCHDOG / limit:
+        found.append(
+            Finding(
+                level,
+                topic,
+                f"too slow: {ear.rate:.1f} Hz, the watchdog of {limit:g} s needs {_WITHIN_WATCHDOG / limit:g}",
+            )
+        )
+    elif ear.rate < _LEAST_RATE and topic != "/clock":
+        found.append(Finding(WARNING, topic, f"slow: {ear.rate:.1f} Hz, {_LEAST_RATE:g} or more are better"))
+    elif ear.gap > limit and topic != "/clock":
+        found.append(
+            Finding(WARNING, topic, f"irregular: {1e3 * ear.gap:.0f} ms without a message, the watchdog is {limit:g} s")
+        )
+    if not settings.use_sim_time and topic != "/clock" and abs(ear.offset) > 1.0:
+        found.append(
+            Finding(WARNING, topic, f"its stamps are {ear.offset:.1f} s off this machine's clock (use_sim_time?)")
+        )
+    return found or [Finding(OK, topic, f"{kind}, {ear.rate:.0f} Hz, longest gap {1e3 * ear.gap:.0f} ms")]
+
+
+def _sink(node: Node, topic: str, needed: bool) -> list[Finding]:
+    subscribers = [e for e in node.subscribers(topic) if not e.own]
+    rivals = [e for e in node.publishers(topic) if not e.own]
+    if rivals:
+        return [Finding(ERROR, topic, "somebody else publishes on it: the controller will not start")]
+    if not subscribers:
+        return [Finding(ERROR if needed else WARNING, topic, "nobody listens: is the controller active?")]
+    wrong = _wrong_types(topic, subscribers, (COMMANDS,))
+    if wrong:
+        return wrong
+    faults = [Finding(ERROR, topic, e.qos.refuses(DEFAULT)) for e in subscribers if e.qos.refuses(DEFAULT)]
+    return faults or [Finding(OK, topic, f"{len(subscribers)} listening")]
+
+
+def _several_types(node: Node, topic: str, kinds: tuple[str, ...], needed: bool) -> list[Finding]:
+    publishers = node.publishers(topic) if topic else []
+    if not publishers:
+        return [Finding(ERROR, topic, "nobody publishes it")] if topic and needed else []
+    return _wrong_types(topic, publishers, kinds) or [Finding(OK, topic, publishers[0].type)]
+
+
+def _wrong_types(topic: str, endpoints: list[Endpoint], kinds: tuple[str, ...]) -> list[Finding]:
+    wrong = sorted({e.type for e in endpoints} - set(kinds))
+    return [Finding(ERROR, topic, f"its type is {k}, {' or '.join(kinds)} is needed") for k in wrong]

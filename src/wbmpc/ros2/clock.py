@@ -1,0 +1,59 @@
+"""The runner's time from a bus: what ``/clock`` says, for simulators that are slower or faster than the wall's clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+#: Differences of times [s] below this are none.
+_ROUNDING = 1e-7
+#: Messages may overtake each other by this [s].
+_REORDERED = 0.02
+
+
+class BusClock:
+    """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
+    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`."""
+
+    def __init__(self) -> None:
+        self.origin, self.heard = 0.0, None  # type: float, float | None
+        self._time, self.went_back = 0.0, False
+        self._changed = threading.Condition()
+        self._released = 0
+
+    def set(self, time_of_bus: float) -> None:
+        """The bus's time [s] is now this. Time that goes back is a simulator that was started anew."""
+        with self._changed:
+            self.went_back |= time_of_bus < self._time - _REORDERED
+            if self.heard is None or time_of_bus != self._time:
+                self.heard = time.monotonic()
+            self._time = time_of_bus
+            self._changed.notify_all()
+
+    def stamp(self) -> float:
+        """The bus's time [s]."""
+        return self._time
+
+    def restart(self) -> None:
+        """Now is 0."""
+        self.origin, self.went_back = self._time, False
+
+    def now(self) -> float:
+        """Time [s]."""
+        return self._time - self.origin
+
+    def wait(self, until: float) -> None:
+        """Return when it is ``until`` [s], or at :meth:`release`."""
+        with self._changed:
+            before = self._released
+            self._changed.wait_for(lambda: self._released != before or self.now() >= until - _ROUNDING)
+
+    def release(self) -> None:
+        """Whoever waits now waits no more: time may never come that far."""
+        with self._changed:
+            self._released += 1
+            self._changed.notify_all()
+
+    def computing(self) -> float:
+        """0: solves take their time."""
+        return 0.0

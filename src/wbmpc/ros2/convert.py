@@ -1,0 +1,94 @@
+"""Between numbers of this library and messages (REP 103: SI, x ahead, z up). The bus has quaternions as x, y, z, w."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError, NotFinite
+
+Array = np.ndarray
+
+
+def stamp(seconds: float) -> dict[str, int]:
+    """A time [s] as a stamp."""
+    nanoseconds = round(seconds * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def seconds(time: Any) -> float:
+    """A stamp or a duration as seconds."""
+    return float(time.sec) + 1e-9 * float(time.nanosec)
+
+
+def header(time: float, frame: str) -> dict[str, Any]:
+    """A header."""
+    return {"stamp": stamp(time), "frame_id": frame}
+
+
+def vector(values: Array) -> dict[str, float]:
+    """Three numbers as x, y, z."""
+    return dict(zip(("x", "y", "z"), map(float, values), strict=True))
+
+
+def quaternion(values: Array) -> dict[str, float]:
+    """A quaternion of this library."""
+    return dict(zip(lie.PARTS, map(float, values), strict=True))
+
+
+def pose(position: Array, orientation: Array) -> dict[str, Any]:
+    """A pose: position (3) [m], quaternion (4) of this library."""
+    return {"position": vector(position), "orientation": quaternion(orientation)}
+
+
+def upright(base: Array, height: float = 0.0) -> tuple[Array, Array]:
+    """Position and quaternion of a planar pose (x, y, yaw)."""
+    return np.array([base[0], base[1], height]), np.asarray(lie.quaternion_about((0, 0, 1), base[2]))
+
+
+def read_vector(v: Any, what: str) -> Array:
+    """x, y, z of a message; :class:`NotFinite` if one is not a finite number."""
+    return _finite(np.array([v.x, v.y, v.z], float), what)
+
+
+def read_pose(p: Any, what: str) -> tuple[Array, Array]:
+    """Position (3) [m] and unit quaternion (4) of this library."""
+    q = _finite(np.array([getattr(p.orientation, n) for n in lie.PARTS], float), what)
+    length = float(np.linalg.norm(q))
+    if abs(length - 1.0) > 0.05:
+        raise InputError(f"{what}: the quaternion has length {length:.3g}, 1 is needed")
+    return read_vector(p.position, what), q / length
+
+
+def planar(position: Array, orientation: Array) -> Array:
+    """(x, y, yaw) of a pose."""
+    yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(orientation))[0]
+    return np.array([position[0], position[1], yaw])
+
+
+def nearest_turn(yaw: float, to: float) -> float:
+    """The angle [rad] of the same direction that is nearest to another one."""
+    return to + (yaw - to + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def path(time: float, frame: str, positions: Array, orientations: Array, times: Sequence[float]) -> dict[str, Any]:
+    """A nav_msgs/Path of positions (n, 3), quaternions (n, 4) at times (n) [s]."""
+    poses = [
+        {"header": header(t, frame), "pose": pose(p, q)} for t, p, q in zip(times, positions, orientations, strict=True)
+    ]
+    return {"header": header(time, frame), "poses": poses}
+
+
+def status(level: int, name: str, message: str, hardware: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """One entry of /diagnostics: level 0 is well, 1 a warning, 2 an error."""
+    pairs = [{"key": k, "value": str(v)} for k, v in values.items()]
+    return {"level": level, "name": name, "message": message, "hardware_id": hardware, "values": pairs}
+
+
+def _finite(values: Array, what: str) -> Array:
+    if not np.isfinite(values).all():
+        raise NotFinite(f"{what}: a number is not finite")
+    return values

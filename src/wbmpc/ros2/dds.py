@@ -1,0 +1,397 @@
+"""A ROS 2 node by DDS alone: what rmw_cyclonedds puts on the wire, without a ROS installation.
+
+Topics are ``rt/NAME`` with types ``pkg::msg::dds_::Type_`` in plain CDR; the node, its readers and writers are announced on
+``ros_discovery_info``; type hashes go into the endpoints' user data; a service is a pair of topics whose messages begin with
+the client's identity and a sequence number. Source: the ROS 2 design articles (design.ros2.org) and rmw_cyclonedds.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass as make_dataclass
+from types import new_class
+from typing import Any
+
+import numpy as np
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
+from cyclonedds.core import DDSException, InstanceState, Listener, Policy, ReadCondition, SampleState, ViewState
+from cyclonedds.core import Qos as DdsQos
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import types as idl_types_of_package
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+from rosbags.interfaces import Nodetype
+
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
+from wbmpc.ros2.messages import Types, request, response, types
+from wbmpc.ros2.network import Network
+
+_LOG = logging.getLogger("wbmpc")
+idl_types: Any = idl_types_of_package  # its annotations say less than it can do
+_INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+#: How old an answer about the graph may be [s].
+_GRAPH_AGE = 0.05
+#: Of more messages that wait for :meth:`DdsNode.work` the oldest are dropped.
+_MOST_DEFERRED = 100
+#: What stands before the body of a service's messages: client and number.
+_HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
+_HEADER_SIZE = 16
+_INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+_BASE: dict[str, Any] = {name: getattr(idl_types, name) for name in _INTEGERS}
+_BASE |= {"float32": idl_types.float32, "float64": idl_types.float64, "bool": bool}
+_BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
+Take = Callable[[DataReader], None]
+#: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3).
+_POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation"}
+#: A domain is configured once in a process and stays.
+_DOMAINS: dict[int, tuple[Network, Domain]] = {}
+_DOMAINS_LOCK = threading.Lock()
+
+
+def _open_domain(network: Network) -> None:
+    with _DOMAINS_LOCK:
+        known = _DOMAINS.get(network.domain)
+        if known is None:
+            try:
+                _DOMAINS[network.domain] = network, Domain(network.domain, network.cyclone())
+            except (DDSException, UnicodeEncodeError) as error:
+                raise InputError(f"DDS: domain {network.domain} cannot be opened ({error})") from error
+        elif known[0] != network:
+            raise InputError(f"DDS: domain {network.domain} is open in this process with other settings")
+
+
+class DdsNode:
+    """See :class:`wbmpc.ros2.bus.Node`."""
+
+    backend = "dds"
+
+    def __init__(self, name: str, network: Network) -> None:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
+        self.name, self.network, self.types = name, network, types(network.distribution)
+        self.faults: list[str] = []
+        self._lock = threading.RLock()
+        _open_domain(network)
+        try:
+            self._participant = DomainParticipant(network.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+        except DDSException as error:
+            raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
+        self._key = self._participant.guid
+        self._topics: dict[str, tuple[str, Any]] = {}
+        self._readers: list[DataReader] = []
+        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
+        self._writers: list[DataWriter] = []
+        self._graph = [
+            BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
+        ]
+        self._known: list[tuple[float, list[Any]]] = [(-np.inf, []), (-np.inf, [])]
+        self._graph_lock = threading.Lock()  # reading the graph takes milliseconds: callbacks do not wait for it
+        topic = self._topic("ros_discovery_info", _INFO)
+        self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
+        self._announce()
+
+    # ------------------------------------------------------------------ topics
+    def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
+        """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
+        name = full_name(topic)
+        place = self._topic(f"rt{name}", kind)
+        listener = _Watch(lambda policy: self._mismatch("subscription", name, policy))
+        writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
+        self._own(self._writers, writer)
+        return DdsPublisher(writer, place.data_type, self.types, kind)
+
+    def subscribe(
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
+    ) -> None:
+        """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
+        go on."""
+        name = full_name(topic)
+
+        def call(data: bytes) -> None:
+            try:
+                callback(self.types.decode(kind, data))
+            except Exception as error:
+                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+
+        def take(reader: DataReader) -> None:
+            for data in _taken(reader):
+                if deferred:
+                    self._deferred.append((call, data))
+                else:
+                    with self._lock:
+                        call(data)
+
+        qualities = self._qos(qos, kind)
+        self._read(self._topic(f"rt{name}", kind), qualities, take, lambda p: self._mismatch("publisher", name, p))
+
+    def work(self) -> None:
+        """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
+        while self._deferred:
+            call, data = self._deferred.popleft()
+            call(data)
+
+    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
+        """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
+        name = full_name(service)
+        asked, answered = request(kind), response(kind)
+        mark = f"serviceid={_identity()};"
+        replies = self._topic(f"rr{name}Reply", answered, _HEADER)
+        writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+
+        def take(reader: DataReader) -> None:
+            for data in _taken(reader):
+                head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
+                with self._lock:
+                    try:
+                        values = answer(self.types.decode(asked, body))
+                    except Exception as error:
+                        _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                        continue
+                reply = self.types.encode(answered, self.types.make(answered, values))
+                writer.write(replies.data_type(reply[:4] + head + reply[4:]))
+
+        self._own(self._writers, writer)
+        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take)
+
+    def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
+        """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
+        name = full_name(service)
+        asked, answered = request(kind), response(kind)
+        mark = f"clientid={_identity()};"
+        requests, replies = (
+            self._topic(f"rq{name}Request", asked, _HEADER),
+            self._topic(f"rr{name}Reply", answered, _HEADER),
+        )
+        writer = DataWriter(self._participant, requests, qos=self._qos(DEFAULT, asked, mark))
+        reader = DataReader(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+        self._own(self._writers, writer)
+        self._own(self._readers, reader)
+        head = writer.guid.bytes[:8] + struct.pack("<q", 1)
+        body = self.types.encode(asked, self.types.make(asked, values))
+        end = time.monotonic() + timeout
+        try:
+            while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+                _wait(end, f"{name}: nobody serves it")
+            writer.write(requests.data_type(body[:4] + head + body[4:]))
+            while True:
+                for data in _taken(reader):
+                    if data[4 : 4 + _HEADER_SIZE] == head:
+                        return self.types.decode(answered, data[:4] + data[4 + _HEADER_SIZE :])
+                _wait(end, f"{name}: no answer within {timeout:g} s")
+        finally:
+            with self._lock:
+                self._writers.remove(writer)
+                self._readers.remove(reader)
+            self._announce()
+
+    # ------------------------------------------------------------------ graph
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """Everybody's publishers of a topic, this node's too."""
+        return self._endpoints(0, topic)
+
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        """Everybody's subscriptions of a topic, this node's too."""
+        return self._endpoints(1, topic)
+
+    def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
+        wanted, found = f"rt{full_name(topic)}", []
+        reader = self._graph[side]
+        alive = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Alive)
+        with self._graph_lock:
+            read, samples = self._known[side]
+            if time.monotonic() - read > _GRAPH_AGE:
+                samples = reader.read(N=4096, condition=alive)
+                self._known[side] = time.monotonic(), samples
+        for s in samples:
+            if getattr(s, "topic_name", None) == wanted:
+                own = s.participant_key == self._key
+                found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own))
+        return found
+
+    def _announce(self) -> None:
+        """Tell the graph which node has which readers and writers: anew whenever there is another one."""
+        size = 24 if self.network.distribution == "humble" else 16
+        gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
+        with self._lock:
+            node = {
+                "node_namespace": "/", "node_name": self.name,
+                "reader_gid_seq": [gid(r) for r in self._readers], "writer_gid_seq": [gid(w) for w in self._writers],
+            }  # fmt: skip
+            message = self.types.make(_INFO, {"gid": gid(self._participant), "node_entities_info_seq": [node]})
+            self._info.write(self._info.topic.data_type(self.types.encode(_INFO, message)))
+
+    def close(self) -> None:
+        """Leave the bus. Callbacks have ended when this returns."""
+        with self._lock:
+            entities = [*self._readers, *self._writers]
+            self._readers, self._writers = [], []
+        for entity in entities:
+            entity.set_listener(None)
+        self._participant.__del__()  # deletes all that belongs to it; the package has no other way
+
+    # ------------------------------------------------------------------ inside
+    def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> None:
+        """A reader that calls ``take``. The package calls listeners before the reader is complete: what came then is taken
+        as soon as it is."""
+        complete = threading.Event()
+        watch = _Watch(mismatch, lambda reader: take(reader) if complete.is_set() else None)
+        reader = DataReader(self._participant, topic, qos=qos, listener=watch)
+        complete.set()
+        self._own(self._readers, reader)
+        take(reader)
+
+    def _own(self, group: list[Any], entity: Any) -> None:
+        with self._lock:
+            group.append(entity)
+        self._announce()
+
+    def _topic(self, name: str, kind: str, header: Mapping[str, Any] | None = None) -> Topic:
+        self.types.check(kind)
+        if name not in self._topics:
+            try:
+                topic: Any = Topic(self._participant, name, carrier(self.types, kind, header))
+            except DDSException as error:
+                raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
+            self._topics[name] = kind, topic
+        known, present = self._topics[name]
+        if known != kind:
+            raise InputError(f"{name.removeprefix('rt')}: is used with {known} and {kind}")
+        return present
+
+    def _qos(self, qos: Qos, kind: str, mark: str = "") -> DdsQos:
+        reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
+        return DdsQos(
+            reliable if qos.reliable else Policy.Reliability.BestEffort,
+            Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
+            Policy.History.KeepLast(qos.depth),
+            Policy.DataRepresentation(use_cdrv0_representation=True),
+            Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
+        )
+
+    def _mismatch(self, who: str, topic: str, policy: int) -> None:
+        asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
+        sentence = (
+            f"{topic}: a {who} {asks} ({_POLICIES.get(policy, f'policy {policy}')}); no message will come through"
+        )
+        if sentence not in self.faults:
+            self.faults.append(sentence)
+            _LOG.error("%s", sentence)
+
+
+class DdsPublisher:
+    """See :class:`wbmpc.ros2.bus.Publisher`."""
+
+    def __init__(self, writer: DataWriter, carry: type, known: Types, kind: str) -> None:
+        self._writer, self._carry, self._types, self._kind = writer, carry, known, kind
+
+    def publish(self, values: Mapping[str, Any]) -> None:
+        """Send a message."""
+        self.send(self._types.encode(self._kind, self._types.make(self._kind, values)))
+
+    def send(self, data: bytes) -> None:
+        """Send a message that is CDR already, for example from a recording."""
+        self._writer.write(self._carry(data))
+
+
+class _Watch(Listener):  # type: ignore[misc]
+    """``take`` for new data; ``mismatch`` with the number of the policy in which two endpoints do not agree."""
+
+    def __init__(self, mismatch: Callable[[int], None] | None, take: Take | None = None) -> None:
+        super().__init__()
+        if take is not None:
+            self.set_on_data_available(take)
+        if mismatch is not None:
+            notice = lambda _, status: mismatch(int(status.last_policy_id))
+            (self.set_on_offered_incompatible_qos if take is None else self.set_on_requested_incompatible_qos)(notice)
+
+
+def carrier(known: Types, kind: str, header: Mapping[str, Any] | None = None) -> type:
+    """A DDS type with the fields of a message whose samples are CDR that is there already."""
+    base = _idl(known, kind, dict(header or {}), {})
+
+    class Carrier(base):  # type: ignore[valid-type, misc]
+        def __init__(self, data: bytes = b"") -> None:
+            object.__setattr__(self, "data", data)
+
+        def __repr__(self) -> str:
+            return f"{kind}, {len(self.data)} bytes"
+
+        def serialize(self, *ignored: Any, **also: Any) -> bytes:
+            return self.data  # type: ignore[no-any-return, attr-defined]
+
+        @classmethod
+        def deserialize(cls, data: bytes, **ignored: Any) -> Carrier:
+            return cls(bytes(data))
+
+    Carrier.__idl_typename__, Carrier.__idl__ = base.__idl_typename__, base.__idl__  # type: ignore[attr-defined]
+    return Carrier
+
+
+def _idl(known: Types, kind: str, extra: dict[str, Any], made: dict[str, type]) -> type:
+    """The package's form of a message type; ``made``: those that are there already."""
+    if kind in made and not extra:
+        return made[kind]
+    fields = {**extra, **{name: _idl_field(known, form, made) for name, form in known.store.fielddefs[kind][1]}}
+    package, folder, name = kind.split("/")
+    typename = f"{package}.{folder}.dds_.{name}_"
+    struct_type = new_class(
+        f"{name}_", (IdlStruct,), {"typename": typename}, lambda body: body.__setitem__("__annotations__", fields)
+    )
+    made[kind] = make_dataclass(struct_type)
+    return made[kind]
+
+
+def _idl_field(known: Types, form: Any, made: dict[str, type]) -> Any:
+    node, detail = form
+    if node == Nodetype.NAME:
+        return _idl(known, detail, {}, made)
+    if node == Nodetype.BASE:
+        name, limit = detail
+        if name == "string":
+            return idl_types.bounded_str[limit] if limit else str
+        return _BASE[name]
+    inner, size = detail
+    part = _idl_field(known, inner, made)
+    if node == Nodetype.ARRAY:
+        return idl_types.array[part, size]
+    return idl_types.sequence[part, size] if size else idl_types.sequence[part]
+
+
+def _taken(reader: DataReader) -> list[bytes]:
+    """The CDR of all samples that have come; none of those that only say that a writer has gone."""
+    with suppress(DDSException):
+        return [s.data for s in reader.take(N=64) if getattr(s, "data", None)]
+    return []
+
+
+def _ros_type(name: str) -> str:
+    parts = name.split("::")
+    return "/".join([*parts[:-2], parts[-1].removesuffix("_")]) if "dds_" in parts else name
+
+
+def _ros_qos(qos: DdsQos) -> Qos:
+    reliability, durability, history = (qos[p] for p in (Policy.Reliability, Policy.Durability, Policy.History))
+    latched = durability not in (None, Policy.Durability.Volatile)
+    return Qos(reliability != Policy.Reliability.BestEffort, latched, int(getattr(history, "depth", 0)))
+
+
+def _identity() -> str:
+    return ".".join(f"{b:x}" for b in os.urandom(16))
+
+
+def _wait(end: float, sentence: str) -> None:
+    if time.monotonic() > end:
+        raise RunAborted(sentence)
+    time.sleep(0.002)

@@ -1,0 +1,257 @@
+"""From goals, paths and speeds to references over time for base and hand of a swerve robot.
+
+All in the planner's world frame; times are the plan's [s]. A goal without times is approached along a straight line with
+a cosine's profile. Who goes where: a base that is sent carries the hand along; a hand that is sent far takes the base along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.model import RobotModel
+from wbmpc.ocp import Reference
+from wbmpc.ros2.convert import nearest_turn, planar
+from wbmpc.ros2.settings import Speeds
+
+Array = np.ndarray
+#: Between two samples of a reference [s]; how far the hand goes before the base comes along [m].
+STEP, LEASH = 0.02, 0.3
+#: Ways that take less than this [s] are none.
+_ROUNDING = 1e-4
+#: A speed is held for longer than the horizon [s].
+HOLD = 12.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """Planar poses (n, 3) of the base over times (n,) [s]."""
+
+    times: Array
+    poses: Array
+
+    @property
+    def twists(self) -> Array:
+        """Body twists (n, 3) between the samples, constant in between; at rest at the end."""
+        step, turn = np.diff(self.poses[:, :2], axis=0), np.diff(self.poses[:, 2])
+        middle = self.poses[:-1, 2] + 0.5 * turn
+        c, s = np.cos(middle), np.sin(middle)
+        # the chord of an arc: along the middle heading, shorter by sin(a) / a of half its angle
+        ahead = np.stack([c * step[:, 0] + s * step[:, 1], c * step[:, 1] - s * step[:, 0]], axis=1)
+        ahead /= np.sinc(turn / (2.0 * np.pi))[:, None]
+        rates = np.concatenate([ahead, turn[:, None]], axis=1) / np.maximum(np.diff(self.times), 1e-6)[:, None]
+        return np.concatenate([rates, np.zeros((1, 3))])
+
+
+@dataclass(frozen=True)
+class HandTrack:
+    """Positions (n, 3) [m] and quaternions (n, 4) of the hand over times (n,) [s]."""
+
+    times: Array
+    positions: Array
+    orientations: Array
+
+
+@dataclass(frozen=True)
+class Task:
+    """What base and hand are to do. ``carried``: the hand goes with the base; ``said``: the task as a sentence."""
+
+    base: Track
+    hand: HandTrack
+    carried: bool
+    said: str
+
+    def references(self, robot: RobotModel, x: Array) -> dict[str, Reference]:
+        """For the terms ``hand``, ``state`` and ``input``; legs stay as in the state ``x`` (nx), the arm likes its home."""
+        states = np.tile(robot.home, (self.base.times.size, 1))
+        states[:, robot.state["base"]] = self.base.poses
+        if "leg" in robot.state:
+            states[:, robot.state["leg"]] = x[robot.state["leg"]]
+        inputs = np.zeros((self.base.times.size, robot.input.size))
+        inputs[:, robot.input["base"]] = self.base.twists
+        return {
+            "hand": Reference.poses(self.hand.times, self.hand.positions, self.hand.orientations),
+            "state": Reference(self.base.times, states),
+            "input": Reference(self.base.times, inputs),
+        }
+
+
+class Planner:
+    """Makes tasks that begin at a state ``x`` (nx) and time ``t`` [s]."""
+
+    def __init__(self, robot: RobotModel, speeds: Speeds) -> None:
+        self.robot, self.speeds = robot, speeds
+        self.shoulder, self.reach = _arm(robot)
+
+    # ------------------------------------------------------------------ tasks
+    def hold(self, x: Array, t: float) -> Task:
+        """Stay."""
+        return self._carry(x, Track(np.array([t]), self._base(x)[None]), "stay")
+
+    def to_base(self, x: Array, t: float, goal: Array) -> Task:
+        """The base goes to the pose ``goal`` (x, y, yaw), the shorter way round."""
+        start = self._base(x)
+        goal = np.array([goal[0], goal[1], nearest_turn(goal[2], start[2])])
+        way = float(np.hypot(*(goal - start)[:2])) / self.speeds.base
+        share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
+        poses = start + share[:, None] * (goal - start)
+        return self._carry(x, Track(t + STEP * np.arange(share.size), poses), "base to a goal")
+
+    def to_hand(self, x: Array, t: float, position: Array, orientation: Array) -> Task:
+        """The hand goes to a pose; the base comes along by what it is farther than :data:`LEASH`."""
+        self._check_reach(position[None])
+        hand = self._approach(x, t, position, orientation)
+        return Task(self._follow(x, hand), hand, False, "hand to a goal")
+
+    def along_hand(self, x: Array, t: float, path: HandTrack, base: Track | None) -> Task:
+        """The hand goes to the path's beginning, then along it at the path's times (later if it takes longer to get there).
+
+        ``base``: the base's own track; left out, it comes along.
+        """
+        self._check_reach(path.positions)
+        hand = self._join(x, t, path)
+        return Task(base or self._follow(x, hand), hand, False, "hand along a path")
+
+    def along_base(self, x: Array, t: float, path: Track, hand: HandTrack | None) -> Task:
+        """The base goes along a path at its times, from where it is; ``hand``: the hand's own track, else it is carried."""
+        start = self._base(x)
+        first = path.poses[0] + np.array([0.0, 0.0, nearest_turn(path.poses[0, 2], start[2]) - path.poses[0, 2]])
+        poses = path.poses + (first - path.poses[0])
+        approach = self.to_base(x, t, first).base
+        late = max(float(approach.times[-1]) - float(path.times[0]), 0.0)
+        times, later = path.times + late, approach.times[0] < path.times[0] + late
+        way = (approach.times, approach.poses) if later and approach.times.size > 1 else (np.zeros(0), np.zeros((0, 3)))
+        keep = way[0] < times[0] - 1e-9
+        track = Track(np.concatenate([way[0][keep], times]), np.concatenate([way[1][keep], poses]))
+        task = self._carry(x, track, "base along a path")
+        return task if hand is None else replace(task, hand=hand, carried=False)
+
+    def drive(self, x: Array, t: float, twist: Array) -> Task:
+        """The base goes on with a body twist (3); the hand is carried."""
+        s = np.arange(0.0, HOLD, 0.1)
+        return self._carry(x, Track(t + s, self._arc(x, twist, s)), "base at a speed")
+
+    def slow_down(self, x: Array, t: float, twist: Array, ramp: float = 0.5) -> Task:
+        """From a body twist (3) to rest within ``ramp`` [s]."""
+        s = np.linspace(0.0, ramp, 1 + round(ramp / STEP))
+        return self._carry(x, Track(t + s, self._arc(x, twist, s - 0.5 * s * s / ramp)), "base to rest")
+
+    # ------------------------------------------------------------------ parts
+    def _base(self, x: Array) -> Array:
+        return np.array(x[self.robot.state["base"]])
+
+    def _arc(self, x: Array, twist: Array, lengths: Array) -> Array:
+        """Poses (n, 3) after a body twist (3) has acted for ``lengths`` (n) [s]."""
+        start, a = self._base(x), twist[2] * lengths
+        heading = start[2] + 0.5 * a
+        c, s, chord = np.cos(heading), np.sin(heading), lengths * np.sinc(a / (2.0 * np.pi))
+        ahead = np.stack([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], np.zeros_like(a)], axis=1)
+        return np.asarray(start + chord[:, None] * ahead + np.outer(a, [0.0, 0.0, 1.0]))
+
+    def _carry(self, x: Array, base: Track, said: str) -> Task:
+        """The hand keeps its pose in the base."""
+        position, orientation = self.robot.pose(x)
+        start = self._base(x)
+        turns = base.poses[:, 2] - start[2]
+        c, s = np.cos(turns), np.sin(turns)
+        d = position[:2] - start[:2]
+        moved = np.stack([c * d[0] - s * d[1], s * d[0] + c * d[1]], axis=1) + base.poses[:, :2]
+        positions = np.concatenate([moved, np.full((moved.shape[0], 1), position[2])], axis=1)
+        quaternions = [lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), a), orientation) for a in turns]
+        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, said)
+
+    def _approach(self, x: Array, t: float, position: Array, orientation: Array) -> HandTrack:
+        start, turned = self.robot.pose(x)
+        angle = np.linalg.norm(
+            lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(turned), orientation))
+        )
+        way = float(np.linalg.norm(position - start)) / self.speeds.hand
+        share = _profile(max(way, float(angle) / self.speeds.turn))
+        quaternions = np.array([lie.slerp(turned, orientation, s) for s in share])
+        return HandTrack(t + STEP * np.arange(share.size), start + share[:, None] * (position - start), quaternions)
+
+    def _join(self, x: Array, t: float, path: HandTrack) -> HandTrack:
+        way = self._approach(x, t, path.positions[0], path.orientations[0])
+        times = path.times + max(float(way.times[-1]) - float(path.times[0]), 0.0)
+        keep = way.times < times[0] - 1e-9
+        return HandTrack(
+            np.concatenate([way.times[keep], times]),
+            np.concatenate([way.positions[keep], path.positions]),
+            np.concatenate([way.orientations[keep], path.orientations]),
+        )
+
+    def _follow(self, x: Array, hand: HandTrack) -> Track:
+        """The base on a leash behind the hand's way over the floor."""
+        start, shift = self._base(x), np.zeros(2)
+        begin = self.robot.pose(x)[0][:2]
+        poses = np.tile(start, (hand.times.size, 1))
+        for k, position in enumerate(hand.positions):
+            pull = position[:2] - begin - shift
+            length = float(np.hypot(*pull))
+            if length > LEASH:
+                shift = shift + pull * (1.0 - LEASH / length)
+            poses[k, :2] += shift
+        return Track(hand.times, poses)
+
+    def _check_reach(self, positions: Array) -> None:
+        """The base can go anywhere on the floor, so only the height can be too much."""
+        over = np.abs(positions[:, 2] - self.shoulder)
+        k = int(np.argmax(over))
+        if over[k] > self.reach:
+            low, high = self.shoulder - self.reach, self.shoulder + self.reach
+            raise InputError(
+                f"the hand's goal is out of reach: height {positions[k, 2]:.2f} m, possible {max(low, 0.0):.2f} to {high:.2f} m"
+            )
+
+
+def timed(positions: Array, turns: Array, times: Array | None, t: float, speed: float, turn: float) -> Array:
+    """Times [s] of a path's points (n, 3), of which each turns by ``turns`` (n - 1) [rad]: the given ones, or by speeds.
+
+    Given times in the past are taken as relative to ``t``.
+    """
+    if times is not None and times.size > 1 and np.all(np.diff(times) > 0.0):
+        return times if times[0] >= t - 1.0 else times - times[0] + t
+    lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    return t + np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(lengths / speed, turns / turn), 1e-3))])
+
+
+def base_track(poses: Array, times: Array | None, t: float, speeds: Speeds) -> Track:
+    """A path of planar poses (n, 3), the yaw of neighbours the shorter way round."""
+    poses = np.array(poses, float)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Track(timed(poses[:, :2], np.abs(np.diff(poses[:, 2])), times, t, speeds.base, speeds.turn), poses)
+
+
+def hand_track(positions: Array, orientations: Array, times: Array | None, t: float, speeds: Speeds) -> HandTrack:
+    """A path of the hand."""
+    turns = np.array([2.0 * np.arccos(min(abs(float(a @ b)), 1.0)) for a, b in pairwise(orientations)])
+    return HandTrack(timed(positions, turns, times, t, speeds.hand, speeds.turn), positions, orientations)
+
+
+def planar_path(positions: Array, orientations: Array) -> Array:
+    """Planar poses (n, 3) of poses."""
+    return np.array([planar(p, q) for p, q in zip(positions, orientations, strict=True)])
+
+
+def _profile(shortest: float) -> Array:
+    """Shares of a way over samples every :data:`STEP`, as a cosine; ``shortest`` [s]: at full speed all the way."""
+    if shortest < _ROUNDING:
+        return np.ones(1)
+    count = int(np.ceil(0.5 * np.pi * shortest / STEP))
+    return np.asarray(0.5 * (1.0 - np.cos(np.pi * np.arange(count + 1) / count)))
+
+
+def _arm(robot: RobotModel) -> tuple[float, float]:
+    """Height [m] of the shoulder over the floor and length [m] of the stretched arm."""
+    tree, joints = robot.tree, robot.description.arm.joints
+    first = tree.joint(joints[0])
+    frame = tree.frames[robot.tool]
+    length, link = float(np.linalg.norm(frame.position)), frame.link
+    while link != first:
+        length += float(np.linalg.norm(tree.links[link].position))
+        link = tree.links[link].parent
+    return float(robot.base.height + tree.zero_poses()[first][0][2]), length

@@ -1,0 +1,208 @@
+"""Goals from the bus: poses, paths and speeds become requests that make a task at the moment they are taken up."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
+from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, upright
+from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
+from wbmpc.ros2.settings import RosSettings
+
+_LOG = logging.getLogger("wbmpc")
+Array = np.ndarray
+#: (state (nx), time of the plan [s]) -> what is to be done from then on.
+Request = Callable[[Array, float], Task]
+Time = Callable[[], float]
+#: More points than this are a mistake.
+_MOST_POINTS = 20_000
+_TWISTS: dict[str, Callable[[Any], Any]] = {
+    "geometry_msgs/msg/Twist": lambda message: message,
+    "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
+}
+
+
+class Inbox:
+    """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was
+    not taken.
+
+    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
+    force, set by who takes them up.
+    """
+
+    def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
+        self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
+        self.refused = ""
+        self.running: Task | None = None
+        self._requests: dict[str, Request] = {}
+        self._lock = threading.Lock()
+        self._twist, self._twist_at = np.zeros(3), -np.inf
+        self._moving = False
+        self._twist_kind = ""
+        topics = settings.topics
+        for topic, kind, take in (
+            (topics.goal_pose, "geometry_msgs/msg/PoseStamped", self._goal_pose),
+            (topics.hand_goal, "geometry_msgs/msg/PoseStamped", self._hand_goal),
+            (topics.base_path, "nav_msgs/msg/Path", self._base_path),
+            (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
+        ):
+            if topic:
+                node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
+
+    # ------------------------------------------------------------------ taken up
+    def take(self) -> Request | None:
+        """The newest request, once."""
+        if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
+            self._slow_down()
+        with self._lock:
+            return self._requests.pop(next(iter(self._requests))) if self._requests else None
+
+    def refuse(self, sentence: str) -> None:
+        """Say once why a goal is not taken."""
+        if sentence != self.refused:
+            _LOG.warning("%s", sentence)
+        self.refused = sentence
+
+    def look_for_speeds(self) -> None:
+        """Subscribe to speeds in the type in which somebody publishes them (Twist or TwistStamped)."""
+        topic = self.settings.topics.cmd_vel
+        if not topic or self._twist_kind:
+            return
+        kinds = {e.type for e in self.node.publishers(topic)}
+        for kind, part in _TWISTS.items():
+            if kind in kinds:
+                self._twist_kind = kind
+                self.node.subscribe(topic, kind, partial(self._take_speed, part), SENSOR)
+                return
+
+    # ------------------------------------------------------------------ messages
+    def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+        try:
+            take(message)
+        except InputError as error:
+            self.refuse(f"{topic}: {error}")
+
+    def _put(self, request: Request, kind: str = "") -> None:
+        """``kind`` of paths: a path replaces what waits but for the other kind of path."""
+        self.refused, self._moving = "", False
+        with self._lock:
+            others = {k: r for k, r in self._requests.items() if kind and k and k != kind}
+            self._requests = {**others, kind: request}
+
+    def _goal_pose(self, message: Any) -> None:
+        frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
+        self._put(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
+
+    def _hand_goal(self, message: Any) -> None:
+        frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
+        self._put(lambda x, t: self.planner.to_hand(x, t, *self._in_world(frame, x, p, q)))
+
+    def _base_path(self, message: Any) -> None:
+        frame, positions, turned, times = self._path(message)
+
+        def request(x: Array, t: float) -> Task:
+            poses = planar_path(*self._all_in_world(frame, x, positions, turned))
+            track = base_track(poses, self._plan_times(times), t, self.settings.speeds)
+            going = self.running
+            keep = going is not None and not going.carried and going.hand.times[-1] > t
+            return self.planner.along_base(x, t, track, going.hand if going is not None and keep else None)
+
+        self._put(request, "base path")
+
+    def _hand_path(self, message: Any) -> None:
+        frame, positions, turned, times = self._path(message)
+
+        def request(x: Array, t: float) -> Task:
+            p, q = self._all_in_world(frame, x, positions, turned)
+            track = hand_track(p, q, self._plan_times(times), t, self.settings.speeds)
+            going = self.running
+            keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
+            return self.planner.along_hand(x, t, track, going.base if going is not None and keep else None)
+
+        self._put(request, "hand path")
+
+    def _take_speed(self, part: Callable[[Any], Any], message: Any) -> None:
+        self._try(self.settings.topics.cmd_vel, self._speed, part(message))
+
+    def _speed(self, twist: Any) -> None:
+        linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
+        limits = self.planner.robot.limits.input_upper[self.planner.robot.input["base"]]
+        wanted = np.clip(np.array([linear[0], linear[1], angular[2]]), -limits, limits)
+        self._twist_at = self.now()
+        if np.any(wanted):
+            self._put(lambda x, t: self.planner.drive(x, t, wanted))
+            self._twist, self._moving = wanted, True
+        elif self._moving:
+            self._slow_down()
+
+    def _slow_down(self) -> None:
+        twist = self._twist
+        self._put(lambda x, t: self.planner.slow_down(x, t, twist))
+
+    # ------------------------------------------------------------------ parts
+    def _frame(self, header: Any) -> str:
+        frames = self.settings.frames
+        if header.frame_id not in (frames.world, frames.base):
+            raise InputError(
+                f"the goal is in the unknown frame '{header.frame_id}'; valid: {frames.world}, {frames.base}"
+            )
+        return str(header.frame_id)
+
+    def _path(self, message: Any) -> tuple[str, Array, Array, Array]:
+        if not 0 < len(message.poses) <= _MOST_POINTS:
+            raise InputError(f"a path of 1 to {_MOST_POINTS} poses is needed, got {len(message.poses)}")
+        poses = [read_pose(p.pose, f"pose {i} of the path") for i, p in enumerate(message.poses)]
+        times = np.array([seconds(p.header.stamp) for p in message.poses])
+        return self._frame(message.header), np.array([p for p, _ in poses]), np.array([q for _, q in poses]), times
+
+    def _plan_times(self, times: Array) -> Array:
+        return times - self.origin()
+
+    def _in_world(self, frame: str, x: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
+        if frame == self.settings.frames.world:
+            return position, orientation
+        robot = self.planner.robot
+        p, q = upright(x[robot.state["base"]], robot.base.height)
+        return p + lie.quaternion_to_rotation(q) @ position, np.asarray(lie.quaternion_multiply(q, orientation))
+
+    def _all_in_world(self, frame: str, x: Array, positions: Array, turned: Array) -> tuple[Array, Array]:
+        pairs = [self._in_world(frame, x, p, q) for p, q in zip(positions, turned, strict=True)]
+        return np.array([p for p, _ in pairs]), np.array([q for _, q in pairs])
+
+
+class PoseSource:
+    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame); ``at`` [s] of ``now()``."""
+
+    def __init__(self, node: Node, settings: RosSettings, now: Time) -> None:
+        self.node, self.settings, self.now = node, settings, now
+        self.pose: Array | None = None
+        self.at = -np.inf
+        self._listening = False
+
+    def look(self) -> None:
+        """Subscribe in the type in which somebody publishes it."""
+        topic = self.settings.topics.pose
+        kinds = {e.type for e in self.node.publishers(topic)} if topic and not self._listening else set()
+        for kind in ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"):
+            if kind in kinds and not self._listening:
+                self._listening = True
+                self.node.subscribe(topic, kind, self._take, SENSOR)
+
+    def _take(self, message: Any) -> None:
+        topic, world = self.settings.topics.pose, self.settings.frames.world
+        if message.header.frame_id != world:
+            raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
+        try:
+            pose = planar(*read_pose(message.pose.pose, topic))
+        except NotFinite as error:
+            _LOG.error("%s", error)
+            return
+        self.pose, self.at = pose, self.now()

@@ -1,0 +1,104 @@
+"""Joint states of a bus: matched by name, checked, as what a swerve robot's agent measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.model import RobotModel
+from wbmpc.ros2.convert import read_vector, seconds
+from wbmpc.ros2.settings import RosSettings
+
+GROUPS = ("leg", "steer", "wheel", "arm")
+#: A joint may move this often its speed limit, and by this [rad] besides, between two messages.
+_SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """Positions [rad] by group as of the message's ``stamp`` [s]."""
+
+    stamp: float
+    groups: dict[str, np.ndarray]
+
+
+class JointReader:
+    """JointState messages to samples; what is wrong with a message is an :class:`InputError`."""
+
+    def __init__(self, robot: RobotModel, settings: RosSettings) -> None:
+        self.groups = {g: [settings.bus_name(n) for n in robot.state.groups.get(g, ())] for g in GROUPS}
+        self.ignored = set(settings.ignore)
+        self.names = [n for part in self.groups.values() for n in part]
+        limits = robot.limits.input_upper
+        speeds = [limits[robot.input[g]] for g in GROUPS if g in robot.input]
+        self._speed = np.concatenate(speeds)
+        self._order: tuple[list[str], np.ndarray] | None = None
+        self._last: tuple[float, np.ndarray] | None = None
+
+    def read(self, message: Any) -> JointSample:
+        """Check and sort a message. A message that is older than the last one is an error too."""
+        given = list(message.name)
+        if self._order is None or self._order[0] != given:
+            self._order = given, self._places(given)
+        positions = np.asarray(message.position, float)
+        if positions.size != len(given):
+            raise InputError(f"joint states: {len(given)} names but {positions.size} positions")
+        values, stamp = positions[self._order[1]], seconds(message.header.stamp)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise NotFinite(f"joint states: the position of '{self.names[bad[0]]}' is not finite")
+        self._check_motion(stamp, values)
+        self._last = stamp, values
+        groups, start = {}, 0
+        for group, names in self.groups.items():
+            groups[group] = values[start : start + len(names)]
+            start += len(names)
+        return JointSample(stamp, groups)
+
+    def forget(self) -> None:
+        """The next message may be anywhere and at any time."""
+        self._last = None
+
+    def _places(self, given: list[str]) -> np.ndarray:
+        missing = [n for n in self.names if n not in given]
+        extra = [n for n in given if n not in self.names and n not in self.ignored]
+        if missing:
+            unused = f"; it has '{extra[0]}', which is not ours" if extra else ""
+            raise InputError(f"joint states: joint '{missing[0]}' is missing{unused} (key 'joints' maps names)")
+        if extra:
+            raise InputError(
+                f"joint states: joint '{extra[0]}' is not known (list it under key 'ignore' if it is not ours)"
+            )
+        twice = [n for n in self.names if given.count(n) > 1]
+        if twice:
+            raise InputError(f"joint states: joint '{twice[0]}' is there twice")
+        return np.array([given.index(n) for n in self.names])
+
+    def _check_motion(self, stamp: float, values: np.ndarray) -> None:
+        if self._last is None:
+            return
+        interval, moved = stamp - self._last[0], np.abs(values - self._last[1])
+        if interval < 0.0:
+            raise InputError(f"joint states: their time went back by {-interval:.3f} s")
+        far = moved - (_SPEED_FACTOR * self._speed * interval + _SPEED_REST)
+        if np.any(far > 0.0):
+            k = int(np.argmax(far))
+            raise InputError(
+                f"joint states: '{self.names[k]}' jumped by {moved[k]:.3g} rad in {1e3 * interval:.3g} ms, faster than it can move"
+            )
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Gyro (3) [rad/s] and accelerometer (3) [m/s²] in axes of the base."""
+
+    gyro: np.ndarray
+    accel: np.ndarray
+
+
+def read_imu(message: Any) -> Inertial:
+    """An Imu message; :class:`NotFinite` if a number is not finite."""
+    return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))

@@ -1,0 +1,162 @@
+"""The node by rclpy, for machines on which ROS 2 is installed and sourced; any RMW."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosidl_runtime_py.utilities import get_message, get_service
+
+from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
+
+try:
+    from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+except ImportError:  # Humble
+    from rclpy.qos_event import PublisherEventCallbacks, SubscriptionEventCallbacks
+
+_LOG = logging.getLogger("wbmpc")
+
+
+class RosNode:
+    """See :class:`wbmpc.ros2.bus.Node`. It has a context and an executor of its own, so that several live in one process."""
+
+    backend = "rclpy"
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.faults: list[str] = []
+        self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+    def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
+        """A publisher."""
+        name, message = full_name(topic), get_message(kind)
+        events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch("subscription", name, e))
+        return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
+
+    def subscribe(
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
+    ) -> None:
+        """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
+        go on."""
+        name = full_name(topic)
+        events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch("publisher", name, e))
+
+        def call(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:
+                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+
+        later = lambda message: self._deferred.append((call, message))
+        taken = later if deferred else call
+        self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
+
+    def work(self) -> None:
+        """Call back for the messages of deferred subscriptions that have come, in this thread."""
+        while self._deferred:
+            call, message = self._deferred.popleft()
+            call(message)
+
+    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
+        """Answer a service."""
+        self._node.create_service(
+            get_service(kind), full_name(service), lambda asked, answered: fill(answered, answer(asked))
+        )
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """Everybody's publishers of a topic, this node's too."""
+        return [self._endpoint(topic, e) for e in self._node.get_publishers_info_by_topic(full_name(topic))]
+
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        """Everybody's subscriptions of a topic, this node's too."""
+        return [self._endpoint(topic, e) for e in self._node.get_subscriptions_info_by_topic(full_name(topic))]
+
+    def _endpoint(self, topic: str, info: Any) -> Endpoint:
+        profile = info.qos_profile
+        qos = Qos(
+            profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            int(profile.depth or 0),
+        )
+        return Endpoint(full_name(topic), info.topic_type, qos, info.node_name == self.name)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+        self._thread.join(5.0)
+
+    def _mismatch(self, who: str, topic: str, event: Any) -> None:
+        asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
+        sentence = f"{topic}: a {who} {asks} ({event.last_policy_kind}); no message will come through"
+        if sentence not in self.faults:
+            self.faults.append(sentence)
+            _LOG.error("%s", sentence)
+
+
+class RosPublisher:
+    """See :class:`wbmpc.ros2.bus.Publisher`."""
+
+    def __init__(self, publisher: Any, message: type) -> None:
+        self._publisher, self._message = publisher, message
+
+    def publish(self, values: Mapping[str, Any]) -> None:
+        """Send a message."""
+        self._publisher.publish(fill(self._message(), values))
+
+
+def fill(message: Any, values: Mapping[str, Any]) -> Any:
+    """Write nested values into a message; returns it."""
+    for name, value in values.items():
+        present = getattr(message, name)
+        if isinstance(value, Mapping):
+            fill(present, value)
+        elif isinstance(present, bytes):
+            setattr(message, name, bytes([value]))
+        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
+            kind = _part(message.get_fields_and_field_types()[name])
+            setattr(message, name, [fill(kind(), v) for v in value])
+        elif isinstance(present, (bool, int, float, str)):
+            setattr(message, name, type(present)(value))
+        elif isinstance(present, np.ndarray):
+            setattr(message, name, np.asarray(value, present.dtype))
+        else:
+            setattr(message, name, np.asarray(value).tolist())
+    return message
+
+
+def _part(declared: str) -> Any:
+    """The class of ``pkg/Type`` in ``sequence<pkg/Type>`` or ``pkg/Type[3]``."""
+    package, name = re.sub(r"^sequence<|(, \d+)?>$|\[\d+\]$", "", declared).split("/")
+    return get_message(f"{package}/msg/{name}")
+
+
+def _profile(qos: Qos) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
+    )

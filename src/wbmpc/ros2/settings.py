@@ -1,0 +1,191 @@
+"""One YAML file for everything that a robot's bus may call differently: topics, frames, joints, rates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, ValidationError, field_validator
+
+from wbmpc.configuration import describe, keys
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.experiments.settings import MpcSettings, Settings
+from wbmpc.experiments.swerve_problem import SwerveCost
+from wbmpc.model import RobotModel
+
+#: Groups of a swerve robot's drives; each has a controller unless the file says otherwise.
+GROUPS = ("wheel", "steer", "arm", "brake")
+
+
+class Topics(Settings):
+    """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
+
+    ``pose``: another localisation's pose of the base in the world frame, in place of the wheels' odometry.
+    """
+
+    joint_states: str = "/joint_states"
+    imu: str = "/imu"
+    pose: str = ""
+    goal_pose: str = "/goal_pose"
+    hand_goal: str = "/hand_goal"
+    base_path: str = "/base_path"
+    hand_path: str = "/hand_path"
+    cmd_vel: str = "/cmd_vel"
+    odom: str = "/odom"
+    hand_pose: str = "/hand_pose"
+    plan: str = "/plan"
+    hand_plan: str = "/hand_plan"
+    diagnostics: str = "/diagnostics"
+
+    @field_validator("joint_states")
+    @classmethod
+    def _needed(cls, name: str) -> str:
+        if not name:
+            raise ValueError("cannot be switched off")
+        return name
+
+
+class Frames(Settings):
+    """Names of frames (REP 105): ``world`` is fixed where the robot started, ``base`` moves with it."""
+
+    world: str = "odom"
+    base: str = "base_link"
+
+
+class Rates(Settings):
+    """Rates [Hz] of the controller and of what it publishes about itself."""
+
+    control: float = Field(400.0, gt=0, le=2000)
+    odom: float = Field(50.0, gt=0, le=1000)
+    plan: float = Field(2.0, gt=0, le=100)
+    diagnostics: float = Field(1.0, gt=0, le=100)
+
+
+class Speeds(Settings):
+    """How fast goals without times are approached: base [m/s], [rad/s], hand [m/s]."""
+
+    base: float = Field(0.4, gt=0)
+    turn: float = Field(0.4, gt=0)
+    hand: float = Field(0.2, gt=0)
+
+
+class Safety(Settings):
+    """``watchdog`` [s]: largest age of joint states; ``ramp`` [s] of a stop; ``cmd_vel`` [s]: a speed holds this long;
+    ``clock`` [s]: with simulated time, largest wall time without it."""
+
+    watchdog: float = Field(0.1, gt=0, le=1)
+    ramp: float = Field(0.2, ge=0, le=2)
+    cmd_vel: float = Field(0.5, gt=0, le=5)
+    clock: float = Field(1.0, gt=0, le=60)
+
+
+class Controller(Settings):
+    """A controller of ros2_control: ``topic`` of its commands (Float64MultiArray), our ``joints`` in its order."""
+
+    topic: str
+    joints: tuple[str, ...]
+
+
+class RosSettings(Settings):
+    """``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours.
+
+    ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
+    out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says.
+    """
+
+    node: str = "wbmpc"
+    use_sim_time: bool = False
+    topics: Topics = Topics()
+    frames: Frames = Frames()
+    rates: Rates = Rates()
+    speeds: Speeds = Speeds()
+    safety: Safety = Safety()
+    joints: dict[str, str] = Field({})
+    ignore: tuple[str, ...] = ()
+    controllers: dict[str, Controller] = Field({})
+    mpc: MpcSettings = MpcSettings()
+    cost: SwerveCost = SwerveCost()
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    use_gyro: bool = True
+
+    def bus_name(self, joint: str) -> str:
+        """What a joint of ours is called on the bus."""
+        return self.joints.get(joint, joint)
+
+    def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
+        """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
+        drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
+        brakes = {n: f"brake/{n}" for n in drives["brake"]}
+        drives["brake"] = list(brakes.values())
+        if not self.controllers:
+            return {
+                f"{g}_controller": Controller(topic=f"/{g}_controller/commands", joints=tuple(drives[g]))
+                for g in GROUPS
+                if drives[g]
+            }
+        known = [n for names in drives.values() for n in names]
+        seen: dict[str, str] = {}
+        for name, controller in self.controllers.items():
+            for joint in controller.joints:
+                where = f"key 'controllers.{name}.joints'"
+                if joint not in known:
+                    raise unknown_name("joint", joint, known, where=where)
+                if joint in seen:
+                    raise InputError(f"{where}: joint '{joint}' is commanded by '{seen[joint]}' too")
+                seen[joint] = name
+        left = [n for n in known if n not in seen and n not in brakes.values()]
+        if left:
+            raise InputError(f"key 'controllers': no controller commands joint '{left[0]}'")
+        return self.controllers
+
+
+def need_swerve(robot: RobotModel) -> None:
+    """Raise :class:`InputError` for robots that this room cannot drive yet: a ball robot has no estimator of its own."""
+    kind = robot.description.base.type
+    if kind != "swerve":
+        raise InputError(f"ros2: '{robot.description.name}' has a base of type '{kind}'; valid: swerve")
+
+
+def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
+    """The settings of a YAML file, defaults without one. Raises :class:`InputError` naming file and key."""
+    if path is None:
+        return RosSettings()
+    if not path.is_file():
+        raise InputError(f"--config: there is no file '{path}'")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: a mapping of keys is needed; valid: {', '.join(RosSettings.model_fields)}")
+    try:
+        settings = RosSettings.model_validate(data)
+        _check_joints(settings, robot)
+        settings.command_topics(robot)
+    except ValidationError as error:
+        unknown = [f["loc"] for f in error.errors(include_url=False) if f["type"] == "extra_forbidden"]
+        if unknown:
+            raise unknown_name("key", ".".join(map(str, unknown[0])), _siblings(unknown[0]), str(path)) from error
+        raise InputError(f"{path}: {describe(error)}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return settings
+
+
+def _siblings(place: tuple[Any, ...]) -> list[str]:
+    """Valid keys beside a wrong one."""
+    prefix = ".".join(map(str, place[:-1]))
+    inside = [k for k in keys(RosSettings) if k.startswith(f"{prefix}.")] if prefix else []
+    return sorted({".".join(k.split(".")[: len(place)]) for k in inside}) or list(RosSettings.model_fields)
+
+
+def _check_joints(settings: RosSettings, robot: RobotModel) -> None:
+    known = robot.description.joints()
+    for name in settings.joints:
+        if name not in known:
+            raise unknown_name("joint (key 'joints')", name, known)
+    on_bus = [settings.bus_name(n) for n in known]
+    twice = sorted({n for n in on_bus if on_bus.count(n) > 1})
+    if twice:
+        raise InputError(f"key 'joints': two joints are called '{twice[0]}' on the bus")

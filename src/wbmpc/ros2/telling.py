@@ -1,0 +1,105 @@
+"""What the controller's node tells: odometry and its frame, the hand, the plan as paths, diagnostics."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wbmpc.ros2.bus import Node, Publisher, Qos
+from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
+
+#: Standard deviations of the odometry that are told: position [m], yaw [rad], speeds [m/s, rad/s]; unknown for the rest.
+_POSE, _TWIST, _UNKNOWN = (0.02, 0.02, 0.01), (0.01, 0.01, 0.01), 1e6
+WELL, WARNING, ERROR = 0, 1, 2
+#: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
+EVERY = 2
+
+
+class Teller:
+    """Publishes at the rates of the settings by the wall's clock, from the node's own thread."""
+
+    def __init__(self, node: Node, controller: ControlNode) -> None:
+        self.controller = controller
+        topics = controller.settings.topics
+        kinds = {
+            "odom": "nav_msgs/msg/Odometry", "hand_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
+            "hand_plan": "nav_msgs/msg/Path", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        }  # fmt: skip
+        names = {key: getattr(topics, key) for key in kinds}
+        self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
+        self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
+        rates = controller.settings.rates
+        self._due = {
+            "odom": [0.0, 1.0 / rates.odom],
+            "plan": [0.0, 1.0 / rates.plan],
+            "say": [0.0, 1.0 / rates.diagnostics],
+        }
+        self._before: tuple[float, np.ndarray] | None = None
+
+    def tell(self) -> None:
+        """Publish what is due."""
+        now = time.perf_counter()
+        for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
+            due = self._due[key]
+            if now >= due[0]:
+                due[0] = max(due[0] + due[1], now)
+                do()
+
+    def _send(self, key: str, values: dict[str, Any]) -> None:
+        if key in self._to:
+            self._to[key].publish(values)
+
+    def _odometry(self) -> None:
+        c = self.controller
+        if c.agent.seen is None:
+            return
+        (t, x), frames = c.agent.snapshot(), c.settings.frames
+        now = c.stamp_of(t)
+        base = x[c.robot.state["base"]]
+        position, turned = upright(base, c.robot.base.height)
+        covariance = np.diag([_POSE[0] ** 2, _POSE[1] ** 2, *[_UNKNOWN] * 3, _POSE[2] ** 2]).ravel()
+        speeds = np.diag([_TWIST[0] ** 2, _TWIST[1] ** 2, *[_UNKNOWN] * 3, _TWIST[2] ** 2]).ravel()
+        twist = c.agent.odometry.twist if c.running else np.zeros(3)
+        self._send("odom", {
+            "header": header(now, frames.world), "child_frame_id": frames.base,
+            "pose": {"pose": pose(position, turned), "covariance": covariance},
+            "twist": {
+                "twist": {"linear": vector(np.array([*twist[:2], 0.0])), "angular": vector(np.array([0.0, 0.0, twist[2]]))},
+                "covariance": speeds,
+            },
+        })  # fmt: skip
+        transform = {"translation": vector(position), "rotation": quaternion(turned)}
+        self._send("tf", {
+            "transforms": [{"header": header(now, frames.world), "child_frame_id": frames.base, "transform": transform}]
+        })  # fmt: skip
+        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*c.robot.pose(x))})
+
+    def _plans(self) -> None:
+        c = self.controller
+        policy = c.runner.plans.current if c.runner is not None and c.running else None
+        if policy is None:
+            return
+        now, world = c.now(), c.settings.frames.world
+        nodes = slice(None, None, EVERY)
+        times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
+        base = [upright(p, c.robot.base.height) for p in policy.x[nodes, c.robot.state["base"]]]
+        hand = [c.robot.pose(x) for x in policy.x[nodes]]
+        for key, poses in (("plan", base), ("hand_plan", hand)):
+            positions, turned = (np.array(part) for part in zip(*poses, strict=True))
+            self._send(key, path(now, world, positions, turned, times))
+
+    def _diagnostics(self) -> None:
+        c = self.controller
+        stopped = c.runner is not None and c.runner.stopped
+        level = ERROR if stopped else WELL if c.running else WARNING
+        if level == WELL and c.inbox.refused:
+            level = WARNING
+        entries = [status(level, f"{c.settings.node}: controller", c.state, c.robot.description.name, c.figures())]
+        faults = c.node.faults
+        entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
+        self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})

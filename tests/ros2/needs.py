@@ -1,0 +1,43 @@
+"""What the ROS 2 tests share: they need the extra, and run on a bus that nobody else is on."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+import uuid
+from collections.abc import Callable
+from importlib.util import find_spec
+
+import pytest
+
+MISSING = [p for p in ("cyclonedds", "rosbags") if find_spec(p) is None]
+needs_dds = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not installed (extra 'ros2')")
+
+
+def private() -> dict[str, str]:
+    """Environment of a bus of its own: this machine only, a domain by chance, and a tag that nobody else has."""
+    tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4()}</Tag></Discovery></Domain></CycloneDDS>"
+    return {
+        "ROS_DOMAIN_ID": str(random.SystemRandom().randint(1, 100)),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOCALHOST_ONLY": "",
+        "ROS_STATIC_PEERS": "",
+        "ROS_DISTRO": "",
+        "CYCLONEDDS_URI": tag,
+    }
+
+
+def everything() -> dict[str, str]:
+    """The environment of a process on a private bus."""
+    return {**os.environ, **private()}
+
+
+def wait_until(condition: Callable[[], object], seconds: float = 10.0) -> bool:
+    """Whether a condition came true within ``seconds``."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.005)
+    return bool(condition())

@@ -1,0 +1,121 @@
+"""A robot on a bus that is driven by a test: kinematic, in lockstep, as good or as broken as the test wants it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from wbmpc.model import RobotModel
+from wbmpc.ros2 import Network, Qos, open_node
+from wbmpc.ros2.control import ControlNode
+from wbmpc.ros2.convert import header, stamp
+from wbmpc.ros2.settings import RosSettings
+
+PERIOD = 1.0 / 400.0
+GROUPS = ("leg", "steer", "wheel", "arm")
+Change = Callable[[dict[str, Any]], Mapping[str, Any] | None]
+
+
+class Standin:
+    """Publishes joint states and time, moves its joints as commanded. ``change``: what becomes of a JointState (None: lost)."""
+
+    def __init__(self, robot: RobotModel, network: Network) -> None:
+        self.robot, self.time = robot, 1.0
+        self.node = open_node("standin", "dds", network)
+        self.names = {g: list(robot.state.groups[g]) for g in GROUPS}
+        self.joints = {g: robot.home[robot.state[g]].copy() for g in GROUPS}
+        self.commands = {g: np.zeros(len(self.names[g])) for g in ("steer", "wheel", "arm")}
+        self.counts = dict.fromkeys(self.commands, 0)
+        self._joints = self.node.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=5))
+        self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
+        self.change: Change = lambda message: message
+        self.answers = 0.5  # how long a command is waited for [s]
+        for group in self.commands:
+            take = lambda message, g=group: self._take(g, message)
+            self.node.subscribe(f"/{group}_controller/commands", "std_msgs/msg/Float64MultiArray", take)
+
+    def _take(self, group: str, message: Any) -> None:
+        self.commands[group] = np.array(message.data)
+        self.counts[group] += 1
+
+    def tick(self, wait: bool) -> None:
+        """A period: state, time, and with ``wait`` the commands to them."""
+        before = dict(self.counts)
+        message = {
+            "header": header(self.time, ""),
+            "name": [n for g in GROUPS for n in self.names[g]],
+            "position": np.concatenate([self.joints[g] for g in GROUPS]),
+        }
+        changed = self.change(message)
+        if changed is not None:
+            self._joints.publish(changed)
+        self._clock.publish({"clock": stamp(self.time)})
+        end = time.monotonic() + self.answers
+        while wait and any(self.counts[g] == before[g] for g in before) and time.monotonic() < end:
+            time.sleep(1e-4)
+        for group, rates in self.commands.items():
+            self.joints[group] = self.joints[group] + PERIOD * rates
+        self.time += PERIOD
+
+    @property
+    def speed(self) -> float:
+        """The largest commanded speed [rad/s]."""
+        return max(float(np.abs(v).max()) for v in self.commands.values())
+
+
+class Pair:
+    """A controller's node and a stand-in on one bus; both are driven from here."""
+
+    def __init__(self, robot: RobotModel, network: Network, **settings: Any) -> None:
+        self.robot = robot
+        self.settings = RosSettings.model_validate({"use_sim_time": True, **settings})
+        self.node = open_node("wbmpc", "dds", network)
+        self.control = ControlNode(self.node, robot, self.settings)
+        self.standin = Standin(robot, network)
+        self.said: list[Any] = []
+        self.standin.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        for k in range(round(seconds / PERIOD)):
+            if k % 8 == 0:
+                self.control.step()
+            self.standin.tick(wait=self.control.running)
+
+    def until(self, condition: Callable[[], object], seconds: float = 5.0) -> bool:
+        """Let time pass until a condition comes true; whether it did within ``seconds`` of the bus's and of the wall's time."""
+        begin, least = self.standin.time, time.monotonic() + seconds
+        while self.standin.time < begin + seconds or time.monotonic() < least:
+            self.run(8 * PERIOD)
+            if condition():
+                return True
+        return False
+
+    def ready(self) -> None:
+        """Let time pass until a goal can be given."""
+        assert self.until(lambda: self.control.state == "waiting for a goal"), self.control.state
+        self.run(0.05)
+
+    def send(self, topic: str, kind: str, values: Mapping[str, Any], times: int = 1) -> None:
+        """A message from somebody on the bus."""
+        publisher = self.standin.node.publisher(topic, kind)
+        end = time.monotonic() + 5.0
+        while not publisher._writer.get_matched_subscriptions() and time.monotonic() < end:  # type: ignore[attr-defined]
+            time.sleep(0.005)
+        for _ in range(times):
+            publisher.publish(values)
+        time.sleep(0.05)
+
+    def go(self, x: float = 1.0, y: float = 0.0, frame: str = "odom") -> None:
+        """A goal for the base."""
+        pose = {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y}}}
+        self.send("/goal_pose", "geometry_msgs/msg/PoseStamped", pose)
+
+    def close(self) -> None:
+        """End both."""
+        self.control.close()
+        self.node.close()
+        self.standin.node.close()

@@ -1,0 +1,240 @@
+"""A node without ROS. Truth: rosbags reads what was on the wire, hand-written CDR, the names and hashes of REP 2016."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, private, wait_until
+
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
+
+pytestmark = needs_dds
+if not MISSING:
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    from wbmpc.ros2.dds import carrier
+    from wbmpc.ros2.messages import types
+
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "44"})
+STRING, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
+
+
+@pytest.fixture
+def nodes() -> Iterator[tuple[Any, Any]]:
+    pair = open_node("one", "dds", NETWORK), open_node("other", "dds", NETWORK)
+    yield pair
+    for node in pair:
+        node.close()
+
+
+# ---------------------------------------------------------------------- messages
+def test_a_message_is_the_cdr_that_the_specification_says() -> None:
+    """Little endian, four bytes of header, strings with their zero, numbers at multiples of their size."""
+    t = types("jazzy")
+    data = t.encode(
+        JOINTS, t.make(JOINTS, {"header": {"stamp": {"sec": 7, "nanosec": 9}}, "name": ["ab"], "position": [0.5]})
+    )
+    body = struct.pack("<iI", 7, 9) + struct.pack("<I", 1) + b"\0" + b"\0" * 3  # stamp, frame "", alignment
+    body += struct.pack("<I", 1) + struct.pack("<I", 3) + b"ab\0" + b"\0"  # one name
+    body += struct.pack("<I", 1) + b"\0" * (-(len(body) + 4) % 8) + struct.pack("<d", 0.5)
+    body += struct.pack("<II", 0, 0)  # no velocities, no efforts
+    assert data[:4] == b"\x00\x01\x00\x00"
+    assert data[4:] == body
+
+
+def test_what_is_not_given_is_zero_and_what_is_not_known_is_named() -> None:
+    t = types("jazzy")
+    pose = t.make("geometry_msgs/msg/PoseWithCovariance", {"pose": {"position": {"x": 1}}})
+    assert (pose.pose.position.x, pose.pose.orientation.w) == (1.0, 1.0)
+    assert pose.covariance.shape == (36,)
+    with pytest.raises(InputError, match=r"unknown field of geometry_msgs/msg/Point 'u'.*valid: x, y, z"):
+        t.make("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"u": 1.0}}})
+    with pytest.raises(InputError, match="an array of 36 float64 is needed"):
+        t.make("geometry_msgs/msg/PoseWithCovariance", {"covariance": [1.0]})
+    with pytest.raises(
+        InputError, match=r"unknown message type 'std_msgs/msg/Strin'.*did you mean 'std_msgs/msg/String'"
+    ):
+        t.check("std_msgs/msg/Strin")
+
+
+def test_what_is_on_the_wire_goes_into_a_bag_and_comes_out_of_it(nodes: tuple[Any, Any], tmp_path: Path) -> None:
+    """Bytes off the bus, recorded untouched, read by rosbags' own reader: every field of every kind of message."""
+    one, _ = nodes
+    sent = {
+        JOINTS: {"header": {"frame_id": "b"}, "name": ["a", "b"], "position": np.array([1.0, -2.0])},
+        "std_msgs/msg/Float64MultiArray": {"data": np.linspace(0, 1, 14)},
+        "nav_msgs/msg/Odometry": {"child_frame_id": "c", "pose": {"covariance": np.arange(36.0)}},
+        "tf2_msgs/msg/TFMessage": {"transforms": [{"child_frame_id": "x", "transform": {"rotation": {"w": 0.5, "z": 0.25}}}]},
+        "nav_msgs/msg/Path": {"poses": [{"pose": {"position": {"x": float(i)}}} for i in range(3)]},
+        "diagnostic_msgs/msg/DiagnosticArray": {"status": [{"level": 2, "name": "n", "values": [{"key": "k", "value": "v"}]}]},
+        "visualization_msgs/msg/MarkerArray": {"markers": [{"type": 4, "points": [{"x": 1.0}], "color": {"a": 1.0}}]},
+    }  # fmt: skip
+    raw: dict[str, list[bytes]] = {kind: [] for kind in sent}
+    listening = DomainParticipant(44)
+    readers = {
+        kind: DataReader(listening, Topic(listening, f"rt/t{i}", carrier(types("jazzy"), kind)))
+        for i, kind in enumerate(sent)
+    }
+    for i, (kind, values) in enumerate(sent.items()):
+        publisher = one.publisher(f"/t{i}", kind)
+        assert wait_until(lambda p=publisher: p._writer.get_matched_subscriptions())  # type: ignore[misc]
+        publisher.publish(values)
+        assert wait_until(lambda k=kind: raw[k].extend(s.data for s in readers[k].take(N=9)) or raw[k])  # type: ignore[misc]
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for i, kind in enumerate(sent):
+            bag.write(bag.add_connection(f"/t{i}", kind, typestore=store), 1, raw[kind][0])
+    with Reader(tmp_path / "bag") as bag:
+        read = {c.msgtype: store.deserialize_cdr(data, c.msgtype) for c, _, data in bag.messages()}
+    assert read.keys() == sent.keys()
+    assert list(read[JOINTS].name) == ["a", "b"] and list(read[JOINTS].position) == [1.0, -2.0]
+    np.testing.assert_array_equal(read["std_msgs/msg/Float64MultiArray"].data, np.linspace(0, 1, 14))
+    assert read["nav_msgs/msg/Odometry"].pose.covariance[35] == 35.0
+    assert read["tf2_msgs/msg/TFMessage"].transforms[0].transform.rotation.z == 0.25
+    assert [p.pose.position.x for p in read["nav_msgs/msg/Path"].poses] == [0.0, 1.0, 2.0]
+    assert read["diagnostic_msgs/msg/DiagnosticArray"].status[0].values[0].value == "v"
+    assert read["visualization_msgs/msg/MarkerArray"].markers[0].points[0].x == 1.0
+
+
+# ---------------------------------------------------------------------- topics
+def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    got: list[float] = []
+    other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))
+    publisher = one.publisher("/count", "std_msgs/msg/Float64", Qos(depth=1000))
+    assert wait_until(lambda: [e for e in other.publishers("/count") if not e.own])
+    assert wait_until(lambda: publisher._writer.get_matched_subscriptions())
+    for i in range(500):
+        publisher.publish({"data": i})
+    assert wait_until(lambda: len(got) == 500)
+    assert got == list(range(500))
+
+
+def test_late_joiners_get_what_is_latched(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    one.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish({"transforms": [{"child_frame_id": "imu"}]})
+    one.publisher("/gone", STRING).publish({"data": "before anybody listened"})
+    got: list[str] = []
+    other.subscribe("/gone", STRING, lambda m: got.append(m.data))
+    other.subscribe(
+        "/tf_static", "tf2_msgs/msg/TFMessage", lambda m: got.append(m.transforms[0].child_frame_id), LATCHED
+    )
+    assert wait_until(lambda: got)
+    assert got == ["imu"]
+
+
+def test_a_sensor_is_heard_whatever_it_offers(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    got: list[str] = []
+    for topic, qos in (("/a", DEFAULT), ("/b", SENSOR)):
+        other.subscribe(topic, STRING, lambda m: got.append(m.data), SENSOR)
+        publisher = one.publisher(topic, STRING, qos)
+        assert wait_until(lambda p=publisher: p._writer.get_matched_subscriptions())  # type: ignore[misc]
+        publisher.publish({"data": topic})
+    assert wait_until(lambda: len(got) == 2)
+    assert not one.faults and not other.faults
+
+
+def test_a_mismatch_is_said_on_both_sides(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    one.publisher("/scan", STRING, SENSOR)
+    other.subscribe("/scan", STRING, print, DEFAULT)
+    assert wait_until(lambda: one.faults and other.faults)
+    assert other.faults == [
+        "/scan: a publisher offers less than is asked for (reliability); no message will come through"
+    ]
+    assert one.faults == [
+        "/scan: a subscription asks for more than is offered (reliability); no message will come through"
+    ]
+    (offered,) = other.publishers("/scan")
+    assert DEFAULT.refuses(offered.qos) == "it offers best effort, reliable is asked for"
+    assert not SENSOR.refuses(offered.qos)
+
+
+def test_a_callback_that_raises_does_not_end_the_bus(nodes: tuple[Any, Any], caplog: pytest.LogCaptureFixture) -> None:
+    one, other = nodes
+    got: list[str] = []
+
+    def callback(message: Any) -> None:
+        got.append(message.data)
+        raise ValueError("no good")
+
+    other.subscribe("/bad", STRING, callback, Qos(depth=10))
+    publisher = one.publisher("/bad", STRING)
+    assert wait_until(lambda: publisher._writer.get_matched_subscriptions())
+    publisher.publish({"data": "1"})
+    publisher.publish({"data": "2"})
+    assert wait_until(lambda: len(got) == 2)
+    assert "/bad: ValueError: no good" in caplog.text
+
+
+# ---------------------------------------------------------------------- graph
+def test_the_graph_shows_node_types_and_hashes(nodes: tuple[Any, Any]) -> None:
+    """What `ros2 node list` and `ros2 topic info -v` read."""
+    one, other = nodes
+    infos: list[Any] = []
+    one.subscribe("/clock", "rosgraph_msgs/msg/Clock", print, SENSOR)
+    publisher = one.publisher("/joint_states", JOINTS, SENSOR)
+    watcher = DomainParticipant(44)
+    kind = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+    topic = Topic(watcher, "ros_discovery_info", carrier(types("jazzy"), kind))
+    reader = DataReader(watcher, topic, qos=other._qos(Qos(latched=True, depth=100), kind))
+
+    def found() -> bool:
+        infos.extend(types("jazzy").decode(kind, s.data) for s in reader.take(N=64) if hasattr(s, "data"))
+        return any(i.node_entities_info_seq[0].node_name == "one" and len(full(i)) == 2 for i in infos)
+
+    full = lambda i: [*i.node_entities_info_seq[0].reader_gid_seq, *i.node_entities_info_seq[0].writer_gid_seq]
+    assert wait_until(found)
+    info = [i for i in infos if i.node_entities_info_seq[0].node_name == "one"][-1]
+    assert bytes(info.gid.data) == one._participant.guid.bytes
+    assert bytes(info.node_entities_info_seq[0].writer_gid_seq[0].data) == publisher._writer.guid.bytes
+    assert wait_until(lambda: other.publishers("/joint_states"))
+    (endpoint,) = other.publishers("/joint_states")
+    assert (endpoint.type, endpoint.own, endpoint.qos) == (JOINTS, False, SENSOR)
+    assert [e.own for e in one.publishers("/joint_states")] == [True]
+    (sample,) = [s for s in other._graph[0].read(N=99) if s.topic_name == "rt/joint_states"]
+    assert sample.type_name == "sensor_msgs::msg::dds_::JointState_"
+    # the hash that ROS 2 Jazzy prints in `ros2 topic info -v /joint_states`
+    user = next(p for p in sample.qos if type(p).__name__ == "Userdata").data
+    assert user == b"typehash=RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e;"
+
+
+def test_who_leaves_is_gone_from_the_graph(nodes: tuple[Any, Any]) -> None:
+    _, other = nodes
+    third = open_node("third", "dds", NETWORK)
+    third.publisher("/there", STRING)
+    assert wait_until(lambda: other.publishers("/there"))
+    third.close()
+    assert wait_until(lambda: not other.publishers("/there"))
+
+
+# ---------------------------------------------------------------------- services and wrong use
+def test_a_service_answers(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    one.serve("/brakes", "std_srvs/srv/SetBool", lambda q: {"success": q.data, "message": "open" if q.data else "shut"})
+    for asked, says in ((True, "open"), (False, "shut")):
+        answer = other.call("/brakes", "std_srvs/srv/SetBool", {"data": asked})
+        assert (answer.success, answer.message) == (asked, says)
+    with pytest.raises(RunAborted, match="/nobody: nobody serves it"):
+        other.call("/nobody", "std_srvs/srv/Trigger", {}, timeout=0.1)
+
+
+def test_wrong_use_is_one_sentence(nodes: tuple[Any, Any]) -> None:
+    with pytest.raises(InputError, match="a name of letters"):
+        open_node("my node", "dds", NETWORK)
+    with pytest.raises(InputError, match="valid: auto, rclpy, dds"):
+        open_node("n", "zenoh", NETWORK)
+    nodes[0].publisher("/x", STRING)
+    with pytest.raises(InputError, match=r"/x: is used with std_msgs/msg/String and std_msgs/msg/Bool"):
+        nodes[0].publisher("/x", "std_msgs/msg/Bool")

@@ -1,0 +1,120 @@
+"""A look at a bus. Truth: what was put on the bus on purpose."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, private
+
+from wbmpc.cli import main
+from wbmpc.model import load_robot
+from wbmpc.ros2 import DEFAULT, SENSOR, Network, Qos, open_node
+
+pytestmark = needs_dds
+if not MISSING:
+    from wbmpc.ros2.check import check
+    from wbmpc.ros2.convert import header
+    from wbmpc.ros2.settings import RosSettings
+
+ROBOT = load_robot("swerve-ur10")
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "46"})
+COMMANDS = "std_msgs/msg/Float64MultiArray"
+GROUPS = ("wheel", "steer", "arm", "brake")
+
+
+@pytest.fixture
+def robot() -> Iterator[Any]:
+    node = open_node("robot", "dds", NETWORK)
+    yield node
+    node.close()
+
+
+@pytest.fixture
+def looker() -> Iterator[Any]:
+    node = open_node("looker", "dds", NETWORK)
+    yield node
+    node.close()
+
+
+def listen(node: Any, groups: tuple[str, ...] = GROUPS, kind: str = COMMANDS) -> None:
+    """Controllers that are active."""
+    for group in groups:
+        node.subscribe(f"/{group}_controller/commands", kind, lambda message: None, DEFAULT)
+
+
+def states(node: Any, rate: float, names: list[str] | None = None, age: float = 0.0) -> threading.Event:
+    """Publish joint states until the event is set."""
+    publisher, end = node.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR), threading.Event()
+    names = names or [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+
+    def run() -> None:
+        while not end.wait(1.0 / rate):
+            publisher.publish(
+                {"header": header(time.time() - age, ""), "name": names, "position": np.zeros(len(names))}
+            )
+
+    threading.Thread(target=run, daemon=True).start()
+    return end
+
+
+def found(node: Any, listen_for: float = 1.0) -> dict[str, tuple[str, str]]:
+    """Findings by topic."""
+    return {f.topic: (f.level, f.text) for f in check(node, ROBOT, RosSettings(), listen_for)}
+
+
+def test_an_empty_bus(looker: Any) -> None:
+    f = found(looker)
+    assert f["/joint_states"] == ("error", "nobody publishes it")
+    assert f["/imu"][0] == "warning" and f["/brake_controller/commands"][0] == "warning"
+    assert f["/wheel_controller/commands"] == ("error", "nobody listens: is the controller active?")
+
+
+def test_a_good_robot(robot: Any, looker: Any) -> None:
+    listen(robot)
+    end = states(robot, 300.0)
+    f = found(looker)
+    end.set()
+    assert f["/joint_states"][0] in ("ok", "warning")  # a busy machine may be irregular
+    assert "missing" not in f["/joint_states"][1]
+    assert all(f[f"/{g}_controller/commands"] == ("ok", "1 listening") for g in GROUPS)
+
+
+def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) -> None:
+    robot.publisher("/imu", "std_msgs/msg/String")
+    robot.publisher("/cmd_vel", "geometry_msgs/msg/Pose")
+    listen(robot, ("wheel",), "std_msgs/msg/Float64")
+    end = states(robot, 10.0, ["hip"], age=100.0)
+    found_all = [(f.topic, f.text) for f in check(looker, ROBOT, RosSettings(), 1.5)]
+    end.set()
+    assert ("/imu", "its type is std_msgs/msg/String, sensor_msgs/msg/Imu is needed") in found_all
+    assert ("/wheel_controller/commands", f"its type is std_msgs/msg/Float64, {COMMANDS} is needed") in found_all
+    assert any(t == "/cmd_vel" and "geometry_msgs/msg/Twist or " in text for t, text in found_all)
+    said = [text for t, text in found_all if t == "/joint_states"]
+    assert any("too slow:" in s for s in said) and any("joint 'leg_LF' is missing" in s for s in said)
+    assert any("100.0 s off this machine's clock" in s or "99.9 s off" in s or "100.1 s off" in s for s in said)
+
+
+def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: Any) -> None:
+    robot.publisher("/joint_states", "sensor_msgs/msg/JointState")
+    end = states(robot, 100.0)
+    robot.subscribe("/arm_controller/commands", COMMANDS, lambda message: None, Qos(latched=True))
+    robot.publisher("/steer_controller/commands", COMMANDS)
+    f = {(x.topic, x.text) for x in check(looker, ROBOT, RosSettings(), 1.0)}
+    end.set()
+    assert ("/joint_states", "2 publishers: their messages mix") in f
+    assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
+    assert ("/steer_controller/commands", "somebody else publishes on it: the controller will not start") in f
+
+
+def test_the_command_says_so_with_its_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {**private(), "ROS_DOMAIN_ID": "47"}.items():
+        monkeypatch.setenv(name, value)
+    assert main(["ros2", "check", "swerve-ur10", "--seconds", "0.5", "--backend", "dds"]) == 1
+    assert "error   /joint_states" in capsys.readouterr().out

@@ -1,0 +1,113 @@
+"""From goals to references. Truth: straight lines and arcs by hand, rigid motion of the hand with the base, speed limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot
+from wbmpc.ros2.goals import LEASH, HandTrack, Planner, Task, Track, base_track, hand_track
+from wbmpc.ros2.settings import Speeds
+
+ROBOT = load_robot("swerve-ur10")
+SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)
+PLANNER = Planner(ROBOT, SPEEDS)
+HAND, TURNED = ROBOT.pose(ROBOT.home)
+
+
+def at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> np.ndarray:
+    """The home with its base elsewhere."""
+    state = ROBOT.home.copy()
+    state[ROBOT.state["base"]] = x, y, yaw
+    return state
+
+
+def check_rigid(task: Task) -> None:
+    """The hand of a carried task is where the base, standing there, has it."""
+    for k in (0, len(task.base.poses) // 2, -1):
+        position, turned = ROBOT.pose(at(*task.base.poses[k]))
+        np.testing.assert_allclose(task.hand.positions[k], position, atol=1e-9)
+        assert abs(task.hand.orientations[k] @ turned) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_base_goal_is_a_straight_way_within_the_speeds() -> None:
+    task = PLANNER.to_base(at(1.0, 2.0, 0.3), 5.0, np.array([2.0, 0.0, 0.3 + 2 * np.pi + 1.0]))
+    poses, times = task.base.poses, task.base.times
+    np.testing.assert_allclose(poses[[0, -1]], [[1.0, 2.0, 0.3], [2.0, 0.0, 1.3]], atol=1e-12)
+    along = (poses[:, :2] - [1.0, 2.0]) @ np.array([-2.0, -1.0])  # across the line
+    np.testing.assert_allclose(along, 0.0, atol=1e-12)
+    rates = np.diff(poses, axis=0) / np.diff(times)[:, None]
+    assert 0.95 * 0.4 < np.hypot(rates[:, 0], rates[:, 1]).max() <= 0.4 + 1e-9
+    assert np.abs(rates[:, 2]).max() <= 0.5 and times[0] == 5.0
+    check_rigid(task)
+
+
+def test_the_twists_move_the_poses() -> None:
+    task = PLANNER.to_base(at(0.0, 0.0, 0.2), 0.0, np.array([1.0, -0.5, 2.0]))
+    pose = task.base.poses[0]
+    for twist, h in zip(task.base.twists, np.diff(task.base.times)):
+        pose = lie.se2_step(pose, twist * h)
+    np.testing.assert_allclose(pose, task.base.poses[-1], atol=1e-9)
+    references = task.references(ROBOT, at())
+    assert references["state"].values.shape[1] == ROBOT.state.size
+    np.testing.assert_array_equal(references["input"].values[:, ROBOT.input["base"]], task.base.twists)
+
+
+def test_a_speed_is_an_arc() -> None:
+    task = PLANNER.drive(at(0.0, 0.0, np.pi / 2), 3.0, np.array([0.5, 0.0, 0.25]))  # radius 2 m, to the left
+    s = task.base.times - 3.0
+    circle = np.stack([-2.0 + 2.0 * np.cos(0.25 * s), 2.0 * np.sin(0.25 * s)], axis=1)
+    np.testing.assert_allclose(task.base.poses[:, :2], circle, atol=1e-9)
+    np.testing.assert_allclose(task.base.twists[:-1], np.tile([0.5, 0.0, 0.25], (s.size - 1, 1)), atol=1e-9)
+    assert s[-1] > 10.0  # longer than the horizon
+    check_rigid(task)
+
+
+def test_slowing_down_ends_after_half_the_way() -> None:
+    task = PLANNER.slow_down(at(), 0.0, np.array([0.4, 0.0, 0.0]), ramp=0.5)
+    assert task.base.poses[-1, 0] == pytest.approx(0.5 * 0.4 * 0.5)
+    assert np.all(np.diff(task.base.twists[:-1, 0]) < 0.0)
+
+
+@pytest.mark.parametrize(("way", "moved"), [(0.2, 0.0), (1.0, 1.0 - LEASH)])
+def test_a_far_hand_takes_the_base_along(way: float, moved: float) -> None:
+    task = PLANNER.to_hand(at(), 0.0, HAND + [way, 0.0, 0.1], TURNED)
+    np.testing.assert_allclose(task.hand.positions[[0, -1]], [HAND, HAND + [way, 0.0, 0.1]], atol=1e-12)
+    np.testing.assert_allclose(task.base.poses[-1], [moved, 0.0, 0.0], atol=1e-9)
+    speed = np.linalg.norm(np.diff(task.hand.positions, axis=0), axis=1) / np.diff(task.hand.times)
+    assert speed.max() <= 0.2 + 1e-9 and not task.carried
+
+
+def test_too_high_is_refused() -> None:
+    """The UR10 stands on the base: its data sheet's reach of 1.3 m, the wrist and the tool from a shoulder at 0.64 m."""
+    assert 0.5 < PLANNER.shoulder < 0.8 and 1.3 < PLANNER.reach < 1.9
+    with pytest.raises(InputError, match=r"out of reach: height 2.60 m"):
+        PLANNER.to_hand(at(), 0.0, HAND + [0.0, 0.0, 1.8], TURNED)
+
+
+def test_paths_keep_their_times_or_get_them_from_the_speeds() -> None:
+    positions = np.array([[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.4]])
+    quaternions = np.tile(TURNED, (3, 1))
+    given = np.array([11.0, 11.5, 14.0])
+    np.testing.assert_array_equal(hand_track(positions, quaternions, given, 10.0, SPEEDS).times, given)
+    np.testing.assert_allclose(hand_track(positions, quaternions, given, 100.0, SPEEDS).times, [100.0, 100.5, 103.0])
+    for useless in (None, np.zeros(3)):
+        np.testing.assert_allclose(hand_track(positions, quaternions, useless, 10.0, SPEEDS).times, [10.0, 12.0, 14.0])
+    turning = base_track(np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0]]), None, 0.0, SPEEDS)
+    assert turning.poses[1, 2] == pytest.approx(2 * np.pi - 3.0)  # the shorter way round
+    assert turning.times[1] == pytest.approx((2 * np.pi - 6.0) / 0.5)
+
+
+def test_a_path_begins_where_the_robot_is() -> None:
+    path = Track(np.array([1.0, 2.0]), np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0]]))
+    task = PLANNER.along_base(at(), 1.0, path, None)
+    np.testing.assert_allclose(task.base.poses[[0, -1]], [[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]], atol=1e-12)
+    approach = 0.5 * np.pi * 1.0 / 0.4
+    assert task.base.times[0] == 1.0 and task.base.times[-1] == pytest.approx(1.0 + approach + 1.0, abs=0.03)
+    assert np.all(np.diff(task.base.times) > 0.0)
+    hand = HandTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + [0.1, 0.0, 0.0]]), np.tile(TURNED, (2, 1)))
+    both = PLANNER.along_hand(at(), 0.0, hand, path)
+    np.testing.assert_allclose(both.hand.positions, hand.positions, atol=1e-12)
+    assert both.base is path

@@ -1,0 +1,75 @@
+"""Which bus. Truth: rcl's documentation of the variables; two nodes that do or do not hear each other."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from needs import needs_dds, private, wait_until
+
+from wbmpc.errors import InputError
+from wbmpc.ros2 import LATCHED, Network, open_node
+
+
+def test_nothing_set_is_the_default_of_ros() -> None:
+    network = Network.of({})
+    assert (network.domain, network.reach, network.peers, network.distribution) == (0, "SUBNET", (), "jazzy")
+    assert "AllowMulticast" not in network.cyclone() and "Peer " not in network.cyclone()
+
+
+def test_the_older_variable_wins_when_it_is_on() -> None:
+    both = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "192.0.2.1"}
+    assert Network.of({**both, "ROS_LOCALHOST_ONLY": "1"}) == Network(reach="LOCALHOST")
+    assert Network.of({**both, "ROS_LOCALHOST_ONLY": "0"}) == Network(peers=("192.0.2.1",))
+
+
+def test_ranges_become_settings_of_the_middleware() -> None:
+    local = Network(reach="LOCALHOST").cyclone()
+    assert "<AllowMulticast>false<" in local and '<Peer address="localhost"/>' in local
+    off = Network(reach="OFF").cyclone()
+    assert "<Tag>ros_discovery_off_" in off and "Peer " not in off
+    assert Network(reach="SYSTEM_DEFAULT", extra="file:///x.xml").cyclone() == "file:///x.xml"
+    assert Network(peers=("192.0.2.7",), extra="<X/>").cyclone().endswith("</CycloneDDS>,<X/>")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("ROS_DOMAIN_ID", "233", "from 0 to 232"),
+        ("ROS_DOMAIN_ID", "-1", "from 0 to 232"),
+        ("ROS_DOMAIN_ID", "home", "'home'"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "HOUSE", "SUBNET, LOCALHOST, OFF"),
+        ("ROS_LOCALHOST_ONLY", "yes", "valid: 0, 1"),
+        ("ROS_DISTRO", "noetic", "jazzy"),
+    ],
+)
+def test_a_wrong_variable_is_named(name: str, value: str, says: str) -> None:
+    with pytest.raises(InputError, match=rf"{name}.*{re.escape(says)}"):
+        Network.of({name: value})
+
+
+def heard(one: dict[str, str], other: dict[str, str]) -> bool:
+    """Whether a latched message of a node gets to another one. Domains differ: a process configures one once."""
+    nodes = [open_node(f"n{i}", "dds", Network.of(e)) for i, e in enumerate((one, other))]
+    got: list[object] = []
+    nodes[0].publisher("/hello", "std_msgs/msg/String", LATCHED).publish({"data": "there"})
+    nodes[1].subscribe("/hello", "std_msgs/msg/String", got.append, LATCHED)
+    there = wait_until(lambda: got, 0.7)
+    for node in nodes:
+        node.close()
+    return there
+
+
+@needs_dds
+def test_domains_do_not_hear_each_other() -> None:
+    one = {**private(), "ROS_DOMAIN_ID": "41"}
+    assert heard(one, one)
+    assert not heard(one, {**one, "ROS_DOMAIN_ID": "42"})
+
+
+@needs_dds
+def test_one_process_has_one_configuration_of_a_domain() -> None:
+    one = {**private(), "ROS_DOMAIN_ID": "43"}
+    open_node("first", "dds", Network.of(one)).close()
+    with pytest.raises(InputError, match="domain 43 is open in this process with other settings"):
+        open_node("second", "dds", Network.of({**one, "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}))

@@ -1,0 +1,91 @@
+"""Two processes on one bus. Truth: the same run inside one process; the simulator's true pose after a process was killed."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds
+
+from wbmpc.experiments.swerve_track import SwerveTrackSettings
+
+pytestmark = needs_dds
+if not MISSING:
+    from ros2_bus import Bus, Recorder, inside, open_bus, track
+
+SEED, REST = 3, 1.0
+#: A short and fast sine, so that the test is.
+SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, rest=REST)
+
+
+@pytest.fixture(scope="module")
+def bus() -> Iterator[Any]:
+    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 0.5}}) as opened:
+        yield opened
+
+
+def test_the_hand_follows_as_well_as_in_one_process(bus: Bus) -> None:
+    assert track(bus, SETTINGS, REST) == pytest.approx(inside(SETTINGS, SEED), rel=0.2)
+
+
+def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
+    """The robot's side stops by itself; the controller says that it has lost the robot. Continues the test before."""
+    recorder, node = Recorder(bus.node), bus.node
+    goal = node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+    there = lambda: recorder.rows["base"][-1][1]
+
+    def go(x: float) -> None:
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions(), 10.0)
+        start = there()
+        goal.publish({"header": {"frame_id": "base_link"}, "pose": {"position": {"x": x}}})
+        bus.wait_for(lambda: abs(there() - start) > 0.1, 30.0)
+
+    bus.wait_for(lambda: recorder.rows["base"], 10.0)
+    go(2.0)
+    bus.control.kill()
+    bus.control.wait()
+    bus.wait_for(lambda: "the robot stops" in bus.output(), 20.0)
+    stopped_at = len(recorder.rows["base"])
+    bus.wait_for(lambda: len(recorder.rows["base"]) > stopped_at + 60, 20.0)
+    assert bus.output().count("no commands on /") == 1
+    rows = np.array(recorder.rows["base"])[-20:]
+    assert np.ptp(rows[:, 1:3], axis=0).max() < 1e-3
+
+    bus.said = ""
+    bus.control = bus.start_control()
+    bus.wait_for(lambda: bus.said == "waiting for a goal", 60.0)
+    go(-2.0)
+    bus.sim.kill()
+    bus.wait_for(lambda: "the time on /clock has stopped" in bus.said and bus.level == 2, 20.0)
+    assert bus.output().count("the time on /clock has stopped") == 2  # as an error, and as the state
+
+
+def test_what_ends_ends_well(bus: Bus) -> None:
+    """The signal to end: exit code 0, nothing but log lines was written."""
+    bus.control.terminate()
+    assert bus.control.wait(20.0) == 0
+    assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
+
+
+def test_a_driver_that_hangs_in_real_time() -> None:
+    """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached; states that stop for
+    longer than the watchdog stop the robot, and it stays stopped when they come back."""
+    settings = {"topics": {"imu": ""}, "rates": {"control": 100}, "safety": {"watchdog": 1.0, "clock": 60.0}}
+    with open_bus(72, SEED, lockstep=False, settings=settings) as bus:
+        recorder = Recorder(bus.node)
+        goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions() and recorder.rows["base"], 10.0)
+        goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 0.3}}})
+        bus.wait_for(lambda: abs(recorder.rows["base"][-1][1] - 0.3) < 0.02, 30.0)
+        assert "running" in bus.said
+        bus.sim.send_signal(signal.SIGSTOP)
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
+        bus.sim.send_signal(signal.SIGCONT)
+        assert "s old, the limit is 1 s" in bus.said
+        rows = len(recorder.rows["base"])
+        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
+        assert "stopped" in bus.said
+        assert np.ptp(np.array(recorder.rows["base"])[-20:, 1]) < 1e-3

@@ -1,0 +1,92 @@
+"""The rclpy back end on a stand-in for rclpy (fake_ros.py), and on rclpy itself where ROS 2 is sourced.
+
+Truth: typed fields as rosidl makes them. Without ROS nothing here says that ROS agrees."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, wait_until
+
+from wbmpc.errors import InputError
+from wbmpc.ros2 import LATCHED, SENSOR, open_node
+
+if not MISSING:
+    from fake_ros import FakeNode, install, message_class
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Any:
+    nodes = install(monkeypatch)
+    yield nodes
+    sys.modules.pop("wbmpc.ros2.ros", None)
+
+
+@needs_dds
+def test_rclpy_is_taken_where_it_is(made: list[Any]) -> None:
+    node = open_node("wbmpc")
+    assert node.backend == "rclpy" and [n.name for n in made] == ["wbmpc"]
+    node.close()
+
+
+@pytest.mark.skipif(find_spec("rclpy") is not None, reason="rclpy is there")
+def test_asked_for_but_not_there() -> None:
+    with pytest.raises(InputError, match="rclpy cannot be imported: source ROS 2"):
+        open_node("wbmpc", "rclpy")
+
+
+@needs_dds
+def test_every_kind_of_field_is_written_with_its_type(made: list[Any]) -> None:
+    from wbmpc.ros2.ros import fill
+
+    diagnostics = fill(message_class("diagnostic_msgs/msg/DiagnosticArray")(), {
+        "header": {"stamp": {"sec": 3, "nanosec": np.int64(5)}, "frame_id": "f"},
+        "status": [{"level": 2, "name": "n", "values": [{"key": "k", "value": "v"}]}],
+    })  # fmt: skip
+    assert (diagnostics.header.stamp.sec, diagnostics.header.stamp.nanosec) == (3, 5)
+    assert (diagnostics.status[0].level, diagnostics.status[0].values[0].key) == (b"\2", "k")
+    joints = fill(message_class("sensor_msgs/msg/JointState")(), {"name": ["a", "b"], "position": np.array([1.0, 2.0])})
+    assert joints.name == ["a", "b"] and list(joints.position) == [1.0, 2.0]
+    odometry = fill(message_class("nav_msgs/msg/Odometry")(), {"pose": {"covariance": np.arange(36.0)}})
+    assert odometry.pose.covariance[35] == 35.0
+    imu = fill(message_class("sensor_msgs/msg/Imu")(), {"orientation_covariance": [-1.0] + [0.0] * 8})
+    assert imu.orientation_covariance[0] == -1.0
+
+
+@needs_dds
+def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
+    node = open_node("wbmpc")
+    got: list[Any] = []
+    node.subscribe("joint_states", "sensor_msgs/msg/JointState", lambda m: got.append(list(m.position)), SENSOR)
+    node.publisher("/joint_states", "sensor_msgs/msg/JointState", LATCHED).publish({"position": [0.5]})
+    assert got == [[0.5]] and FakeNode.bus[0][0] == "/joint_states"
+    profile = made[0].profiles[0]
+    assert (profile.reliability, profile.durability, profile.depth) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+    assert [(e.own, e.type, e.qos) for e in node.publishers("x")] == [
+        (True, "std_msgs/msg/String", SENSOR), (False, "std_msgs/msg/String", SENSOR),
+    ]  # fmt: skip
+    event = type("Event", (), {"last_policy_kind": "RELIABILITY"})()
+    made[0].events.incompatible_qos(event)
+    made[0].events.incompatible_qos(event)
+    assert node.faults == [
+        "/joint_states: a subscription asks for more than is offered (RELIABILITY); no message will come through"
+    ]
+    node.serve("/brakes", "std_srvs/srv/SetBool", lambda asked: {"success": True, "message": "open"})
+    answered = message_class("std_srvs/srv/SetBool_Response")()
+    assert made[0].services["/brakes"](None, answered).message == "open"
+    node.close()
+
+
+@pytest.mark.skipif(find_spec("rclpy") is None, reason="needs a sourced ROS 2 (rclpy)")
+def test_two_nodes_of_a_real_ros() -> None:
+    one, other = open_node("wbmpc_one", "rclpy"), open_node("wbmpc_other", "rclpy")
+    got: list[float] = []
+    other.subscribe("/wbmpc_test", "std_msgs/msg/Float64MultiArray", lambda m: got.extend(m.data), LATCHED)
+    one.publisher("/wbmpc_test", "std_msgs/msg/Float64MultiArray", LATCHED).publish({"data": [1.0, 2.0]})
+    assert wait_until(lambda: got == [1.0, 2.0])
+    one.close()
+    other.close()

@@ -1,0 +1,84 @@
+"""The bus's YAML. Truth: what the files say; sentences that name file, key and valid choices."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from wbmpc.cli import main
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot
+from wbmpc.ros2.settings import RosSettings, load_settings
+
+ROBOT = load_robot("swerve-ur10")
+DOCS = Path(__file__).parents[2] / "docs" / "ros2.md"
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "bus.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_everything_has_a_default() -> None:
+    settings = load_settings(None, ROBOT)
+    topics = {name: c.topic for name, c in settings.command_topics(ROBOT).items()}
+    assert topics["wheel_controller"] == "/wheel_controller/commands" and len(topics) == 4
+    assert settings.safety.watchdog == 0.1 and settings.bus_name("wheel_LF") == "wheel_LF"
+
+
+def test_a_robot_with_fixed_legs_has_no_brakes() -> None:
+    assert "brake_controller" not in RosSettings().command_topics(load_robot("swerve-fixed-ur10"))
+
+
+def test_controllers_and_joints_as_the_robot_has_them(tmp_path: Path) -> None:
+    arm = ", ".join(ROBOT.input.groups["arm"])
+    text = f"""
+joints: {{wheel_LF: fl_wheel}}
+controllers:
+  base: {{topic: /base/commands, joints: [wheel_LF, steer_LF, wheel_RF, steer_RF, wheel_LB, steer_LB, wheel_RB, steer_RB]}}
+  arm: {{topic: /arm/commands, joints: [{arm}]}}
+"""
+    settings = load_settings(write(tmp_path, text), ROBOT)
+    assert settings.command_topics(ROBOT)["base"].joints[1] == "steer_LF"
+    assert settings.bus_name("wheel_LF") == "fl_wheel"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("topics: {joint_state: /x}", "unknown key 'topics.joint_state' (did you mean 'topics.joint_states'?)"),
+        ("rate: 3", "unknown key 'rate'"),
+        ("topics: {joint_states: ''}", "cannot be switched off"),
+        ("safety: {watchdog: 0}", "safety.watchdog=0"),
+        ("joints: {wheel_XX: a}", "unknown joint (key 'joints') 'wheel_XX'"),
+        ("joints: {wheel_LF: wheel_RF}", "two joints are called 'wheel_RF' on the bus"),
+        ("controllers: {w: {topic: /w, joints: [wheel_LF, wheel_LF]}}", "joint 'wheel_LF' is commanded by 'w' too"),
+        ("controllers: {w: {topic: /w, joints: [wheel_LF]}}", "no controller commands joint 'wheel_RF'"),
+        ("controllers: {w: {topic: /w, joints: [leg_LF]}}", "unknown joint 'leg_LF'"),
+        ("[1, 2]", "a mapping of keys is needed"),
+        ("a: [", "not valid YAML"),
+    ],
+)
+def test_faults_are_one_sentence_with_the_file(tmp_path: Path, text: str, says: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(InputError, match=f"{re.escape(str(path))}: .*{re.escape(says)}"):
+        load_settings(path, ROBOT)
+
+
+def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
+    """The first YAML block of docs/ros2.md that has the key 'topics'."""
+    blocks = re.findall(r"```yaml\n(.*?)```", DOCS.read_text(), re.S)
+    block = next(b for b in blocks if "topics:" in b)
+    settings = load_settings(write(tmp_path, block), ROBOT)
+    assert settings.bus_name("wheel_LF") == "front_left_wheel_joint"
+
+
+def test_commands_refuse_other_robots_and_missing_files(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ros2", "control", "rezero"]) == 2
+    assert capsys.readouterr().err == "wbmpc: ros2: 'rezero' has a base of type 'ball'; valid: swerve\n"
+    assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
+    assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"
+    assert main(["ros2"]) == 0
