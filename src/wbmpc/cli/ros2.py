@@ -40,7 +40,7 @@ def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple
     from wbmpc.ros2.bus import open_node
     from wbmpc.ros2.settings import load_settings, need_swerve
 
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", force=True)
+    logging.getLogger("wbmpc").setLevel(logging.INFO)  # a node tells what it does
     model = load_robot(robot)
     need_swerve(model)
     settings = load_settings(config, model)

@@ -80,7 +80,9 @@ class Latency:
 
 
 def not_finite(name: str, value: Any) -> str | None:
-    """Which part of a number, an array or a dataclass of them is not finite; None if all are."""
+    """Which part of a number, an array or a dataclass of them is not finite; None if all are. What is None is not there."""
+    if value is None:
+        return None
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             found = not_finite(f"{name}.{field.name}", getattr(value, field.name))

@@ -122,10 +122,10 @@ class ControlNode:
         self.period = 1.0 / settings.rates.control
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady)
+        self.body = BusRobot(node, robot, settings, self.clock)
         self.agent = self._new_agent(np.zeros(3))
         robot.pose(robot.home)  # builds the function: not in a tick
         self.planner = Planner(robot, settings.speeds)
-        self.body = BusRobot(node, robot, settings, self.clock)
         self.inbox = Inbox(node, self.planner, settings, self._origin, steady)
         self.runner: Runner | None = None
         self._rival, self._said = "", ""

@@ -9,9 +9,8 @@ import numpy as np
 
 from wbmpc.control import RezeroAgent, SwerveAgent
 from wbmpc.errors import InputError
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.rezero_task import set_home_references
+from wbmpc.experiments.rezero_problem import rezero_mpc
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings, set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
 from wbmpc.loop import Ending, Timing, Watch, run_lockstep
@@ -62,9 +61,9 @@ def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
 
 
 def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
-    settings = RezeroStepsSettings().mpc
+    settings = RezeroSettings().mpc
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
-    mpc = rezero_mpc(robot, settings, RezeroCost())
+    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     plant = RezeroPlant(robot.description, home, torque, None, seed)
