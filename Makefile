@@ -14,8 +14,10 @@ demo: $(VENV)/.installed
 test: $(VENV)/.tested
 	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) $(PYTEST_ARGS)
 
+# against other solvers, then the soak
 bench: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc bench
+	$(ENVIRONMENT) $(BIN)/python benchmarks/soak.py
 
 # the whole race: more peers, C, scaling, floor, closed loop (minutes)
 race: $(VENV)/.installed

@@ -1,8 +1,13 @@
 """Tests may import what stands beside them (``driving``, ``oracles``)."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))
+
+# A job in the background is started with Ctrl-C ignored, and so would be every process that a test starts.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
