@@ -24,18 +24,19 @@ PATIENCE = 0.05
 
 
 def shapes(message: Any) -> dict[str, tuple[int, ...]]:
-    """Fields of a dataclass of numbers and arrays, for a mailbox."""
-    return {f.name: np.shape(getattr(message, f.name)) for f in fields(message)}
+    """Fields of a dataclass of numbers and arrays, for a mailbox; what is None does not travel."""
+    return {name: np.shape(value) for name, value in values(message).items()}
 
 
 def values(message: Any) -> dict[str, Any]:
     """A dataclass as fields of a message."""
-    return {f.name: getattr(message, f.name) for f in fields(message)}
+    given = {f.name: getattr(message, f.name) for f in fields(message)}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def build(kind: type, message: dict[str, np.ndarray]) -> Any:
     """The dataclass of a message."""
-    given = {f.name: message[f.name] for f in fields(kind)}
+    given = {f.name: message[f.name] for f in fields(kind) if f.name in message}
     return kind(**{name: v if v.ndim else float(v) for name, v in given.items()})
 
 
