@@ -5,7 +5,8 @@ Numbers (float, int, bool), flat arrays of float64 and int64, tuples of numbers 
 allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers.
 
 Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write; arithmetic and comparisons by element,
-``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all`` of a vector.
+``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``np.sqrt``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all``
+of a vector.
 
 The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
 read it before it is written to).
@@ -49,6 +50,7 @@ DECLARATIONS = "\n".join(
 )
 DECLARATIONS += f"""
 declare {_LLVM[VEC]} @llvm.fabs.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
+declare {_LLVM[VEC]} @llvm.sqrt.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare double @llvm.vector.reduce.fmax.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare double @llvm.vector.reduce.fadd.v{LANES}f64(double, {_LLVM[VEC]}) nounwind memory(none)
 declare i1 @llvm.vector.reduce.and.v{LANES}i1({_LLVM[MASK]}) nounwind memory(none)"""
@@ -586,7 +588,11 @@ class Translator:
         found = self.of_vectors(name, node)
         if found is not None:
             return found
-        value = self.convert(self.value(node.args[0]), NUM, node)
+        value = self.value(node.args[0])
+        if value.kind == VEC and name == "sqrt":
+            t = llvm_type(VEC)
+            return Value(VEC, self.new(f"call {t} @llvm.sqrt.v{LANES}f64({t} {value.text})"))
+        value = self.convert(value, NUM, node)
         if name in _NUMPY:
             return Value(NUM, self.new(f"call double @{_NUMPY[name]}(double {value.text})"))
         if name in ("isfinite", "isinf"):
