@@ -6,7 +6,7 @@ the same numbers at the same places, so that no mask is needed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def groups_of(offsets: Iterable[int]) -> list[int]:
     return sorted({o // LANES for o in offsets})
 
 
-def compact(offsets: list[list[int]], groups: list[int]) -> list[list[int]]:
+def compact(offsets: Sequence[Sequence[int]], groups: list[int]) -> list[list[int]]:
     """Places in a matrix as places among its groups, one group after the other."""
     rank = {g: i for i, g in enumerate(groups)}
     return [[LANES * rank[o // LANES] + o % LANES for o in places] for places in offsets]
