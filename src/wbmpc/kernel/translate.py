@@ -32,6 +32,9 @@ NUM2, NUM3, NUM4, NUM6 = ((NUM,) * n for n in (2, 3, 4, 6))
 INT2, INT3 = (INT,) * 2, (INT,) * 3
 Type = str | tuple[str, ...]
 
+#: Functions of more instructions are compiled once, not where they are called: half as much code, seconds at the first start.
+LARGE = 50
+
 _LLVM = {NUM: "double", INT: "i64", BOOL: "i1", NUMS: "ptr", INTS: "ptr", NONE: "void"}
 _LLVM |= {VEC: f"<{LANES} x double>", MASK: f"<{LANES} x i1>"}
 #: No assumption that numbers are finite: the driver must see a NaN.
@@ -179,7 +182,9 @@ class Translator:
                 self.assign_name(name, Value(kind, f"%a.{name}"), self.tree)
         self.block(self.tree.body)
         self.lines.append("ret void" if self.signature.result == NONE else "unreachable")
-        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(given)}) nounwind {{"
+        large = len(self.lines) > LARGE and VEC not in (*self.signature.arguments, *self.signature.result)
+        rules = "nounwind noinline" if large else "nounwind"
+        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(given)}) {rules} {{"
         return "\n".join([head, *self.head, *self.lines, "}"])
 
     def block(self, body: list[ast.stmt]) -> None:
