@@ -94,8 +94,9 @@ def _chain_time(problem: Problem, blocks: int, repeat: int) -> float:
 
 def side_by_side(rows: np.ndarray) -> np.ndarray:
     """Numbers (N, width) of nodes as blocks (blocks, width, 8) of eight nodes; the last node fills the last block."""
-    missing = -len(rows) % LANES
-    full = np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]).reshape(-1, LANES, rows.shape[1])
+    blocks = -(-len(rows) // LANES)
+    nodes = np.minimum(np.arange(blocks * LANES), len(rows) - 1)
+    full = rows[nodes].reshape(blocks, LANES, rows.shape[1])
     out = aligned(full.size).reshape(len(full), rows.shape[1], LANES)
     out[:] = full.transpose(0, 2, 1)
     return out
