@@ -122,7 +122,7 @@ def peer_figures(name: str, prepared: Prepared, problem: Problem, measure: Measu
     if measure is None:
         return dict(figures)
     equal = within(PEER_SECONDS, equal_figures, name, prepared, problem.x0, start, figures, measure)
-    return {**figures, "residual": measure(x, u, problem.x0).largest, **({} if isinstance(equal, str) else equal)}
+    return {**figures, "residual": measure(x, u, problem.x0).figure, **({} if isinstance(equal, str) else equal)}
 
 
 def equal_figures(

@@ -63,7 +63,7 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
     prepared = prepare(problem)
     measure = Measure(prepared.program)
     attempt = lambda iterations: several_iterations(problem, iterations)
-    rows[0]["residual"] = measure(x, u, problem.x0).largest
+    rows[0]["residual"] = measure(x, u, problem.x0).figure
     rows[0] |= to_equal_residual(attempt, figures["iterations"], lambda x, u: measure(x, u, problem.x0))
     for name in PEERS:
         note(f"{problem.name}: {name}")

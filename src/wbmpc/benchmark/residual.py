@@ -25,7 +25,8 @@ _DAMPING = 1e-12
 
 
 class Residual(NamedTuple):
-    """Largest violation of a row (of a limit: in units of its range), largest entry of the Lagrangian's gradient, largest product h ν."""
+    """Largest violation of a row (of a limit: in units of its range), largest entry of the Lagrangian's gradient, largest
+    product h ν."""
 
     primal: float
     dual: float
@@ -34,6 +35,11 @@ class Residual(NamedTuple):
     @property
     def largest(self) -> float:
         return max(self)
+
+    @property
+    def figure(self) -> float | None:
+        """The largest for a table; None for a point that is not finite."""
+        return self.largest if np.isfinite(self.largest) else None
 
 
 def least_squares(gradient: Array, jacobian: sp.csc_matrix, weights: Array, signed: Array) -> Array:
