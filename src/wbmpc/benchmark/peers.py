@@ -21,6 +21,8 @@ from wbmpc.benchmark.residual import Measure, to_equal_residual
 
 #: A peer that has not answered after this time [s] is stopped and reported so.
 PEER_SECONDS = 20.0
+#: The same for all its solves until the common measure is met [s].
+EQUAL_SECONDS = 60.0
 #: On the optimality conditions, as each solver measures them.
 TOLERANCE = 1e-8
 PEERS = ("fatrop", "ipopt")
@@ -121,7 +123,7 @@ def peer_figures(name: str, prepared: Prepared, problem: Problem, measure: Measu
     x, u, figures = found
     if measure is None:
         return dict(figures)
-    equal = within(PEER_SECONDS, equal_figures, name, prepared, problem.x0, start, figures, measure)
+    equal = within(EQUAL_SECONDS, equal_figures, name, prepared, problem.x0, start, figures, measure)
     return {**figures, "residual": measure(x, u, problem.x0).figure, **({} if isinstance(equal, str) else equal)}
 
 
