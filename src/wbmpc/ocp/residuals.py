@@ -253,6 +253,71 @@ class BallSpin:
 
 
 @dataclass(frozen=True)
+class PanelContact:
+    """Door and hand move together: g̈ + 2 ``rate`` ġ + ``rate``² g of the hand's distance g [m] from the panel (Baumgarte 1972).
+
+    With g̈ = tᵀ(J q̈ + J̇ q̇) − ℓ φ̈ + …, and φ̈ from the door's own equation: the row that Minniti et al. 2019, section V-A, leave
+    out. ``dynamics``: a :class:`wbmpc.model.WithDoor`; ``rate`` [1/s].
+    """
+
+    dynamics: Any
+    rate: float = 10.0
+
+    size, reference = 1, 0
+    groups = {"normal": slice(0, 1)}  # noqa: RUF012
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        gap, speed, acceleration = self.dynamics.gap_acceleration(s.all_x, s.all_u, s.parameters, s.mode)
+        return acceleration + 2.0 * self.rate * speed + self.rate**2 * gap
+
+
+@dataclass(frozen=True)
+class PanelPlace:
+    """Where the hand is on a door's panel: distance from the hinge along it, height (2) [m], minus their reference."""
+
+    dynamics: Any
+
+    size, reference = 2, 2
+    groups = {"lever": slice(0, 1), "height": slice(1, 2)}  # noqa: RUF012
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        robot = self.dynamics.robot
+        height = robot.frame_pose(s.x, robot.tool).position[2]
+        return ca.vertcat(self.dynamics.lever(s.all_x, s.parameters), height) - s.reference
+
+
+@dataclass(frozen=True)
+class FrictionCone:
+    """A hand that can only push, and not slide: rows [N] that are to be at least zero.
+
+    Reference: the unit normal n (3) of the surface, into it. With the robot's push F = −(force of the world on it):
+    ``push``: nᵀF − ``least``; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
+    """
+
+    robot: RobotModel
+    friction: float
+    least: float = 0.0
+    group: str = "force"
+
+    size, reference = 5, 3
+    groups = {"push": slice(0, 1), "cone": slice(1, 5)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.group not in self.robot.input:
+            raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
+        if not self.friction > 0.0:
+            raise InputError(f"friction cone: friction must be positive, got {self.friction}")
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        n, force = s.reference, -s.u[self.robot.input[self.group]]
+        across = ca.vertcat(-n[1], n[0], 0.0)  # of walls and doors: the normal is horizontal
+        up = ca.vertcat(0.0, 0.0, 1.0)
+        push, side, rise = ca.dot(n, force), ca.dot(across, force), ca.dot(up, force)
+        most = self.friction / np.sqrt(2.0) * push
+        return ca.vertcat(push - self.least, most - side, most + side, most - rise, most + rise)
+
+
+@dataclass(frozen=True)
 class BrakedLegs:
     """Leg rates [rad/s] where the brake is closed, zero where it is open."""
 
