@@ -174,11 +174,9 @@ class DoorAgent(RezeroAgent):
         wanted = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
         mpc.set_schedule(schedule)
         mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
-        mpc.reference["force"] = Reference(times, -wanted[:, None] * normals)
+        mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
-        if "panel" in mpc.ocp.terms:
-            mpc.reference["panel"] = Reference.constant([self.lever, self.push.start[2]])
 
     def _angles(self, times: Array, plans: Plans) -> Array:
         """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""

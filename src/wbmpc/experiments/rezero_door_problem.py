@@ -16,15 +16,17 @@ PUSHING = ("held", "moving")
 
 
 class PushCost(Settings):
-    """Weights while the hand pushes: force error [1/N²], orientation of the hand [1/rad²], its linear and angular velocity,
-    its place on the panel [1/m²] (with the door's equation only), the ball's speed."""
+    """Weights while the hand pushes: error of the force along the normal and tangential forces [1/N²], orientation of the hand
+    [1/rad²], its linear and angular velocity, the ball's speed, the arm's angles [1/rad²] (a posture in which to follow the
+    door)."""
 
     force: Weight = 1.0
+    tangential: Weight = 0.1
     orientation: Weight = 10.0
     twist: Weight = 0.0
     angular: Weight = 0.2
-    panel: Weight = 300.0
     ball_speed: Weight = 0.2
+    arm: Weight = 5.0
 
 
 class DoorScheme(Settings):
@@ -49,8 +51,6 @@ def door_problem(
     ocp = OptimalControlProblem(dynamics, settings.horizon, settings.intervals, first_interval=first)
     _costs(ocp, robot, cost, push)
     if scheme.row:
-        both = {"at": "all", "modes": PUSHING}
-        ocp.add(Cost("panel", residuals.PanelPlace(dynamics), push.panel, **both))
         ocp.add(Constraint("door", residuals.PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
     _limits(ocp, robot, settings)
@@ -74,14 +74,16 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
     twist = residuals.FrameTwist(robot, robot.tool)
     add("twist", twist, np.array([h.twist] * 3 + [h.angular] * 3), modes=("free",))
     add("push_twist", twist, np.array([push.twist] * 3 + [push.angular] * 3), modes=PUSHING)
-    for name, speed, modes in (("body", b.ball_speed, ("free",)), ("push_body", push.ball_speed, PUSHING)):
+    kinds = (("body", b.ball_speed, 0.0, ("free",)), ("push_body", push.ball_speed, push.arm, PUSHING))
+    for name, speed, posture, modes in kinds:
         n = robot.state
-        weight = n.vector({"base": [b.ball, b.ball, b.yaw, 0, 0], "arm_velocity": b.arm_rate})
+        weight = n.vector({"base": [b.ball, b.ball, b.yaw, 0, 0], "arm": posture, "arm_velocity": b.arm_rate})
         weight[n["base_velocity"]] = [speed, speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
         add(name, residuals.State(robot), weight, modes=modes)
     weights = {"wheel": cost.torque.wheel, "arm": cost.torque.arm}
     ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), weights))
-    ocp.add(Cost("force", residuals.FrameWrench(robot, robot.tool), push.force, modes=PUSHING))
+    force = {"push": push.force, "across": push.tangential, "up": push.tangential}
+    ocp.add(Cost("force", residuals.PushForce(robot), force, modes=PUSHING))
 
 
 def _limits(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings) -> None:

@@ -137,15 +137,17 @@ class WithDoor:
         wide = ca.horzcat(own[:, :n], ca.SX(n, 2), own[:, n:])
         return ca.vertcat(f, door), ca.vertcat(wide, ca.jacobian(door, ca.vertcat(x, u)))
 
-    def gap_acceleration(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The gap and its first two derivatives by time along a motion of robot and door."""
-        f, gap = self(x, u, w, m), self.gap(x, w)
-        speed = ca.jtimes(gap, x, f)
-        return gap, speed, ca.jtimes(speed, x, f)
+    def contact(self, x: ca.SX, w: ca.SX) -> ca.SX:
+        """Where the hand is on the panel (3) [m]: beyond its surface, along it from the hinge, height."""
+        own = x[: self.inner.state.size]
+        height = self.robot.frame_pose(own, self.robot.tool).position[2]
+        return ca.vertcat(self.gap(x, w), self.lever(x, w), height)
 
-    def extend(self, x: ArrayLike, angle: float, rate: float) -> Array:
-        """The whole state from the robot's own (nx) and the door's angle [rad] and rate [rad/s]."""
-        return np.concatenate([np.asarray(x, float), [angle, rate]])
+    def contact_motion(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """That place (3) and its first two derivatives by time along a motion of robot and door."""
+        f, place = self(x, u, w, m), self.contact(x, w)
+        speed = ca.jtimes(place, x, f)
+        return place, speed, ca.jtimes(speed, x, f)
 
 
 def place_of(door: DoorGeometry) -> Array:
