@@ -17,8 +17,9 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.estimation.door import DoorFilter
 from wbmpc.model import DoorGeometry, RobotModel
-from wbmpc.model.door import place_of
+from wbmpc.model.door import FADE_TIME, place_of
 from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.plant import RezeroMeasurement
@@ -26,10 +27,14 @@ from wbmpc.plant import RezeroMeasurement
 Array = np.ndarray
 #: While it has not touched, the hand is planned to touch no earlier than this [s].
 SOON = 0.05
+#: Least and largest impedance that the optimiser is told (inertia, damping, resistance).
+BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: A time [s] that no run reaches.
 NEVER = 1e6
 #: A door moves when it is faster than this [rad/s], and rests below a third of it.
 MOVING = 0.03
+#: Above this rate [rad/s] it tells its impedance.
+SLIDING = 0.06
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -67,10 +72,13 @@ class DoorAgent(RezeroAgent):
     place when it touches it. ``door`` (2): angle [rad] and rate [rad/s] of the door; ``phase``: approach, push or release."""
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, push: Push, geometry: DoorGeometry, impedance: Array, *args: Any, **more: Any
-    ) -> None:
+        self, robot: RobotModel, mpc: MPC, push: Push, geometry: DoorGeometry, impedance: Array, identify: bool,
+        *args: Any, **more: Any,
+    ) -> None:  # fmt: skip
         super().__init__(robot, mpc, *args, **more)
-        self.push, self.geometry, self.impedance = push, geometry, np.array(impedance, float)
+        self.push, self.geometry = push, geometry
+        self.filter = DoorFilter(impedance)
+        self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
         self.contact = ContactMonitor()
@@ -124,8 +132,21 @@ class DoorAgent(RezeroAgent):
             self.door = np.array([self.door[0], 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
         self.moving = bool(touching and abs(self.door[1]) > limit)
+        self._identify(hand)
         if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up):
             self.phase, self.released, self._let_go = "release", t, hand.copy()
+
+    def _identify(self, hand: Array) -> None:
+        """The door's impedance, while it moves and is pushed."""
+        angle, rate = float(self.door[0]), float(self.door[1])
+        if not self.moving or rate < SLIDING:
+            self.filter.rest(angle, max(rate, 0.0))
+            return
+        push = float(-self.geometry.directions(angle)[1] @ self.force)
+        self.filter.update(self.period, self.geometry.lever(hand, angle) * push, angle, rate)
+        if self.identify:
+            inertia, damping, resistance = np.clip(self.filter.impedance, *BOUNDS)
+            self.impedance = np.array([inertia, min(damping, inertia / FADE_TIME), resistance])
 
     def parameters(self) -> dict[str, Array]:
         """The model's parameters: with the door's place and impedance where it is part of the model."""

@@ -35,7 +35,7 @@ SUMMARY = "the ball robot pushes a door open with a wanted force (Minniti et al.
 DOORS: dict[str, dict[str, Any]] = {
     "free": {},
     "heavy": {"mass": 36.0, "damping": 20.0},
-    "sticking": {"breakaway": 4.5},
+    "sticking": {"breakaway": 3.2},
     "light": {"mass": 6.0, "friction": 0.5, "closer": 0.5, "damping": 3.0},
     "locked": {"locked": True},
 }
@@ -135,7 +135,7 @@ def make_agent(
         mpc.reference[pose] = Reference.poses([0.0], hand, quaternion)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
     agent = DoorAgent(
-        robot, mpc, push, geometry, np.array(NOMINAL), torque, period, settings.drive_lag, settings.observer, estimator
+        robot, mpc, push, geometry, np.array(NOMINAL), settings.scheme.identify, torque, period, settings.drive_lag, settings.observer, estimator
     )
     mpc.solver.set_parameters(agent.parameters())
     start = np.concatenate([home, agent.door]) if agent.with_door else home

@@ -32,7 +32,7 @@ class PushCost(Settings):
 class DoorScheme(Settings):
     """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
     ``cone``: the hand can only push, within the friction cone of coefficient ``friction``, as hard limits;
-    ``baumgarte`` [1/s]: how fast planned gaps close."""
+    ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
 
     row: bool = True
     identify: bool = True
@@ -40,6 +40,7 @@ class DoorScheme(Settings):
     friction: float = Field(0.35, gt=0)
     least: float = Field(0.5, ge=0)
     baumgarte: float = Field(10.0, gt=0)
+    door_rate: float = Field(0.8, gt=0)
 
 
 def door_problem(
@@ -52,6 +53,10 @@ def door_problem(
     _costs(ocp, robot, cost, push)
     if scheme.row:
         ocp.add(Constraint("door", residuals.PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
+        rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
+        fast = sets.Box(-scheme.door_rate, scheme.door_rate)
+        hard = settings.limits == "hard"
+        ocp.add(Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard))
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
     _limits(ocp, robot, settings)
     if scheme.cone:

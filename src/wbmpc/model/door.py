@@ -20,8 +20,9 @@ from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
-#: Dry friction and closer act fully above this rate [rad/s]; below, they fade, so that a door at rest stays there.
-SMOOTH_RATE = 0.05
+#: Dry friction and closer act fully above this rate [rad/s]; below, they fade, so that a door at rest stays there. Light doors
+#: fade over a wider range: no faster than with :data:`FADE_TIME` [s], which the plan's time steps can follow.
+SMOOTH_RATE, FADE_TIME = 0.05, 0.03
 #: A door that is held comes to rest with this time constant [s].
 STOP_TIME = 0.05
 IMPEDANCE = ("inertia", "damping", "resistance")
@@ -120,7 +121,8 @@ class WithDoor:
         rate, moves = x[self.state["door"]][1], m[self.mode["door"]]
         inertia, damping, resistance = ca.vertsplit(w[self.parameters["impedance"]])
         push = -ca.dot(self._directions(x, w)[1], u[self.input["force"]][0:2])
-        torque = self.lever(x, w) * push - damping * rate - resistance * ca.tanh(rate / SMOOTH_RATE)
+        slow = ca.fmax(SMOOTH_RATE, FADE_TIME * resistance / inertia)
+        torque = self.lever(x, w) * push - damping * rate - resistance * ca.tanh(rate / slow)
         return ca.vertcat(rate, moves * torque / inertia - (1.0 - moves) * rate / STOP_TIME)
 
     def _inner(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
