@@ -167,13 +167,15 @@ class DoorAgent(RezeroAgent):
 
     def schedule(self, now: float) -> ModeSchedule:
         """The modes from ``now`` [s] on. Terms name their modes: all must be in a schedule, if only in a far future."""
+        order: tuple[Mode, ...]
+        events: tuple[float, ...]
         free, push = self.modes["free"], self.modes["moving" if self.moving else "held"]
         if self.phase == "release":
-            order, events = [free], []
+            order, events = (free,), ()
         elif self.contact.touching:
-            order, events = ([push, free], [self.push.give_up]) if self.push.give_up > now else ([free], [])
+            order, events = ((push, free), (self.push.give_up,)) if self.push.give_up > now else ((free,), ())
         else:
-            order, events = [free, push], [self.predicted_touch(now)]
+            order, events = (free, push), (self.predicted_touch(now),)
         others = [m for m in self.modes.values() if m not in order]
         return ModeSchedule((*order, *others), (*events, *(NEVER + k for k in range(len(others)))))
 

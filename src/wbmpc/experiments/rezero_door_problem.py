@@ -29,6 +29,10 @@ class PushCost(Settings):
     arm: Weight = 5.0
 
 
+#: For a hand whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
+UNTIED = PushCost(tangential=1.0, arm=0.0)
+
+
 class DoorScheme(Settings):
     """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
     ``cone``: the hand can only push, within the friction cone of coefficient ``friction``, as hard limits;
@@ -56,13 +60,17 @@ def door_problem(
         rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
         fast = sets.Box(-scheme.door_rate, scheme.door_rate)
         hard = settings.limits == "hard"
-        ocp.add(Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard))
+        ocp.add(
+            Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard)
+        )
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
     _limits(ocp, robot, settings)
     if scheme.cone:
         cone = residuals.FrictionCone(robot, scheme.friction, scheme.least)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
-        ocp.add(Constraint("cone", cone, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard"))
+        ocp.add(
+            Constraint("cone", cone, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard")
+        )
     return ocp
 
 

@@ -9,7 +9,6 @@ state-input equality keeps at zero (:class:`wbmpc.ocp.residuals.PanelContact`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wbmpc.errors import InputError
+from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroMeasurement
 from wbmpc.plant.rezero import RezeroPlant
 from wbmpc.plant.world import Array
@@ -28,7 +29,6 @@ HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01
 LOOSE = np.deg2rad(0.5)
 #: Contact bits: tip and panel touch each other and nothing else.
 _TIP, _PANEL = {"contype": 4, "conaffinity": 8}, {"contype": 8, "conaffinity": 4}
-_GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ class DoorPlant(RezeroPlant):
     """
 
     def __init__(
-        self, description: RobotDescription, door: Door, *args: Any, sensor: ForceSensor | None = None, seed: int = 0,
-        **options: Any,
+        self, description: RobotDescription, door: Door, state: ArrayLike | None = None, torque: ArrayLike | None = None,
+        perturbation: Perturbation | None = None, seed: int = 0, *, sensor: ForceSensor | None = None, payload: float = 0.0,
     ) -> None:  # fmt: skip
         self.door, self._sensor = door, sensor or ForceSensor()
         self._rng = np.random.default_rng([seed, 17])
@@ -134,7 +134,7 @@ class DoorPlant(RezeroPlant):
             door.add(spec)
             add_tip(spec, description.arm.tool, door.grip)
 
-        super().__init__(description, *args, seed=seed, edit=edit, **options)
+        super().__init__(description, state, torque, perturbation, seed, payload=payload, edit=edit)
         self._tip, self._panel = self.model.geom("hand_tip").id, self.model.geom("door").id
         self._hinge = None if door.locked else self.model.joint("door")
         if self._hinge is not None:
