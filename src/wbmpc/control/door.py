@@ -18,6 +18,7 @@ from wbmpc import lie
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.door import DoorFilter
+from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model import DoorGeometry, RobotModel
 from wbmpc.model.door import FADE_TIME, place_of
 from wbmpc.mpc import MPC, Observation, Plans
@@ -29,6 +30,8 @@ Array = np.ndarray
 SOON = 0.05
 #: Least and largest impedance that the optimiser is told (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
+#: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
+SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
 #: A time [s] that no run reaches.
 NEVER = 1e6
 #: A door moves when it is faster than this [rad/s], and rests below a third of it.
@@ -89,6 +92,7 @@ class DoorAgent(RezeroAgent):
         self.moving = False
         self.lever = geometry.lever(push.start, 0.0)
         self._hand = hand_motion(robot)
+        self.sensorless = SensorlessForce(robot)
         self._let_go = push.start
 
     # ------------------------------------------------------------------ state
@@ -106,6 +110,9 @@ class DoorAgent(RezeroAgent):
         super().measure(measurement)
         assert self.measured is not None
         hand, velocity = self._hand(self.measured.state)
+        self.sensorless.update(self.measured.state, self._torques[-1 - self._late()], self.period)
+        if measurement.time < self.push.begin:
+            self.sensorless.observer.zero()
         self._follow(measurement.time, hand, velocity)
 
     def _feel(self, m: RezeroMeasurement) -> None:
@@ -218,6 +225,28 @@ class DoorAgent(RezeroAgent):
             return np.array([self.geometry.place(a, self.lever, push.start[2]) for a in angles])
         way = push.speed * np.clip(times - push.begin, 0.0, None)
         return push.start + np.minimum(way, push.reach)[:, None] * self.geometry.directions(0.0)[1]
+
+
+class SensorlessForce:
+    """The force (3) [N] of the world on a ball robot's hand from state and torques alone, beside the measured one."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        n = self._nq = robot.base.nq
+        q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
+        torque = ca.SX.sym("u", robot.input.size - 3)
+        known = robot.base.generalised_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
+        self._known = ca.Function("known", [q, torque], [known])
+        self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
+        still = np.zeros(n)
+        self.observer = MomentumObserver(robot.mass_matrix, lambda q, v: robot.inverse_dynamics(q, v, still))
+        self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
+        self.force = np.zeros(3)
+
+    def update(self, state: Array, torque: Array, interval: float) -> None:
+        """The state (nx) now, the torques that acted over the ``interval`` [s] before."""
+        q, v = state[: self._nq], state[self._nq :]
+        self.observer.update(q, v, np.array(self._known(q, torque)).ravel(), interval)
+        self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
 
 
 def hand_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:

@@ -8,6 +8,7 @@ from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
+from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
@@ -26,6 +27,7 @@ __all__ = [
     "DriftObserver",
     "FusedOdometry",
     "JointTracker",
+    "MomentumObserver",
     "OdometryNoise",
     "ReleaseOdometry",
     "RezeroEstimator",

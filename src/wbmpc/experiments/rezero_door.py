@@ -173,6 +173,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: A
     log.add("door", t, np.array([plant.angle, plant.rate]))
     log.add("door_estimated", t, agent.door)
     log.add("force_measured", t, -agent.force)
+    log.add("force_sensorless", t, -agent.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
     log.add("pushing", t, float(agent.phase == "push"))
     log.add("touching", t, float(agent.contact.touching))
@@ -292,6 +293,7 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
     return [
         Plot(f"Force at the hand, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
             Series("along the normal, true", t, normal_force(log)), Series("measured, in contact", t, along("force_measured")),
+            Series("estimated without the sensor", t, along("force_sensorless")),
             Series("planned", t, along("force_planned")), Series("reference", t, reference, dashed=True),
             Series("tangential", t, tangential),
         ]),
