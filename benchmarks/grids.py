@@ -80,7 +80,9 @@ def draw(rows: list[dict], path: Path) -> None:
                 ha="center",
                 textcoords="offset points",
             )
-    axes.set(xlabel="time of a solve, quickest tenth [ms]", ylabel="mean hand error [mm]", title="swerve-track, 10 s horizon")
+    axes.set(
+        xlabel="time of a solve, quickest tenth [ms]", ylabel="mean hand error [mm]", title="swerve-track, 10 s horizon"
+    )
     for axis, ticks in ((axes.xaxis, (0.1, 0.2, 0.5, 1, 2, 5, 10)), (axes.yaxis, (0.3, 0.4, 0.5, 0.7, 1, 1.5, 2, 3))):
         axis.set_major_locator(FixedLocator(ticks))
         axis.set_major_formatter(ScalarFormatter())
