@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 from scipy.linalg import expm
+from scipy.optimize import linprog
 
 from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
