@@ -120,7 +120,7 @@ def test_joints_are_matched_by_name_and_mapped(pair: Callable[..., Any]) -> None
 
     p.standin.change = change
     p.ready()
-    x = p.control.agent.snapshot()[1]
+    x = p.control.pilot.snapshot()[1]
     np.testing.assert_array_equal(x, ROBOT.home)
 
 
@@ -237,7 +237,7 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
 
     p.standin.change = change
     p.ready()
-    np.testing.assert_allclose(p.control.agent.snapshot()[1][:3], [3.0, -1.0, 0.0])
+    np.testing.assert_allclose(p.control.pilot.snapshot()[1][:3], [3.0, -1.0, 0.0])
     p.go(3.5, -1.0)
     assert p.until(lambda: p.control.runner is not None and "running" in p.control.state)
     sending.clear()
@@ -298,7 +298,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             )  # fmt: skip
             assert wait_until(arrived)
             p.control.step()
-    pose = p.control.agent.snapshot()[1][:3]
+    pose = p.control.pilot.snapshot()[1][:3]
     np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
     assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
 
@@ -337,7 +337,7 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
     for _ in range(12):
         publisher.publish({"twist": twist} if stamped else twist)
         p.run(0.1)
-    assert p.control.agent.snapshot()[1][0] > 0.1
+    assert p.control.pilot.snapshot()[1][0] > 0.1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 4.0, rtol=0.1)  # 0.4 m/s on wheels of 0.1 m
     assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2, 1.5)  # 20 mm/s
     assert p.control.state == "running: base to rest"

@@ -38,11 +38,10 @@ def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple
 
     from wbmpc.model import load_robot
     from wbmpc.ros2.bus import open_node
-    from wbmpc.ros2.settings import load_settings, need_swerve
+    from wbmpc.ros2.settings import load_settings
 
     logging.getLogger("wbmpc").setLevel(logging.INFO)  # a node tells what it does
     model = load_robot(robot)
-    need_swerve(model)
     settings = load_settings(config, model)
     return open_node(f"{settings.node}{suffix}", backend), model, settings
 
@@ -71,6 +70,9 @@ def ros2_control(
     config: Config = None,
     backend: BackEnd = "auto",
     use_sim_time: Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")] = False,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="So it is, and a solve takes a fixed part of it.")
+    ] = False,
 ) -> None:
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(robot, config, backend, "")
@@ -80,8 +82,8 @@ def ros2_control(
     gc.freeze()  # what is there now stays: later collections look at little and take no time from a tick
     # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
     sys.setswitchinterval(5e-5)
-    if use_sim_time:
-        settings = settings.model_copy(update={"use_sim_time": True})
+    if use_sim_time or lockstep:
+        settings = settings.model_copy(update={"use_sim_time": True, "lockstep": settings.lockstep or lockstep})
     try:
         with _until_told() as ended:
             ControlNode(node, model, settings).spin(ended)

@@ -13,8 +13,6 @@ from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
 
-#: Standard deviations of the odometry that are told: position [m], yaw [rad], speeds [m/s, rad/s]; unknown for the rest.
-_POSE, _TWIST, _UNKNOWN = (0.02, 0.02, 0.01), (0.01, 0.01, 0.01), 1e6
 WELL, WARNING, ERROR = 0, 1, 2
 #: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
 EVERY = 2
@@ -56,39 +54,41 @@ class Teller:
 
     def _odometry(self) -> None:
         c = self.controller
-        if c.agent.seen is None:
+        seen, e = c.pilot.snapshot(), c.pilot.estimate()
+        if seen is None or e is None:
             return
-        (t, x), frames = c.agent.snapshot(), c.settings.frames
+        (t, x), frames = seen, c.settings.frames
         now = c.stamp_of(t)
-        base = x[c.robot.state["base"]]
-        position, turned = upright(base, c.robot.base.height)
-        covariance = np.diag([_POSE[0] ** 2, _POSE[1] ** 2, *[_UNKNOWN] * 3, _POSE[2] ** 2]).ravel()
-        speeds = np.diag([_TWIST[0] ** 2, _TWIST[1] ** 2, *[_UNKNOWN] * 3, _TWIST[2] ** 2]).ravel()
-        twist = c.agent.odometry.twist if c.running else np.zeros(3)
+        twist = e.twist if c.running else np.zeros(6)
         self._send("odom", {
             "header": header(now, frames.world), "child_frame_id": frames.base,
-            "pose": {"pose": pose(position, turned), "covariance": covariance},
+            "pose": {"pose": pose(e.position, e.orientation), "covariance": e.covariance.ravel()},
             "twist": {
-                "twist": {"linear": vector(np.array([*twist[:2], 0.0])), "angular": vector(np.array([0.0, 0.0, twist[2]]))},
-                "covariance": speeds,
+                "twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])},
+                "covariance": e.twist_covariance.ravel(),
             },
         })  # fmt: skip
-        transform = {"translation": vector(position), "rotation": quaternion(turned)}
+        transform = {"translation": vector(e.position), "rotation": quaternion(e.orientation)}
         self._send("tf", {
             "transforms": [{"header": header(now, frames.world), "child_frame_id": frames.base, "transform": transform}]
         })  # fmt: skip
-        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*c.robot.pose(x))})
+        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
+
+    def _hand(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the hand above the floor."""
+        position, turned = self.controller.robot.pose(x)
+        return position + [0.0, 0.0, self.controller.pilot.planner.lift], turned
 
     def _plans(self) -> None:
         c = self.controller
         policy = c.runner.plans.current if c.runner is not None and c.running else None
         if policy is None:
             return
-        now, world = c.now(), c.settings.frames.world
+        now, world, planner = c.now(), c.settings.frames.world, c.pilot.planner
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
-        base = [upright(p, c.robot.base.height) for p in policy.x[nodes, c.robot.state["base"]]]
-        hand = [c.robot.pose(x) for x in policy.x[nodes]]
+        base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
+        hand = [self._hand(x) for x in policy.x[nodes]]
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
@@ -96,7 +96,7 @@ class Teller:
     def _diagnostics(self) -> None:
         c = self.controller
         stopped = c.runner is not None and c.runner.stopped
-        level = ERROR if stopped else WELL if c.running else WARNING
+        level = ERROR if stopped or c.ill else WELL if c.running else WARNING
         if level == WELL and c.inbox.refused:
             level = WARNING
         entries = [status(level, f"{c.settings.node}: controller", c.state, c.robot.description.name, c.figures())]
