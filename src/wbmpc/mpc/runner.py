@@ -266,7 +266,7 @@ class Runner:
         self.own.count("late", int(due > policy.valid_from + 1e-6))
         self.own.sample("latency", self.clock.now() - policy.observed)
         self._current = policy
-        if before is None or self.kept:
+        if before is None or (self.kept and not self.board["failed"]):
             self.state, self.kept = "running", ""
 
     def _observe(self, due: float) -> None:

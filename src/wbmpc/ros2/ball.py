@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
+from wbmpc.control import BrakeControl, RezeroAgent
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
@@ -107,7 +107,8 @@ class BallPilot:
         self.pending = Pending()
         self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
         self.mpc.guess = self.pending
-        self.brakes = None
+        self.brakes: BrakeControl | None = None
+        self.legs: Array | None = None
         self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
         self._place = np.zeros(3)  # where the robot is put on the floor: x, y, yaw
         self._standing: tuple[float, Array] | None = None

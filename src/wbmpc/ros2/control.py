@@ -19,6 +19,7 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
+from wbmpc.ros2.legs import Legs
 from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
@@ -28,6 +29,8 @@ from wbmpc.ros2.telling import Teller
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
 LOOK, LOOK_AT_GRAPH = 0.02, 0.5
+#: Brakes are told this long before they are to act [s]: the control thread is never between two entries.
+AHEAD = 0.02
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
@@ -63,6 +66,7 @@ class ControlNode:
         if settings.topics.pose:
             self.pilot.fix = self._fix
         self.body = BusRobot(node, self.pilot, settings, self.clock)
+        self.legs = Legs(node, robot, settings, self._not_for_legs) if self.pilot.brakes is not None else None
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.runner: Runner | None = None
         self._rival, self._said, self._held = "", "", ""
@@ -91,6 +95,7 @@ class ControlNode:
         if not self.running:
             self._stand()
         self._take_up()
+        self._move_legs()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
@@ -200,18 +205,43 @@ class ControlNode:
             except InputError as error:
                 self.inbox.refuse(f"a goal is refused: {error}")
                 continue
-            self._put(task, x)
             if not self.running:
-                self._start(x)
+                self._start(x, task)
+            else:
+                self._put(task, x)
+
+    def _not_for_legs(self) -> str:
+        """Why legs cannot be moved now; empty if they can."""
+        return "" if self.running else self.waits_for()
+
+    def _move_legs(self) -> None:
+        """Orders to legs and brakes; the first one starts a robot that stands, and it stays where it is."""
+        legs, pilot = self.legs, self.pilot
+        if legs is None or not (legs.waiting or self.running):
+            return
+        seen = pilot.snapshot()
+        if seen is None:
+            return
+        x = seen[1]
+        if not self.running:
+            self._start(x, pilot.planner.hold(x, 0.0))
+        assert pilot.brakes is not None
+        leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
+        if legs.apply(pilot.brakes, t, leg):
+            pilot.legs = legs.angles
+            assert self._task is not None
+            self._put(self._task, x)
+        legs.watch(pilot.brakes, t, leg)
 
     def _put(self, task: Task, x: np.ndarray) -> None:
         self.inbox.running, self._task = task, task
         self.pilot.follow(task, x)
 
-    def _start(self, x: np.ndarray) -> None:
+    def _start(self, x: np.ndarray, task: Task) -> None:
         self._end_runner()
         settings, pilot = self.settings, self.pilot
         pilot.begin(x)
+        self._put(task, x)
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
@@ -231,6 +261,8 @@ class ControlNode:
         if self.runner is not None and self.runner.stopped:
             self.body.disarm()
             self.inbox.running = None
+            if self.legs is not None:
+                self.legs.stop()
         clock, limit = self.clock, self.settings.safety.clock
         if isinstance(clock, BusClock) and clock.heard is not None:
             silent = time.monotonic() - clock.heard

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from wbmpc.control import BrakeControl
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, Reference
@@ -35,7 +36,8 @@ class Estimate:
 
 
 class Pilot(Protocol):
-    """``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
+    """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
+    ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
     ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's
     pose at every tick. ``begin`` makes agent and MPC anew for a run from state x (nx) on.
@@ -47,6 +49,8 @@ class Pilot(Protocol):
     mpc: MPC
     agent: Any
     keeps: bool
+    brakes: BrakeControl | None
+    legs: Array | None
     needs_imu: bool
     parameters: Callable[[], Array] | None
     fix: Callable[[], Fix | None] | None

@@ -20,6 +20,8 @@ from wbmpc.ros2.pilot import Estimate, Fix, Groups, Pending
 from wbmpc.ros2.settings import GROUPS, RosSettings
 
 Array = np.ndarray
+#: A brake is open this long [s] after its command.
+BRAKE_DELAY = 0.1
 #: Of what a planar odometry says nothing about.
 _UNKNOWN = 1e6
 
@@ -69,12 +71,15 @@ class SwervePilot:
         self._has_imu = False
         given = robot.input.groups
         self._rest = {g: np.zeros(len(given.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
-        self.brakes: BrakeControl | None = None
-        if "brake" in robot.mode:
-            self.brakes = BrakeControl(robot, changed=self.pending.schedule)
+        self.brakes = self._new_brakes()
         self.agent = self._new_agent(np.zeros(3))
         self.legs: Array | None = None  # where the legs are to go [rad]
         robot.pose(robot.home)  # builds the function: not in a tick
+
+    def _new_brakes(self) -> BrakeControl | None:
+        """All closed."""
+        has = "brake" in self.robot.mode
+        return BrakeControl(self.robot, delay=BRAKE_DELAY, changed=self.pending.schedule) if has else None
 
     def _new_agent(self, pose: Array) -> BusAgent:
         s, brakes = self.settings, self.brakes
@@ -125,7 +130,7 @@ class SwervePilot:
 
     def begin(self, x: Array) -> None:
         """A new run: the odometry goes on, the runner's clock starts at 0."""
-        old = self.agent
+        old, self.brakes, self.legs = self.agent, self._new_brakes(), None
         self.agent = self._new_agent(old.odometry.pose)
         self.agent.seen, self.agent.odometry = old.seen, old.odometry
         self.agent.odometry.restart_clock()
