@@ -169,7 +169,7 @@ class BallPilot:
         self.mpc.reset(start, self._torque)
 
     def push(self, wrench: Array) -> None:
-        """The hand is to exert the force of a wrench (6): the plan counts with the world's answer. A moment is ignored."""
+        """The hand is to exert the force of a wrench (6): the plan counts with the world's answer."""
         self._model.solver.set_parameters({"force": -wrench[:3]})
 
     # ------------------------------------------------------------------ tasks

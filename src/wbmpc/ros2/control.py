@@ -22,6 +22,7 @@ from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
 from wbmpc.ros2.legs import Legs
 from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.robot import BusRobot
+from wbmpc.ros2.sending import trajectory_senders
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
 from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
@@ -76,6 +77,8 @@ class ControlNode:
             clock = self.clock
             take = lambda message: clock.set(seconds(message.clock))
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
+        self.trajectories = trajectory_senders(node, robot, settings)
+        self.wrench = np.zeros(6)
         self.teller = Teller(node, self)
 
     # ------------------------------------------------------------------ life
@@ -96,6 +99,7 @@ class ControlNode:
             self._stand()
         self._take_up()
         self._move_legs()
+        self._lead()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
@@ -104,6 +108,8 @@ class ControlNode:
     def close(self) -> None:
         """Bring the robot to rest and end."""
         moved = self.running
+        if moved:
+            self._stay()
         self._end_runner()
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
@@ -233,6 +239,21 @@ class ControlNode:
             self._put(self._task, x)
         legs.watch(pilot.brakes, t, leg)
 
+    def _lead(self) -> None:
+        """Trajectories to those who follow them, and the wrench to who counts with it."""
+        wrench = self.inbox.wrench()
+        if np.any(wrench != self.wrench):
+            self.wrench = wrench
+            self.pilot.push(wrench)
+        runner = self.runner
+        policy = runner.plans.current if runner is not None and self.running else None
+        if policy is None:
+            return
+        t = self.clock.now()
+        for sender in self.trajectories:
+            if t >= sender.due:
+                sender.send(policy, t, self.now())
+
     def _put(self, task: Task, x: np.ndarray) -> None:
         self.inbox.running, self._task = task, task
         self.pilot.follow(task, x)
@@ -253,6 +274,8 @@ class ControlNode:
         )
         self.runner = Runner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
         self.body.arm()
+        for sender in self.trajectories:
+            sender.due = -np.inf
         self._held = ""
         self.runner.start()
 
@@ -260,6 +283,8 @@ class ControlNode:
     def _watch(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self.body.disarm()
+            if self.inbox.running is not None:
+                self._stay()
             self.inbox.running = None
             if self.legs is not None:
                 self.legs.stop()
@@ -296,6 +321,14 @@ class ControlNode:
             seen = self.pilot.snapshot()
             assert seen is not None
             self._put(self.pilot.planner.hold(seen[1], self.clock.now()), seen[1])
+
+    def _stay(self) -> None:
+        """Who follows trajectories stays where the robot is: a stop, once."""
+        seen = self.pilot.snapshot()
+        for sender in self.trajectories:
+            sender.due = -np.inf
+            if seen is not None:
+                sender.hold(seen[1], self.now())
 
     def _halt(self, sentence: str) -> None:
         """Stop; with the bus's clock at rest the runner's loop does not ramp down, so it is done from here."""

@@ -50,12 +50,14 @@ class Inbox:
         self._twist, self._twist_at = np.zeros(3), -np.inf
         self._moving = False
         self._twist_kind = ""
+        self._wrench, self._wrench_at = np.zeros(6), -np.inf
         topics = settings.topics
         for topic, kind, take in (
             (topics.goal_pose, "geometry_msgs/msg/PoseStamped", self._goal_pose),
             (topics.hand_goal, "geometry_msgs/msg/PoseStamped", self._hand_goal),
             (topics.base_path, "nav_msgs/msg/Path", self._base_path),
             (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
+            (topics.wrench, "geometry_msgs/msg/WrenchStamped", self._take_wrench),
         ):
             if topic:
                 node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
@@ -67,6 +69,20 @@ class Inbox:
             self._slow_down()
         with self._lock:
             return self._requests.pop(next(iter(self._requests))) if self._requests else None
+
+    def wrench(self) -> Array:
+        """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
+        return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
+
+    def _take_wrench(self, message: Any) -> None:
+        if message.header.frame_id != self.settings.frames.world:
+            raise InputError(
+                f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
+            )
+        force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
+        if self.planner.lift and np.any(torque):
+            raise InputError("the wrench has a torque, of which this robot's plan knows nothing: forces only")
+        self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def refuse(self, sentence: str) -> None:
         """Say once why a goal is not taken."""

@@ -13,7 +13,7 @@ from wbmpc.model import RobotModel
 from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant, Truth
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.ros2.convert import seconds, upright
-from wbmpc.ros2.settings import GROUPS, Controller, RosSettings, settings_of
+from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
 
 Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s].
@@ -55,14 +55,12 @@ class _Side:
         self.led: dict[str, Led] = {}
         self.last: Reading | None = None
 
-    def lead(self, controller: Controller, places: list[tuple[str, int]], message: Any, now: float) -> Led:
-        """A JointTrajectory, checked. Raises :class:`InputError`."""
+    def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> Led:
+        """A JointTrajectory of ``joints``, checked. Raises :class:`InputError`."""
         names = list(message.joint_names)
-        if sorted(names) != sorted(controller.joints):
-            raise InputError(
-                f"trajectory: the joints {', '.join(controller.joints)} are needed, got {', '.join(names)}"
-            )
-        order = [names.index(n) for n in controller.joints]
+        if sorted(names) != sorted(joints):
+            raise InputError(f"trajectory: the joints {', '.join(joints)} are needed, got {', '.join(names)}")
+        order = [names.index(n) for n in joints]
         start = seconds(message.header.stamp) or now
         times = start + np.array([seconds(p.time_from_start) for p in message.points])
         positions = np.array([np.asarray(p.positions, float) for p in message.points]).reshape(times.size, -1)

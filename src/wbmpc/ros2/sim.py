@@ -27,6 +27,8 @@ _LOG = logging.getLogger("wbmpc")
 COMMAND_TIMEOUT = 0.1
 #: In lockstep: how long an answer is waited for, and after what time the question is asked again [s of the wall].
 PATIENCE, AGAIN = 1.0, 0.05
+#: A trajectory answers for so long [s].
+AGAIN_LED = 0.2
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
 BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
@@ -91,6 +93,7 @@ class SimNode:
             if controller.takes == "trajectory":
                 take = lambda message, n=name, w=wanted: self._take_trajectory(n, w, message)
             self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
+        self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
 
@@ -107,7 +110,7 @@ class SimNode:
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         """As a joint_trajectory_controller does: the drives follow the points' positions and velocities."""
         try:
-            led = self.side.lead(self._controllers[name], places, message, self.now())
+            led = self.side.lead(self._bus_names[name], places, message, self.now())
         except InputError as error:
             _LOG.error("%s: %s", self._controllers[name].topic, error)
             return
@@ -174,7 +177,9 @@ class SimNode:
         Who does not answer at all is not waited for again until it does.
         """
         end = time.monotonic() + PATIENCE
-        answered = lambda: all(self._count[n] > before[n] for n in before)
+        recent = lambda n: self.time - self._heard[n] < AGAIN_LED
+        led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
+        answered = lambda: all(recent(n) if n in led else self._count[n] > before[n] for n in before)
         while not answered() and time.monotonic() < end:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)

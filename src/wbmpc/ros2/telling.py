@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc.mpc import Policy
 from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
+from wbmpc.ros2.markers import Footprint
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
@@ -26,11 +28,13 @@ class Teller:
         topics = controller.settings.topics
         kinds = {
             "odom": "nav_msgs/msg/Odometry", "hand_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
-            "hand_plan": "nav_msgs/msg/Path", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+            "hand_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
+            "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         }  # fmt: skip
         names = {key: getattr(topics, key) for key in kinds}
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
+        self.footprint = Footprint(controller.robot, controller.settings.frames.world)
         rates = controller.settings.rates
         self._due = {
             "odom": [0.0, 1.0 / rates.odom],
@@ -82,6 +86,7 @@ class Teller:
     def _plans(self) -> None:
         c = self.controller
         policy = c.runner.plans.current if c.runner is not None and c.running else None
+        self._stand(policy)
         if policy is None:
             return
         now, world, planner = c.now(), c.settings.frames.world, c.pilot.planner
@@ -92,6 +97,14 @@ class Teller:
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
+
+    def _stand(self, policy: Policy | None) -> None:
+        """How the robot stands, with the inputs of the plan and the world's answer to what the hand exerts."""
+        c = self.controller
+        seen = c.pilot.snapshot()
+        if seen is not None and "footprint" in self._to:
+            u = None if policy is None else policy.u[0]
+            self._send("footprint", {"markers": self.footprint.markers(c.now(), seen[1], u, -c.wrench, policy)})
 
     def _diagnostics(self) -> None:
         c = self.controller
