@@ -97,7 +97,9 @@ class Simulated:
         return [s.message for m in self.said for s in m.status if s.level == level]
 
     def close(self) -> None:
-        """End both."""
+        """End both; once."""
+        if self._end.is_set():
+            return
         self._end.set()
         self.control.close()
         self._thread.join(10.0)

@@ -59,7 +59,7 @@ def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any]) -> N
     assert s.until(lambda: s.control.running and away() < 0.01, 40.0), (away(), s.control.state)
     assert list(got["/arm/joint_trajectory"].joint_names) == list(ARM)
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in got["/arm/joint_trajectory"].points]
-    assert 0.0 < times[0] and times[-1] < 0.5 and np.all(np.diff(times) > 0.0)
+    assert times[0] > 0.0 and times[-1] < 0.5 and np.all(np.diff(times) > 0.0)
     # how it stands: corners and zero-moment point of the stability library at home; loads of MuJoCo's wheels
     markers = {(m.ns, m.id): m for m in got["/footprint"].markers}
     support, zmp = markers["support", 0], markers["zmp", 0]
@@ -88,14 +88,14 @@ def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]
         s.ready()
         s.hand()
         assert s.until(lambda s=s: s.control.state.startswith("running:"))
-        s.run(1.0)
+        s.run(0.5)
         start = s.truth().tool.copy()
         wrench = {"header": {"frame_id": "odom"}, "wrench": {"force": {"z": 6.0}}}
         publisher = s.other.publisher(f"/wrench_{announced}", "geometry_msgs/msg/WrenchStamped")
         assert s.until(lambda p=publisher: p._writer.get_matched_subscriptions())
         with s._physics:
             s.sim.plant.push([0.0, 0.0, -6.0], body="arm_forearm_link", point=[0.0, 0.0, 0.30])
-        for _ in range(20):
+        for _ in range(10):
             if announced:
                 publisher.publish(wrench)
             s.run(0.1)

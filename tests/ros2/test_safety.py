@@ -164,9 +164,9 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     """Two machines' clocks may differ by hours; a driver that hangs repeats itself."""
     body, t = pair(use_sim_time=False).control.body, types("jazzy")
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
-    message = lambda at: t.make(
-        "sensor_msgs/msg/JointState", {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}
-    )
+    kind = "sensor_msgs/msg/JointState"
+    encoded = lambda at: t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]})
+    message = lambda at: t.decode(kind, encoded(at))
     for at in (5.0, 5.1):
         body._take_joints(message(at))
         assert body.age() < 0.1 and body.waits_for() == ""
@@ -280,8 +280,8 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             x = ROBOT.home.copy()
             x[ROBOT.state["wheel"]] = ahead * 2 * np.pi * k / 100
             stamped = header(1.0 + 0.01 * k, "")
-            message = t.make(kind, {"header": stamped, "name": names, "position": x[3:]})
-            bag.write(connection, k * 10_000_000, t.encode(kind, message))
+            message = t.encode(kind, {"header": stamped, "name": names, "position": x[3:]})
+            bag.write(connection, k * 10_000_000, message)
     p = pair(topics={"imu": ""})
     node = p.standin.node
     clock = node.publisher("/clock", "rosgraph_msgs/msg/Clock")

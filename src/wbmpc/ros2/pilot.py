@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -73,20 +74,24 @@ class Pending:
         self._then = then
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
+        self._lock = threading.Lock()
 
     def set(self, references: dict[str, Reference]) -> None:
         """In force from the next solve on."""
-        self._references = references
+        with self._lock:
+            self._references = references
 
     def schedule(self, schedule: ModeSchedule) -> None:
         """In force from the next solve on."""
-        self._schedule = schedule
+        with self._lock:
+            self._schedule = schedule
 
     def __call__(self, solver: Solver, t: float, x0: Array) -> None:
-        references, self._references = self._references, None
+        with self._lock:
+            references, self._references = self._references, None
+            schedule, self._schedule = self._schedule, None
         for name, reference in (references or {}).items():
             solver.set_reference(name, reference)
-        schedule, self._schedule = self._schedule, None
         if schedule is not None:
             solver.set_schedule(schedule)
         if self._then is not None:

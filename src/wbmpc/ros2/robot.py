@@ -45,6 +45,7 @@ class BusRobot:
         self._read: tuple[float, Inertial] | None = None
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self._lock = threading.Lock()
+        self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
         self._last = pilot.rest()
@@ -117,7 +118,7 @@ class BusRobot:
 
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
-        self.fault, self._stopping, self._armed = "", None, True
+        self.fault, self._stopping, self._armed, self.sent = "", None, True, 0
         self._last = self.pilot.rest()
 
     def disarm(self) -> None:
@@ -195,5 +196,6 @@ class BusRobot:
         self._send(self.pilot.rest())
 
     def _send(self, values: Groups) -> None:
+        self.sent += 1
         for sender in self._senders:
             sender.send(values)
