@@ -168,6 +168,9 @@ class BallPilot:
         self._standing = 0.0, start
         self.mpc.reset(start, self._torque)
 
+    def swing(self, legs: Array) -> None:
+        """This robot has no legs."""
+
     def push(self, wrench: Array) -> None:
         """The hand is to exert the force of a wrench (6): the plan counts with the world's answer."""
         self._model.solver.set_parameters({"force": -wrench[:3]})

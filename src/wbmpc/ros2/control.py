@@ -246,7 +246,8 @@ class ControlNode:
         assert pilot.brakes is not None
         leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
         if legs.apply(pilot.brakes, t, leg):
-            pilot.legs = legs.angles
+            assert legs.angles is not None
+            pilot.swing(legs.angles)
             assert self._task is not None
             self._put(self._task, x)
         legs.watch(pilot.brakes, t, leg)

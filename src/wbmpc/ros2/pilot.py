@@ -63,6 +63,7 @@ class Pilot(Protocol):
     def snapshot(self) -> tuple[float, Array] | None: ...
     def begin(self, x: Array) -> None: ...
     def follow(self, task: Task, x: Array) -> None: ...
+    def swing(self, legs: Array) -> None: ...
     def push(self, wrench: Array) -> None: ...
     def estimate(self) -> Estimate | None: ...
 
@@ -74,6 +75,7 @@ class Pending:
         self._then = then
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
+        self._once: Callable[[Solver, Array], None] | None = None
         self._lock = threading.Lock()
 
     def set(self, references: dict[str, Reference]) -> None:
@@ -86,13 +88,21 @@ class Pending:
         with self._lock:
             self._schedule = schedule
 
+    def guess(self, once: Callable[[Solver, Array], None]) -> None:
+        """Rewrites the trajectories before the next solve, in place of the usual guess."""
+        with self._lock:
+            self._once = once
+
     def __call__(self, solver: Solver, t: float, x0: Array) -> None:
         with self._lock:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
+            once, self._once = self._once, None
         for name, reference in (references or {}).items():
             solver.set_reference(name, reference)
         if schedule is not None:
             solver.set_schedule(schedule)
-        if self._then is not None:
+        if once is not None:
+            once(solver, x0)
+        elif self._then is not None:
             self._then(solver, t, x0)

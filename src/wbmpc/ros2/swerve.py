@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, SwerveAgent
 from wbmpc.experiments.swerve_problem import swerve_mpc
-from wbmpc.model import RobotModel
+from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.mpc import SteeringGuess
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
@@ -18,10 +19,13 @@ from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.pilot import Estimate, Fix, Groups, Pending
 from wbmpc.ros2.settings import GROUPS, RosSettings
+from wbmpc.solver import Solver
 
 Array = np.ndarray
 #: A brake is open this long [s] after its command.
 BRAKE_DELAY = 0.1
+#: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
+SWING, STRAIGHT = 0.3, 0.03
 #: Of what a planar odometry says nothing about.
 _UNKNOWN = 1e6
 
@@ -137,6 +141,12 @@ class SwervePilot:
         self.agent._placed = old._placed
         self.mpc.reset(x)
 
+    def swing(self, legs: Array) -> None:
+        """Legs are to go to ``legs`` (n) [rad]. Wheels that do not point along a leg's circle cannot move it, and for small
+        steps of the planner they never will: the plan starts from wheels that turn first."""
+        self.legs = legs
+        self.pending.guess(partial(swing_guess, self.robot, legs))
+
     def push(self, wrench: Array) -> None:
         """Drives that follow speeds cannot exert a wrench: it counts in the zero-moment point only."""
 
@@ -177,6 +187,26 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
         "state": Reference(base.times, states),
         "input": Reference(base.times, inputs),
     }
+
+
+def swing_guess(robot: RobotModel, legs: Array, solver: Solver, x0: Array) -> None:
+    """Trajectories of a base that stands while its wheels turn to the legs' circles and the legs then go to ``legs`` (n)."""
+    state, given, geometry = robot.state, robot.input, robot.base.geometry
+    x, u, steer, leg = solver.ws.x, solver.ws.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
+    lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
+    most = 0.6 * robot.limits.input_upper[given["steer"]]
+    for k, h in enumerate(np.diff(solver.ws.grid)):
+        rate = np.clip((legs - leg) / max(h, 0.5), -SWING, SWING)
+        target, _ = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
+        target = np.where(target > upper, target - np.pi, np.where(target < lower, target + np.pi, target))
+        turn = np.clip((target - steer) / h, -most, most)
+        if np.abs(target - steer).max() > STRAIGHT:
+            rate = np.zeros_like(rate)
+        x[k, state["base"]], x[k, state["leg"]], x[k, state["steer"]] = x0[state["base"]], leg, steer
+        u[k, given["base"]], u[k, given["leg"]], u[k, given["steer"]] = 0.0, rate, turn
+        _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
+        leg, steer = leg + rate * h, steer + turn * h
+    x[-1, state["base"]], x[-1, state["leg"]], x[-1, state["steer"]] = x0[state["base"]], leg, steer
 
 
 def _spatial(planar: Array) -> Array:
