@@ -352,6 +352,7 @@ class ControlNode:
     def figures(self) -> dict[str, Any]:
         """For diagnostics."""
         values: dict[str, Any] = {"backend": self.node.backend, "age of the joint states [ms]": _ms(self.body.age())}
+        values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
         if self.inbox.refused:
             values["refused"] = self.inbox.refused
         if self.runner is None:
@@ -364,6 +365,7 @@ class ControlNode:
             "task": self._task.said if self._task is not None else "",
             "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
             "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
+            "constraint violation": f"{self.pilot.mpc.figures['violation']:.2e}",
             "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
             "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),

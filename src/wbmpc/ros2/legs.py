@@ -54,7 +54,7 @@ class Legs:
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
-            except (ImportError, AttributeError, InputError) as error:
+            except (ImportError, AttributeError, ValueError, InputError) as error:
                 _LOG.warning("%s is not served (%s); the topics are there", topics.set_legs, error)
 
     # ------------------------------------------------------------------ from the bus
