@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wbmpc.stability import slope_gravity
+
 #: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a load on the body, and its centre above that
 #: of the body.
 PAYLOAD_RADIUS, BOX, BOX_HEIGHT = 0.05, (0.3, 0.25, 0.1), 0.24
@@ -42,5 +44,4 @@ def incline(spec: mujoco.MjSpec, slope: float, downhill: float) -> None:
     """Stand on a floor that falls by ``slope`` [rad] in the direction ``downhill`` [rad]: the frame of the world stays that of
     the floor, gravity turns."""
     size = float(np.linalg.norm(spec.option.gravity))
-    along = np.sin(slope) * np.array([np.cos(downhill), np.sin(downhill)])
-    spec.option.gravity = size * np.array([*along, -np.cos(slope)])
+    spec.option.gravity = slope_gravity(slope, downhill + np.pi, size)
