@@ -55,7 +55,7 @@ def test_wheels_turn_round_while_the_base_waits() -> None:
     late = result.times > result.times[-1] - 1.0
     assert error[late].max() < 0.03
     assert error.max() < 0.35
-    assert np.mean(error < 0.05) > 0.5
+    assert error.mean() < 0.08
     assert np.abs(result.poses[:, 2]).max() < 0.03
 
 
