@@ -89,7 +89,7 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
         Reconfiguration(40.0, x),
         Reconfiguration(54.0, h),
     )
-    return Mission(way, h, turns, ((15.0, 1.0), (60.0, 0.0))), 65.0
+    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
