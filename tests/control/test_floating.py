@@ -50,7 +50,7 @@ def test_one_closed_brake_holds() -> None:
 
 def test_opening_in_h_is_refused_unless_the_legs_move() -> None:
     brakes = BrakeControl(SWERVE)
-    with pytest.raises(InputError, match="nothing would hold the base against sideways .* valid: a closed brake"):
+    with pytest.raises(InputError, match=r"nothing would hold the base against sideways .* valid: a closed brake"):
         brakes.set(1.0, OPEN, leg=np.zeros(4))
     assert not brakes.commanded(2.0).any()
     brakes.set(1.0, OPEN, leg=leg_angles(SWERVE, "A"))

@@ -31,9 +31,8 @@ def floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> tupl
     rows = []
     places = zip(geometry.hinge, geometry.steer_axes(leg), angle, np.asarray(brake, float), strict=True)
     for hinge, axis, a, is_open in places:
-        d = np.array([np.cos(a), np.sin(a)])
-        for along, at in [(d, hinge)] if is_open > 0.5 else [((1.0, 0.0), axis), ((0.0, 1.0), axis)]:
-            rows.append([*along, (at[0] * along[1] - at[1] * along[0]) / _LEVER])
+        at, held = (hinge, [(np.cos(a), np.sin(a))]) if is_open > 0.5 else (axis, [(1.0, 0.0), (0.0, 1.0)])
+        rows += [[x, y, (at[0] * y - at[1] * x) / _LEVER] for x, y in held]
     _, values, motions = np.linalg.svd(np.array(rows))
     motion = motions[-1] / [1.0, 1.0, _LEVER]
     return float(values[-1]), motion * np.sign(motion[np.argmax(np.abs(motion))])
@@ -87,9 +86,10 @@ class BrakeControl:
         if leg is not None:
             held, motion = floating(self.geometry, leg, self._checked(brake))
             if held < FLOATING:
+                angles = np.round(np.asarray(leg, float), 2)
                 raise InputError(
-                    f"brakes: with these legs {np.round(leg, 2)} rad nothing would hold the base against {described(motion)} once "
-                    "they are open; valid: a closed brake, or other leg angles at once"
+                    f"brakes: with these legs {angles} rad nothing would hold the base against {described(motion)} "
+                    "once they are open; valid: a closed brake, or other leg angles at once"
                 )
         place = int(np.searchsorted(self._times, t))
         if place < len(self._times) and self._times[place] == t:
