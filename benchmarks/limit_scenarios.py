@@ -241,7 +241,7 @@ def swerve_jump(variant: Variant, seed: int) -> Rig:
 
 
 def swerve_brakes(variant: Variant, seed: int) -> Rig:
-    """Two legs, then the other two, are opened for 1.6 to 2 s and asked to turn at 0.3 rad/s (limit 0.25) while driving."""
+    """Two legs, then the other two, are opened for 1.6 to 2 s and asked to turn at 0.48 rad/s (limit 0.4) while driving."""
     rng = np.random.default_rng([seed, 6])
     pairs = [((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2))][rng.integers(3)]
     windows = []
@@ -259,7 +259,7 @@ def swerve_brakes(variant: Variant, seed: int) -> Rig:
     leg, home = np.zeros((t.size, 4)), rig.robot.home[rig.robot.state["leg"]]
     for begin, end, legs in windows:
         for i in legs:
-            leg[:, i] += -np.sign(home[i]) * 0.3 * np.clip(t - begin, 0.0, end - begin)
+            leg[:, i] += -np.sign(home[i]) * 0.48 * np.clip(t - begin, 0.0, end - begin)
     _follow(rig, t, hand, base, leg)
     return rig
 
