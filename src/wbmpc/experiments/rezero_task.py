@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.control import RezeroAgent
@@ -31,12 +32,12 @@ IDEALISATIONS = [
 ]
 
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N: an error beyond 15 mm or 15 mrad pulls no harder, so
-#: that a hand that was pushed away does not ask for more than 4 N m at the wheels; a stronger barrier keeps torque in reserve.
+#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up.
 STEPS_AND_PUSHES = RezeroCost(
-    hand=HandCost(weight=450.0, orientation=80.0, limit=0.015, twist=0.3, angular=0.05),
-    body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
-    torque=TorqueCost(wheel=0.2),
+    hand=HandCost(orientation=40.0),
+    body=BodyCost(tilt_rate=3.0, arm=1.0),
+    torque=TorqueCost(wheel=0.1, arm=0.3),
 )
 
 
@@ -57,7 +58,7 @@ class RezeroSettings(ExperimentSettings):
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand."""
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=0.1)
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
@@ -82,6 +83,26 @@ class Task:
     duration: float
     references: dict[str, Reference] = field(default_factory=dict)
     pushes: tuple[Push, ...] = ()
+
+
+def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """State (nx) in which the robot rests with its hand as near as it can be to a pose, and its arm near that of home.
+
+    Where the arm does not decide (place and heading of the base), a weak pull towards home does.
+    """
+    arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
+
+    def state(z: np.ndarray) -> np.ndarray:
+        x = robot.equilibrium(z[3:], yaw=float(z[2]))[0]
+        x[:2] = z[:2]
+        return x
+
+    def error(z: np.ndarray) -> np.ndarray:
+        place, turn = robot.pose(state(z))
+        turned = lie.quaternion_log(lie.quaternion_multiply(turn, wanted))
+        return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
+
+    return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
 
 
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
