@@ -53,7 +53,11 @@ class RezeroAgent:
             self.disturbance = self.observer.update(measurement.time, measurement.state, past, self.period)
             if not np.isfinite(self.disturbance).all():
                 raise NotFinite("the estimated disturbance is not finite")
-            self.mpc.solver.set_parameters({"disturbance": self.disturbance})
+            self.mpc.solver.set_parameters(self.parameters())
+
+    def parameters(self) -> dict[str, np.ndarray]:
+        """The model's parameters by group, as they are believed now."""
+        return {"disturbance": self.disturbance}
 
     def _late(self) -> int:
         assert self.measured is not None

@@ -3,9 +3,12 @@
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
 from wbmpc.estimation.calibration import WheelRecord, calibrate
+from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
+from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
@@ -17,10 +20,14 @@ __all__ = [
     "BallState",
     "BrakeFault",
     "BrakeMonitor",
+    "ContactMonitor",
     "DisturbanceObserver",
+    "DoorFilter",
+    "DoorNoise",
     "DriftObserver",
     "FusedOdometry",
     "JointTracker",
+    "MomentumObserver",
     "OdometryNoise",
     "ReleaseOdometry",
     "RezeroEstimator",

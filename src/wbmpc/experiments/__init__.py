@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from wbmpc.experiments import (
     rezero_circle,
+    rezero_door,
     rezero_push,
     rezero_steps,
     rezero_wholebody,
@@ -52,6 +53,7 @@ REGISTRY: dict[str, Experiment] = {
         _of(swerve_wobble, swerve_wobble.SwerveWobbleSettings),
         _of(rezero_steps, rezero_steps.RezeroStepsSettings),
         _of(rezero_circle, rezero_circle.RezeroCircleSettings),
+        _of(rezero_door, rezero_door.RezeroDoorSettings),
         _of(rezero_wholebody, rezero_wholebody.RezeroWholebodySettings),
         Experiment(
             rezero_push.BALL,

@@ -99,10 +99,10 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     limits = robot.limits
     box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
     free_state, free_input = residuals.State(robot, ["arm"], tracked=False), residuals.Input(robot, tracked=False)
-    speeds = residuals.State(robot, ["arm_velocity"], tracked=False)
+    rates = residuals.State(robot, ["arm_velocity"], tracked=False)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
-    ocp.add(Constraint("speeds", speeds, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=SPEED_SLACK))
+    ocp.add(Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=SPEED_SLACK))
     barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
     ocp.add(
         Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)

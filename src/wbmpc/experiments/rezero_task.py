@@ -171,7 +171,7 @@ def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, to
     log.add("torque", t, torque)
     log.add("disturbance", t, agent.disturbance)
     if agent.estimator is not None:
-        _record_estimate(log, t, agent.state(), truth, agent.estimator.filter)
+        _record_estimate(log, t, agent.state()[: truth.state.size], truth, agent.estimator.filter)
 
 
 def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:

@@ -1,6 +1,7 @@
 """Robot models: layouts, bases, kinematics, dynamics."""
 
 from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRate
+from wbmpc.model.door import DoorGeometry, WithDoor
 from wbmpc.model.equations import Equations
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
@@ -8,6 +9,7 @@ from wbmpc.model.swerve import SwerveGeometry, aligned_steering, rolling_inverse
 from wbmpc.model.symbolic import FramePose
 
 __all__ = [
+    "DoorGeometry",
     "DriveLag",
     "Dynamics",
     "Equations",
@@ -19,6 +21,7 @@ __all__ = [
     "Limits",
     "RobotModel",
     "SwerveGeometry",
+    "WithDoor",
     "aligned_steering",
     "load_robot",
     "rolling_inverse_kinematics",

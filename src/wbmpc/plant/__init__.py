@@ -1,6 +1,7 @@
 """Simulated robots in MuJoCo, perturbed against the planner's model."""
 
 from wbmpc.plant.brakes import BRAKE_TORQUE, Brakes
+from wbmpc.plant.door import Door, DoorPlant, ForceSensor
 from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation
 from wbmpc.plant.protocol import (
@@ -21,7 +22,10 @@ __all__ = [
     "BRAKE_TORQUE",
     "TIMESTEP",
     "Brakes",
+    "Door",
+    "DoorPlant",
     "Draw",
+    "ForceSensor",
     "GlobalPose",
     "Localisation",
     "Perturbation",

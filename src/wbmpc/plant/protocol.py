@@ -87,7 +87,8 @@ class RezeroMeasurement:
     """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealised, its state (16) with noise.
 
     ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
-    force in the axes of the base, averages since the message before (the inertial unit integrates between messages).
+    force in the axes of the base, averages since the message before (the inertial unit integrates between messages);
+    ``force`` (3) [N]: of a sensor in the hand, in its axes, on the hand (none where there is no sensor).
     """
 
     time: float
@@ -97,6 +98,7 @@ class RezeroMeasurement:
     arm: Array = field(default_factory=lambda: np.zeros(3))
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
+    force: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,93 @@
+"""The impedance of a door from the force on it and its motion: a Kalman filter.
+
+I φ̈ + d φ̇ + c = τ of a door that opens, with the unknown inertia I, damping d and resistance c. c is closer plus dry friction: while
+a door only opens, the two cannot be told apart. States are angle, rate and 1 / I, d / I, c / I, in which the equation is nearly
+linear (with I, d, c themselves the filter was sure of wrong values). At a steady rate only d φ̇ + c is seen; the covariance says
+so. A door that rests or creeps says nothing: :meth:`DoorFilter.rest`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DoorNoise:
+    """Standard deviations: measured ``angle`` [rad] and ``rate`` [rad/s] per sample; ``torque`` [N m/√Hz]: of what is known to
+    act; ``walk`` [1/√s]: how the parameters wander, relative to the first guess; ``guess``: how wrong it may be (relative)."""
+
+    angle: float = 2e-3
+    rate: float = 0.05
+    torque: float = 0.05
+    walk: float = 0.02
+    guess: float = 0.7
+
+
+class DoorFilter:
+    """``guess`` (3): inertia [kg m²], damping [N m s/rad], resistance [N m] before anything was measured.
+
+    ``state`` (5): angle [rad], rate [rad/s], 1 / I, d / I, c / I; ``covariance`` (5, 5). A parameter that comes out below a
+    twentieth of its guess is held there (the noise may push it below zero).
+    """
+
+    def __init__(self, guess: ArrayLike, noise: DoorNoise | None = None) -> None:
+        guess = np.asarray(guess, float)
+        if guess.shape != (3,) or not (np.isfinite(guess).all() and np.all(guess > 0.0)):
+            raise InputError(f"door filter: inertia, damping and resistance must be positive, got {guess}")
+        self.noise = noise or DoorNoise()
+        self._first = np.array([1.0, guess[1], guess[2]]) / guess[0]
+        self.state = np.concatenate([[0.0, 0.0], self._first])
+        n = self.noise
+        self.covariance = np.diag([n.angle**2, n.rate**2, *(n.guess * self._first) ** 2])
+
+    def _parameters(self) -> Array:
+        bounded: Array = np.maximum(self.state[2:], 0.05 * self._first)
+        return bounded
+
+    @property
+    def impedance(self) -> Array:
+        """Inertia [kg m²], damping [N m s/rad], resistance [N m]."""
+        a, b, c = self._parameters()
+        return np.array([1.0, b, c]) / a
+
+    @property
+    def spread(self) -> Array:
+        """Relative standard deviations (3) of inertia, damping and resistance, to first order."""
+        a, b, c = self._parameters()
+        slope = np.array([[-1.0 / a, 0.0, 0.0], [-1.0 / a, 1.0 / b, 0.0], [-1.0 / a, 0.0, 1.0 / c]])
+        variance: Array = np.sqrt(np.diag(slope @ self.covariance[2:, 2:] @ slope.T))
+        return variance
+
+    def rest(self, angle: float, rate: float = 0.0) -> None:
+        """The door rests or creeps at ``angle`` [rad], ``rate`` [rad/s]: what is known of its impedance stays as it is."""
+        self.state[:2] = angle, rate
+        self.covariance[:2, :], self.covariance[:, :2] = 0.0, 0.0
+        self.covariance[0, 0], self.covariance[1, 1] = self.noise.angle**2, self.noise.rate**2
+
+    def update(self, interval: float, torque: float, angle: float, rate: float) -> None:
+        """``torque`` [N m] that acted over the last ``interval`` [s]; measured ``angle`` [rad] and ``rate`` [rad/s] now."""
+        self._predict(interval, torque)
+        n = self.noise
+        for place, value, spread in ((0, angle, n.angle), (1, rate, n.rate)):
+            column = self.covariance[:, place].copy()
+            variance = column[place] + spread**2
+            self.state = self.state + column / variance * (value - self.state[place])
+            self.covariance = self.covariance - np.outer(column, column) / variance
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+
+    def _predict(self, h: float, torque: float) -> None:
+        a, b, c = self._parameters()
+        rate = self.state[1]
+        slope = np.eye(5)
+        slope[0, 1] = h
+        slope[1, 1:] += h * np.array([-b, torque, -rate, -1.0])
+        self.state[:2] += h * np.array([rate, a * torque - b * rate - c])
+        spread = np.concatenate([[0.0, a * self.noise.torque], self.noise.walk * self._first])
+        self.covariance = slope @ self.covariance @ slope.T + h * np.diag(spread**2)

@@ -1,0 +1,62 @@
+"""The force at a hand without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
+
+With p = M(q) v and ṗ = τ_known + τ_unknown + Ṁ v − h, where h = C v + g, the residual r' = K (ṗ − known part − r) follows the
+unknown generalised forces with bandwidth K. What it holds before the touch is the model's error; the change since then is
+explained as a force on the hand by least squares, weighted by how well each coordinate's force is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class MomentumObserver:
+    """``mass(q)``: M (n, n); ``bias(q, v)``: C v + g (n); ``bandwidth`` [1/s]. ``residual`` (n): generalised forces that the
+    drives do not explain [N, N m]."""
+
+    def __init__(
+        self, mass: Callable[[Array], Array], bias: Callable[[Array, Array], Array], bandwidth: float = 30.0
+    ) -> None:
+        if not 0.0 < bandwidth < np.inf:
+            raise InputError(f"momentum observer: bandwidth must be positive, got {bandwidth}")
+        self.mass, self.bias, self.bandwidth = mass, bias, bandwidth
+        self.residual = np.zeros(0)
+        self._before: tuple[Array, Array] | None = None
+        self._zero: Array | None = None
+
+    def update(self, q: ArrayLike, v: ArrayLike, force: ArrayLike, interval: float) -> Array:
+        """The residual (n) at positions q (n) and speeds v (n), with the known generalised ``force`` (n) that acted over the
+        ``interval`` [s] before."""
+        q, v, force = (np.asarray(a, float) for a in (q, v, force))
+        mass = self.mass(q)
+        if self._before is None:
+            self.residual = np.zeros(v.size)
+        else:
+            last_mass, last_v = self._before
+            middle = 0.5 * (v + last_v)
+            # M v − M⁻ v⁻ = M̄ Δv + ΔM v̄: the second part is Ṁ v, which is no force
+            pushed = 0.5 * (mass + last_mass) @ (v - last_v) / interval
+            unknown = pushed - force + self.bias(q, middle)
+            share = 1.0 - np.exp(-self.bandwidth * interval)
+            self.residual = self.residual + share * (unknown - self.residual)
+        self._before = (mass, v)
+        return self.residual
+
+    def zero(self) -> None:
+        """Take the present residual for the model's error: nothing touches now."""
+        self._zero = self.residual.copy()
+
+    def force(self, jacobian: ArrayLike, weight: ArrayLike) -> Array:
+        """The force (m) on a point with ``jacobian`` (m, n) that explains the residual's change since :meth:`zero` best;
+        ``weight`` (n): one over the squared uncertainty of each coordinate's residual."""
+        j, w = np.asarray(jacobian, float), np.asarray(weight, float)
+        change = self.residual if self._zero is None else self.residual - self._zero
+        found: Array = np.linalg.solve((j * w) @ j.T + 1e-9 * np.eye(len(j)), (j * w) @ change)
+        return found

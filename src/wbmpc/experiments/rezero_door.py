@@ -1,0 +1,315 @@
+"""`rezero-door`: the ball robot pushes a door open with a wanted force (Minniti et al. 2019, section IV-D, Fig. 8 and 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.control.door import DoorAgent, Push
+from wbmpc.estimation import RezeroEstimator
+from wbmpc.experiments.rezero_door_problem import UNTIED, DoorScheme, PushCost, door_problem
+from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.experiments.rezero_task import (
+    IDEALISATIONS,
+    RezeroSettings,
+    estimator_metrics,
+    record_rezero,
+)
+from wbmpc.experiments.settings import finished
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
+from wbmpc.model import DoorGeometry, RobotModel, load_robot
+from wbmpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.plant import Door, DoorPlant
+from wbmpc.plant.door import HALF_THICKNESS, TIP_MASS, TIP_RADIUS
+from wbmpc.result import Metric, Plot, RunResult, Series
+
+NAME = "rezero-door"
+SUMMARY = "the ball robot pushes a door open with a wanted force (Minniti et al. 2019, Fig. 8 and 9)"
+DOORS: dict[str, dict[str, Any]] = {
+    "free": {},
+    "heavy": {"mass": 36.0, "damping": 20.0},
+    "sticking": {"breakaway": 3.2},
+    "light": {"mass": 6.0, "friction": 0.5, "closer": 0.5, "damping": 3.0},
+    "locked": {"locked": True},
+}
+#: Where the hand touches the panel, from the hinge; the gap before it [m].
+LEVER, GAP = 0.7, 0.10
+#: The peak of the touch is looked for in this time after it [s].
+TOUCH = 0.1
+LABELS = ("low", "high")
+HERE = [
+    "the door's hinge is where it is believed to be within misplaced; the closed panel's place is learnt from the touch",
+    "only the rubber tip of the hand touches the door, and only its panel; the robot's body does not",
+    "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between hand and tip",
+    "the closer's torque is constant, dry friction is Coulomb's",
+]
+#: What the controller believes of a door it has not opened: inertia [kg m²], damping [N m s/rad], resistance [N m].
+NOMINAL = (2.56, 12.0, 3.5)
+
+
+class RezeroDoorSettings(RezeroSettings):
+    """``forces`` [N] along the normal, a run each, reached ``rise`` [s] after the touch; ``door``: its kind; ``settle`` [s] before
+    the hand starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
+    ``rest`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
+    (left out: those that suit the scheme); ``misplaced`` [m]: the door's place is not known better."""
+
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
+        body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
+        torque=TorqueCost(wheel=0.2),
+    )
+    push: PushCost | None = None
+    scheme: DoorScheme = DoorScheme()
+    door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
+    forces: tuple[float, ...] = Field((8.0, 16.0), min_length=1, max_length=2)
+    rise: float = Field(0.3, ge=0, le=10.0)
+    settle: float = Field(3.0, ge=0.5, le=60.0)
+    speed: float = Field(0.1, gt=0, le=1.0)
+    open: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
+    patience: float = Field(9.0, ge=1.0, le=120.0)
+    rest: float = Field(2.0, ge=0.1, le=60.0)
+    misplaced: float = Field(0.01, ge=0, le=0.05)
+
+
+def make_plant(
+    settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int
+) -> DoorPlant:
+    """The robot before a door that stands up to ``misplaced`` away from where it is believed to be."""
+    error = np.random.default_rng([seed, 23]).uniform(-settings.misplaced, settings.misplaced, 2)
+    hinge = np.array(believed(robot.pose(home)[0]).hinge) + error
+    door = Door((float(hinge[0]), float(hinge[1])), **DOORS[settings.door])
+    return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
+
+
+def believed(hand: np.ndarray) -> DoorGeometry:
+    """The door as the controller believes it to stand before the hand (3) [m] at the start."""
+    offset = TIP_RADIUS + HALF_THICKNESS
+    return DoorGeometry((float(hand[0] + GAP + offset), float(hand[1] + LEVER)), -np.pi / 2, 1.0, offset)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One door pushed with one force [N]: what was recorded, how it ended."""
+
+    force: float
+    log: Log
+    ending: Ending
+    mpc: MPC
+
+
+def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
+    """One run with the reference ``force`` [N]."""
+    robot = load_robot("rezero", contact="force")
+    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    geometry = believed(robot.pose(home)[0])
+    push = settings.push or (PushCost() if settings.scheme.row else UNTIED)
+    mpc = MPC(
+        door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
+        settings.mpc.solver(), settings.mpc.rate,
+    )  # fmt: skip
+    plant = make_plant(settings, robot, home, torque, seed)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    agent = make_agent(settings, force, robot, mpc, home, torque, timing.period, geometry)
+    log = Log()
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        record_rezero(log, t, plant, agent, command.torque)
+        record_door(log, t, plant, agent, plans)
+
+    duration = settings.settle + settings.patience + settings.rest
+    ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
+    return Trial(force, log, ending, mpc)
+
+
+def make_agent(
+    settings: RezeroDoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
+    geometry: DoorGeometry,
+) -> DoorAgent:  # fmt: skip
+    """The agent at home, with its references and what it is to do."""
+    hand, quaternion = robot.pose(home)
+    wanted = lambda t: force * float(np.clip(t / max(settings.rise, 1e-9), 0.0, 1.0))
+    push = Push(
+        wanted, hand, quaternion, settings.settle, settings.speed, settings.open, settings.settle + settings.patience,
+        back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
+    )  # fmt: skip
+    for body in ("body", "push_body"):
+        mpc.reference[body] = Reference.constant(home)
+    for twist in ("twist", "push_twist"):
+        mpc.reference[twist] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)
+    for pose in ("hand", "turn"):
+        mpc.reference[pose] = Reference.poses([0.0], hand, quaternion)
+    estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
+    agent = DoorAgent(
+        robot,
+        mpc,
+        push,
+        geometry,
+        np.array(NOMINAL),
+        settings.scheme.identify,
+        torque,
+        period,
+        settings.drive_lag,
+        settings.observer,
+        estimator,
+    )
+    mpc.solver.set_parameters(agent.parameters())
+    start = np.concatenate([home, agent.door]) if agent.with_door else home
+    mpc.reset(start, np.concatenate([torque, np.zeros(3)]))
+    return agent
+
+
+def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: Any) -> None:
+    """Forces, door and phases."""
+    log.add("force", t, plant.contact_force())
+    log.add("normal", t, plant.normal)
+    log.add("door", t, np.array([plant.angle, plant.rate]))
+    log.add("door_estimated", t, agent.door)
+    log.add("force_measured", t, -agent.force)
+    log.add("force_sensorless", t, -agent.sensorless.force)
+    log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
+    log.add("pushing", t, float(agent.phase == "push"))
+    log.add("touching", t, float(agent.contact.touching))
+    log.add("impedance", t, agent.impedance)
+
+
+# ---------------------------------------------------------------------- figures
+def normal_force(log: Log) -> np.ndarray:
+    """The true force (n,) [N] of the hand on the panel along its normal."""
+    force: np.ndarray = np.sum(log.array("force") * log.array("normal"), axis=1)
+    return force
+
+
+def lean(log: Log) -> np.ndarray:
+    """How far (n,) [rad] the base leans towards the panel, against how it stands at the start."""
+    up = np.array([lie.euler_zyx_to_rotation(*x[2:5])[:, 2] for x in log.array("state")])
+    angle: np.ndarray = np.arcsin(np.sum((up - up[0]) * log.array("normal"), axis=1))
+    return angle
+
+
+def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
+    """The time [s] of the first touch (infinite: none) and which samples (n,) count: from ``rise`` [s] after it to the
+    release."""
+    t, force = log.times("force"), normal_force(log)
+    hit = np.flatnonzero(force > 0.0)
+    touch = float(t[hit[0]]) if hit.size else np.inf
+    return touch, (t >= touch + rise) & (log.array("pushing") > 0.0)
+
+
+def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
+    """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
+    the time in contact, mean lean [rad], largest angle of the door [rad], whether it fell."""
+    log, wanted = trial.log, trial.force
+    touch, use = pushed(log, rise)
+    force, t = normal_force(log), log.times("force")
+    counted = force[use]
+    return {
+        "force_error_ratio": float(np.sqrt(np.mean((counted - wanted) ** 2)) / wanted) if counted.size else np.inf,
+        "touch_peak": float(force[(t >= touch) & (t < touch + TOUCH)].max(initial=0.0)),
+        "contact_share": float(np.mean(counted > 0.0)) if counted.size else 0.0,
+        "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
+        "door_angle_max": float(log.array("door")[:, 0].max()),
+        "fell": float(trial.ending.fell),
+    }
+
+
+def run(settings: RezeroDoorSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """A run for each force, weakest first; a fall ends it."""
+    trials: list[Trial] = []
+    for k, force in enumerate(sorted(settings.forces)):
+        trials.append(push_door(settings, force, seed, share(progress, k, len(settings.forces))))
+        if trials[-1].ending.reason:
+            break
+    names = LABELS[-len(settings.forces) :]
+    log, figures = merged(trials, names), {}
+    for name, trial in zip(names, trials, strict=False):
+        figures[name] = trial_metrics(trial, settings.rise)
+    return finished(
+        NAME, seed, settings, trials[-1].ending, trials[-1].mpc, log,
+        metrics=lambda: {**metrics(figures, names), **worst_estimates(trials)},
+        plots=lambda: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
+        idealisations=[*HERE, *IDEALISATIONS],
+    )  # fmt: skip
+
+
+def share(progress: Progress | None, k: int, n: int) -> Progress | None:
+    """The progress of the k-th of n parts; watchers come along."""
+    if progress is None:
+        return None
+    part = lambda fraction, note: progress((k + fraction) / n, note)
+    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
+
+
+def merged(trials: list[Trial], names: Sequence[str]) -> Log:
+    """One log with the channels CHANNEL_NAME of every run."""
+    log = Log()
+    for name, trial in zip(names, trials, strict=False):
+        for channel in trial.log.channels:
+            for t, row in zip(trial.log.times(channel), trial.log.array(channel), strict=True):
+                log.add(f"{channel}_{name}", t, row)
+    return log
+
+
+def metrics(figures: dict[str, dict[str, float]], names: Sequence[str]) -> dict[str, Metric]:
+    """The figures by name, those of all runs last; a run that did not happen is infinitely bad."""
+    out: dict[str, Metric] = {}
+    for name in names:
+        f = figures.get(name, {"force_error_ratio": np.inf, "contact_share": 0.0, "lean_mean": np.inf})
+        out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.10)
+        out[f"contact_share_{name}"] = Metric(f["contact_share"], "1")
+        out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
+    most = lambda key: max(f[key] for f in figures.values())
+    out["touch_peak"] = Metric(most("touch_peak"), "N")
+    out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
+    out["fell"] = Metric(most("fell"), "1", goal=0.0)
+    return out
+
+
+def worst_estimates(trials: list[Trial]) -> dict[str, Metric]:
+    """The estimator's figures, the worst of all runs."""
+    found = [estimator_metrics(trial.log) for trial in trials]
+    return {k: Metric(max(f[k].value for f in found), m.unit) for k, m in found[0].items()}
+
+
+def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Plot]:
+    """The paper's Fig. 9 for one force, with what was planned; door, impedance and torques."""
+    log, wanted = trial.log, trial.force
+    t, normal, state = log.times("force"), log.array("normal"), log.array("state")
+    touch, _ = pushed(log, settings.rise)
+    along = lambda channel: np.sum(log.array(channel) * normal, axis=1)
+    tangential = np.linalg.norm(log.array("force") - normal_force(log)[:, None] * normal, axis=1)
+    reference = wanted * np.clip((t - touch) / max(settings.rise, 1e-9), 0.0, 1.0) * log.array("pushing")
+    label = f"{wanted:g} N"
+    door, believed_door = np.rad2deg(log.array("door")), np.rad2deg(log.array("door_estimated"))
+    impedance, first = log.array("impedance"), np.maximum(np.abs(log.array("impedance")[0]), 1e-9)
+    parts = zip(("inertia", "damping", "resistance"), (impedance / first).T, strict=True)
+    return [
+        Plot(f"Force at the hand, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
+            Series("along the normal, true", t, normal_force(log)), Series("measured, in contact", t, along("force_measured")),
+            Series("estimated without the sensor", t, along("force_sensorless")),
+            Series("planned", t, along("force_planned")), Series("reference", t, reference, dashed=True),
+            Series("tangential", t, tangential),
+        ]),
+        Plot(f"Base, reference {label} (Fig. 9, below)", "time [s]", "angle [deg]", [
+            Series("pitch", t, np.rad2deg(state[:, 3])), Series("roll", t, np.rad2deg(state[:, 4])),
+            Series("lean into the door", t, np.rad2deg(lean(log))),
+            Series("in contact (times 10)", t, 10.0 * (normal_force(log) > 0.0), dashed=True),
+        ]),
+        Plot(f"Door, reference {label}", "time [s]", "angle [deg], rate [deg/s]", [
+            Series("angle", t, door[:, 0]), Series("angle, believed", t, believed_door[:, 0], dashed=True),
+            Series("rate", t, door[:, 1]), Series("rate, believed", t, believed_door[:, 1], dashed=True),
+        ]),
+        Plot(f"Believed impedance over the first guess, reference {label}", "time [s]", "ratio", [
+            Series(part, t, values) for part, values in parts
+        ]),
+        Plot(f"From above, reference {label}", "x [m]", "y [m]", [
+            Series("hand", *log.array("hand")[:, :2].T), Series("ball", *state[:, :2].T),
+        ], equal_axes=True),
+    ]  # fmt: skip

@@ -1,0 +1,156 @@
+"""A door as part of the system that is planned: its states, its impedance, and where the hand touches it.
+
+Minniti et al. 2019 plan the wrench at the hand as a free input and leave the door's motion out (their section V-A): the
+optimiser may give the environment any impedance. Here the door's angle φ and rate are states, I φ̈ + d φ̇ + c = −ℓ nᵀF for the force
+F of the world on the hand, and the hand's distance from the panel is a function of robot and door whose second derivative a
+state-input equality keeps at zero (:class:`wbmpc.ocp.residuals.PanelContact`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.model.layout import Layout
+from wbmpc.model.robot import RobotModel
+
+Array = NDArray[np.float64]
+#: Dry friction and closer act fully above this rate [rad/s]; below, they fade, so that a door at rest stays there. Light doors
+#: fade over a wider range: no faster than with :data:`FADE_TIME` [s], which the plan's time steps can follow.
+SMOOTH_RATE, FADE_TIME = 0.05, 0.03
+#: A door that is held comes to rest with this time constant [s].
+STOP_TIME = 0.05
+IMPEDANCE = ("inertia", "damping", "resistance")
+
+
+@dataclass(frozen=True)
+class DoorGeometry:
+    """Where a door is believed to be: ``hinge`` (2) [m]; ``closed`` [rad]: heading of the closed panel from the hinge;
+    ``opening``: +1 counter-clockwise, −1 clockwise; ``offset`` [m] of the hand's centre from the panel's middle plane when it
+    touches."""
+
+    hinge: tuple[float, float]
+    closed: float
+    opening: float
+    offset: float
+
+    def directions(self, angle: float) -> tuple[Array, Array]:
+        """Unit vectors (3) along the panel, away from the hinge, and normal to it, the way it opens."""
+        heading = self.closed + self.opening * angle
+        along = np.array([np.cos(heading), np.sin(heading), 0.0])
+        return along, self.opening * np.array([-along[1], along[0], 0.0])
+
+    def lever(self, hand: ArrayLike, angle: float) -> float:
+        """Distance [m] of the hand (3) [m] from the hinge along the panel."""
+        return float(self.directions(angle)[0][:2] @ (np.asarray(hand)[:2] - self.hinge))
+
+    def gap(self, hand: ArrayLike, angle: float) -> float:
+        """How far [m] the hand (3) is beyond the surface of the panel; negative before it touches."""
+        return float(self.directions(angle)[1][:2] @ (np.asarray(hand)[:2] - self.hinge)) + self.offset
+
+    def angle(self, hand: ArrayLike) -> float:
+        """The angle [rad] of a panel that the hand (3) [m] touches."""
+        out = np.asarray(hand)[:2] - self.hinge
+        radius = float(np.hypot(*out))
+        if radius <= self.offset:
+            raise InputError(f"door: a hand {radius:g} m from the hinge cannot touch the panel")
+        turn = self.opening * (np.arctan2(out[1], out[0]) - self.closed)
+        return float(np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi + np.arcsin(self.offset / radius))
+
+    def rate(self, hand: ArrayLike, velocity: ArrayLike, angle: float) -> float:
+        """The rate [rad/s] of a panel that the hand (3) [m], moving at ``velocity`` (3) [m/s], keeps touching."""
+        return float(self.directions(angle)[1] @ np.asarray(velocity, float)) / self.lever(hand, angle)
+
+    def place(self, angle: float, lever: float, height: float) -> Array:
+        """Where the hand (3) [m] is that touches the panel at ``lever`` [m] from the hinge."""
+        along, normal = self.directions(angle)
+        return np.array([*self.hinge, height]) + lever * along - self.offset * normal
+
+
+class WithDoor:
+    """A robot whose hand may push a door: states ``door.angle``, ``door.rate``; the hand's force must be an input.
+
+    Parameters ``place`` (hinge x, y, closed heading, offset) and ``impedance`` (inertia about the hinge [kg m²], damping
+    [N m s/rad], resistance [N m]: closer and dry friction of a door that opens). Mode value ``door.moves``: 1, or 0 for a door
+    that is held (locked, sticking). ``opening`` ±1: which way it turns.
+    """
+
+    def __init__(self, robot: RobotModel, opening: float = 1.0) -> None:
+        if "force" not in robot.input:
+            raise InputError(f"{robot.description.name}: a door needs the hand's force as an input (contact='force')")
+        inner = robot.dynamics()
+        self.robot, self.inner, self.opening = robot, inner, opening
+        self.state = Layout({**inner.state.groups, "door": ("angle", "rate")})
+        self.input = inner.input
+        place = ("hinge_x", "hinge_y", "closed", "offset")
+        self.parameters = Layout({**inner.parameters.groups, "place": place, "impedance": IMPEDANCE})
+        self.mode = Layout({**inner.mode.groups, "door": ("moves",)})
+        self.mode_bounds = {**inner.mode_bounds, "door": (0.0, 1.0)}
+        self.unit_quaternions = inner.unit_quaternions
+
+    def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The robot's own state and input."""
+        return x[: self.inner.state.size], u
+
+    # ------------------------------------------------------------------ geometry
+    def _directions(self, x: ca.SX, w: ca.SX) -> tuple[ca.SX, ca.SX]:
+        heading = w[self.parameters["place"]][2] + self.opening * x[self.state["door"]][0]
+        along = ca.vertcat(ca.cos(heading), ca.sin(heading))
+        return along, self.opening * ca.vertcat(-along[1], along[0])
+
+    def _from_hinge(self, x: ca.SX, w: ca.SX) -> ca.SX:
+        own = x[: self.inner.state.size]
+        return self.robot.frame_pose(own, self.robot.tool).position[0:2] - w[self.parameters["place"]][0:2]
+
+    def gap(self, x: ca.SX, w: ca.SX) -> ca.SX:
+        """How far [m] the hand is beyond the panel's surface."""
+        return ca.dot(self._directions(x, w)[1], self._from_hinge(x, w)) + w[self.parameters["place"]][3]
+
+    def lever(self, x: ca.SX, w: ca.SX) -> ca.SX:
+        """Distance [m] of the hand from the hinge along the panel."""
+        return ca.dot(self._directions(x, w)[0], self._from_hinge(x, w))
+
+    # ------------------------------------------------------------------ dynamics
+    def _door(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """(φ̇, φ̈)."""
+        rate, moves = x[self.state["door"]][1], m[self.mode["door"]]
+        inertia, damping, resistance = ca.vertsplit(w[self.parameters["impedance"]])
+        push = -ca.dot(self._directions(x, w)[1], u[self.input["force"]][0:2])
+        slow = ca.fmax(SMOOTH_RATE, FADE_TIME * resistance / inertia)
+        torque = self.lever(x, w) * push - damping * rate - resistance * ca.tanh(rate / slow)
+        return ca.vertcat(rate, moves * torque / inertia - (1.0 - moves) * rate / STOP_TIME)
+
+    def _inner(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        return x[: self.inner.state.size], u, w[: self.inner.parameters.size], m[: self.inner.mode.size]
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ of robot and door."""
+        return ca.vertcat(self.inner(*self._inner(x, u, w, m)), self._door(x, u, w, m))
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian by [x; u]."""
+        f, own = self.inner.jacobian(*self._inner(x, u, w, m))
+        n, door = self.inner.state.size, self._door(x, u, w, m)
+        wide = ca.horzcat(own[:, :n], ca.SX(n, 2), own[:, n:])
+        return ca.vertcat(f, door), ca.vertcat(wide, ca.jacobian(door, ca.vertcat(x, u)))
+
+    def contact(self, x: ca.SX, w: ca.SX) -> ca.SX:
+        """Where the hand is on the panel (3) [m]: beyond its surface, along it from the hinge, height."""
+        own = x[: self.inner.state.size]
+        height = self.robot.frame_pose(own, self.robot.tool).position[2]
+        return ca.vertcat(self.gap(x, w), self.lever(x, w), height)
+
+    def contact_motion(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """That place (3) and its first two derivatives by time along a motion of robot and door."""
+        f, place = self(x, u, w, m), self.contact(x, w)
+        speed = ca.jtimes(place, x, f)
+        return place, speed, ca.jtimes(speed, x, f)
+
+
+def place_of(door: DoorGeometry) -> Array:
+    """The parameters ``place`` of a believed door."""
+    return np.array([*door.hinge, door.closed, door.offset])

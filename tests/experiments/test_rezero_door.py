@@ -1,0 +1,106 @@
+"""`rezero-door`, shortened. Truth: the plant's own forces, figures computed once more from the log, recorded chatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.control import door as control
+from wbmpc.experiments import rezero_door
+from wbmpc.experiments.rezero_door import RezeroDoorSettings
+
+SHORT = RezeroDoorSettings(forces=(16.0,), settle=1.0, patience=6.0, rest=0.8)
+
+
+@pytest.fixture(scope="module")
+def result():  # type: ignore[no-untyped-def]
+    return rezero_door.run(SHORT, 1, None)
+
+
+def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[no-untyped-def]
+    assert result.completed, result.reason
+    m, log = {n: v.value for n, v in result.metrics.items()}, result.log
+    t, door = log.times("force_high"), log.array("door_high")[:, 0]
+    force = np.einsum("ij,ij->i", log.array("force_high"), log.array("normal_high"))
+    touch = t[np.flatnonzero(force > 0.0)[0]]
+    release = t[np.flatnonzero(door >= SHORT.open)[0]]
+    use = (t >= touch + 0.3) & (t < release - 0.02)
+    error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
+    assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)
+    assert 0.001 < m["force_error_ratio_high"] < 0.10
+    assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
+    assert m["door_angle_max"] == pytest.approx(door.max()) and door.max() > np.deg2rad(60.0)
+    assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's centre against 25 kg
+    assert force[t > t[-1] - 0.2].max() == 0.0  # it has let go
+    for plot in result.plots:
+        assert all(len(s.x) == len(s.y) > 0 for s in plot.series)
+
+
+def test_impedance_is_found_while_the_door_opens(result) -> None:  # type: ignore[no-untyped-def]
+    """12 kg of 0.8 m, closer and friction 3.5 N m together, at 0.5 to 0.7 rad/s."""
+    log = result.log
+    inertia, damping, resistance = log.array("impedance_high")[-1]
+    assert inertia == pytest.approx(2.56, rel=0.5)
+    rate = log.array("door_high")[:, 1].max()
+    assert damping * rate + resistance == pytest.approx(12.0 * rate + 3.5, rel=0.2)
+
+
+def test_measured_force_is_that_of_the_physics(result) -> None:  # type: ignore[no-untyped-def]
+    log = result.log
+    late = round(0.005 * 400)
+    touching = log.array("touching_high")[late:] > 0.0
+    wrong = log.array("force_measured_high")[late:][touching] - log.array("force_high")[:-late][touching]
+    # noise 0.1 N and bias 0.1 N for each axis, the tip's inertia, readings that are averages over 2.5 ms
+    assert np.sqrt(np.mean(wrong**2)) < 0.5
+
+
+class Chattering(control.ContactMonitor):
+    """Contact that is lost and found again in the pattern of a stiff tip on a panel [periods of 2.5 ms on and off]."""
+
+    PATTERN = (3, 2, 5, 1, 2, 2, 8, 3, 1, 1, 12, 6, 2, 4, 9, 8, 30, 7, 4, 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        on = np.concatenate([np.full(n, k % 2 == 0) for k, n in enumerate(self.PATTERN)])
+        self._on, self._k = on, -1
+
+    def update(self, t: float, force: float) -> bool:
+        if self._k < 0 and not super().update(t, force):
+            return False
+        self._k += 1
+        if self._k >= self._on.size:
+            return super().update(t, force)
+        return super().update(t, force if self._on[self._k] else 0.0)
+
+
+def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """Half a second of losses from 2.5 to 20 ms: what is planned for now stays inside the cone and is no jump beyond it; without
+    contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
+    monkeypatch.setattr(control, "ContactMonitor", Chattering)
+    settings = SHORT.model_copy(update={"patience": 3.8, "rest": 0.2, "forces": (8.0,)})
+    trial = rezero_door.push_door(settings, 8.0, 2)
+    log = trial.log
+    assert not trial.ending.reason
+    normal, planned, touching = log.array("normal"), log.array("force_planned"), log.array("touching") > 0.0
+    losses = np.flatnonzero(np.diff(touching.astype(int)) == -1)
+    assert len(losses) >= 3  # the debounced contact is lost several times, not for every gap
+    assert len(losses) < 10
+    push = np.sum(planned * normal, axis=1)
+    side = np.linalg.norm(planned - push[:, None] * normal, axis=1)
+    assert np.all(push > -0.3) and push.max() < 1.5 * 8.0
+    assert np.all(side <= 0.5 * push + 0.3)  # the panel's own coefficient is 0.5, the plan's 0.35
+    away = np.array([not touching[max(0, k - 9) : k + 1].any() for k in range(touching.size)])
+    assert np.abs(planned[away]).max() < 1e-6
+    assert log.array("tilt").max() < 0.4
+
+
+def test_without_the_row_the_force_is_missed() -> None:
+    """The paper's free wrench: the same door, the same force."""
+    paper = SHORT.model_copy(
+        update={"scheme": rezero_door.DoorScheme(row=False, identify=False, cone=False), "patience": 4.0, "rest": 0.2}
+    )
+    trial = rezero_door.push_door(paper, 8.0, 1)
+    figures = rezero_door.trial_metrics(trial, paper.rise)
+    assert not trial.ending.reason
+    assert figures["force_error_ratio"] > 0.15
+    assert figures["touch_peak"] > 8.0

@@ -1,0 +1,106 @@
+"""The door in the planner's model. Truth: finite differences of plane geometry along motions, the door's equation by hand."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.model import DoorGeometry, WithDoor, load_robot
+from wbmpc.model.door import place_of
+
+ROBOT = load_robot("rezero", contact="force")
+HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HAND = ROBOT.pose(HOME)[0]
+
+
+def geometry(opening: float) -> DoorGeometry:
+    return DoorGeometry((HAND[0] + 0.1, HAND[1] + 0.7 * opening), -opening * np.pi / 2, opening, 0.04)
+
+
+def system(opening: float = 1.0):  # type: ignore[no-untyped-def]
+    """(dynamics, its ẋ as a function of x, u and moves, parameters)."""
+    door = WithDoor(ROBOT, opening)
+    w = door.parameters.vector({"place": place_of(geometry(opening)), "impedance": [2.5, 10.0, 3.0]})
+    x, u, m = ca.SX.sym("x", 18), ca.SX.sym("u", 9), ca.SX.sym("m", 1)
+    f = ca.Function("f", [x, u, m], [door(x, u, ca.DM(w), m)])
+    return door, f, w
+
+
+def some_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    r = np.random.default_rng(seed)
+    x = np.concatenate([HOME + 0.1 * r.normal(size=16), [0.3 + 0.2 * r.random(), 0.2 * r.normal()]])
+    return x, np.concatenate([TORQUE, [-8.0, 1.0, 2.0]]) + 0.3 * r.normal(size=9)
+
+
+@pytest.mark.parametrize("opening", [1.0, -1.0])
+def test_touching_hand_tells_the_angle(opening: float) -> None:
+    g = geometry(opening)
+    for angle in (0.0, 0.4, 1.2):
+        hand = g.place(angle, 0.65, 0.7)
+        assert g.angle(hand) == pytest.approx(angle, abs=1e-12)
+        assert g.lever(hand, angle) == pytest.approx(0.65) and g.gap(hand, angle) == pytest.approx(0.0, abs=1e-12)
+        ahead = (g.place(angle + 1e-6, 0.65, 0.7) - g.place(angle - 1e-6, 0.65, 0.7)) / 2e-6
+        assert g.rate(hand, 0.3 * ahead, angle) == pytest.approx(0.3, rel=1e-6)
+        assert g.directions(angle)[1] @ (g.place(angle + 1e-3, 0.65, 0.7) - hand) > 0.0  # it opens that way
+    with pytest.raises(InputError, match="cannot touch"):
+        g.angle([*g.hinge, 0.0])
+
+
+def test_door_obeys_its_equation() -> None:
+    _, f, _ = system()
+    x, u = some_state(1)
+    g, hand = geometry(1.0), ROBOT.pose(x[:16])[0]
+    push = -g.directions(x[16])[1] @ u[6:]
+    resistance = 3.0 * np.tanh(x[17] / max(0.05, 0.03 * 3.0 / 2.5))
+    moving = (g.lever(hand, x[16]) * push - 10.0 * x[17] - resistance) / 2.5
+    assert np.array(f(x, u, 1.0)).ravel()[16:] == pytest.approx([x[17], moving])
+    assert np.array(f(x, u, 0.0)).ravel()[16:] == pytest.approx([x[17], -x[17] / 0.05])
+
+
+@pytest.mark.parametrize("opening", [1.0, -1.0])
+def test_contact_rows_are_the_derivatives_of_the_place_on_the_panel(opening: float) -> None:
+    """The symbolic first and second derivatives against differences of the plane geometry along the motion itself."""
+    door, f, w = system(opening)
+    g = geometry(opening)
+    sx, su, sm = ca.SX.sym("x", 18), ca.SX.sym("u", 9), ca.SX.sym("m", 1)
+    motion = ca.Function("c", [sx, su, sm], list(door.contact_motion(sx, su, ca.DM(w), sm)))
+
+    def place(x: np.ndarray) -> np.ndarray:
+        hand = ROBOT.pose(x[:16])[0]
+        return np.array([g.gap(hand, x[16]), g.lever(hand, x[16]), hand[2]])
+
+    x, u = some_state(2)
+    rate = lambda x: np.array(f(x, u, 1.0)).ravel()
+
+    def moved(h: float) -> np.ndarray:  # Runge-Kutta 4
+        k1 = rate(x)
+        k2 = rate(x + h / 2 * k1)
+        k3 = rate(x + h / 2 * k2)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+
+    h = 1e-3
+    now, before, after = place(x), place(moved(-h)), place(moved(h))
+    found = [np.array(v).ravel() for v in motion(x, u, 1.0)]
+    assert found[0] == pytest.approx(now, abs=1e-12)
+    assert found[1] == pytest.approx((after - before) / (2 * h), rel=1e-3, abs=1e-4)
+    assert found[2] == pytest.approx((after - 2 * now + before) / h**2, rel=2e-3, abs=1e-2)
+
+
+def test_jacobian_is_the_derivative() -> None:
+    door, f, w = system()
+    sx, su, sm = ca.SX.sym("x", 18), ca.SX.sym("u", 9), ca.SX.sym("m", 1)
+    jacobian = ca.Function("j", [sx, su, sm], [door.jacobian(sx, su, ca.DM(w), sm)[1]])
+    x, u = some_state(3)
+    z, found = np.concatenate([x, u]), np.array(jacobian(x, u, 1.0))
+    for k in range(27):
+        d = np.zeros(27)
+        d[k] = 1e-6
+        change = (np.array(f(*np.split(z + d, [18]), 1.0)) - np.array(f(*np.split(z - d, [18]), 1.0))).ravel() / 2e-6
+        assert found[:, k] == pytest.approx(change, rel=1e-4, abs=1e-4)
+
+
+def test_robot_without_the_force_as_an_input_is_refused() -> None:
+    with pytest.raises(InputError, match="force as an input"):
+        WithDoor(load_robot("rezero"))
