@@ -79,7 +79,9 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
         "arm": b.arm,
         "arm_velocity": b.arm_rate,
     }
-    end = {g: cost.terminal * np.asarray(v) for g, v in body.items()}
+    end: dict[str, Any] = {
+        g: [cost.terminal * w for w in v] if isinstance(v, list) else cost.terminal * v for g, v in body.items()
+    }
     ocp.add(
         Cost(
             "hand",
