@@ -1,6 +1,7 @@
 """Controllers between MPC and plant: prediction over the delay, tracking, servos, brakes."""
 
 from wbmpc.control.brakes import BrakeControl
+from wbmpc.control.fall import FallForecast
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
 from wbmpc.control.swerve import SwerveAgent
@@ -8,6 +9,7 @@ from wbmpc.mpc import Plans
 
 __all__ = [
     "BrakeControl",
+    "FallForecast",
     "FourWheelSteeringAgent",
     "Plans",
     "RezeroAgent",

@@ -56,13 +56,13 @@ class TorqueCost(Settings):
 
 class RezeroCost(Settings):
     """All weights; the end of the horizon counts like one second (``terminal``) of it. ``lean``: a hard limit of the lean's
-    divergent component, as a share of what the wheels can stop (:class:`wbmpc.model.balance.Balance`)."""
+    divergent component, as a share of what the wheels can stop (:class:`wbmpc.model.balance.Balance`); 0: none."""
 
     hand: HandCost = HandCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
-    lean: float = Field(default=0.6, gt=0, le=1.0)
+    lean: float = Field(default=0.0, ge=0, le=1.0)
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
@@ -112,9 +112,10 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
         ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
-    balance = Balance.of(robot, robot.home[robot.state["arm"]])
-    lean, reach = residuals.CapturePoint(robot, balance.pole), cost.lean * float(balance.reach.min())
-    ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
+    if cost.lean > 0.0:
+        balance = Balance.of(robot, robot.home[robot.state["arm"]])
+        lean, reach = residuals.CapturePoint(robot, balance.pole), cost.lean * float(balance.reach.min())
+        ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
     return ocp
 
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.optimize import least_squares
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
+from wbmpc.control import FallForecast, RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
@@ -38,6 +38,7 @@ STEPS_AND_PUSHES = RezeroCost(
     hand=HandCost(orientation=40.0),
     body=BodyCost(tilt_rate=3.0, arm=1.0),
     torque=TorqueCost(wheel=0.1, arm=0.3),
+    lean=0.6,
 )
 
 
@@ -50,7 +51,7 @@ def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
     """MPC and weights for a hand that is led accurately while the ball has a place of its own (weight ``ball``); stiff, for
     references that move slowly."""
     hand = HandCost(weight=1000.0, orientation=2.0, roll=0.0)
-    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0))
+    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0), lean=0.6)
 
 
 class RezeroSettings(ExperimentSettings):
@@ -135,7 +136,8 @@ def run_task(
     plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
-    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator)
+    forecast = FallForecast(robot, task.arm)
+    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator, forecast)
     mpc.reset(home, torque)
     log = Log()
 
