@@ -2,6 +2,7 @@
 
 from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.fall import FallForecast
+from wbmpc.control.lqr import LqrAgent, LqrWeights, RegulatorGains
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
 from wbmpc.control.swerve import SwerveAgent
@@ -11,7 +12,10 @@ __all__ = [
     "BrakeControl",
     "FallForecast",
     "FourWheelSteeringAgent",
+    "LqrAgent",
+    "LqrWeights",
     "Plans",
+    "RegulatorGains",
     "RezeroAgent",
     "RollingAgent",
     "SwerveAgent",

@@ -41,6 +41,7 @@ class RezeroAgent:
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
+        self.feedforward = torque.copy()  # its part without feedback
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -112,6 +113,7 @@ class RezeroAgent:
         assert plans.current is not None
         if self.forecast is not None:
             self.forecast.look(plans.current)
+        self.feedforward = plans.current.feedforward(t)[: self.limit.size]
         self.wanted = plans.current(t, self.state())[: self.limit.size]
         torque = self._possible(self.wanted)
         self.clamped = bool(np.any(torque != self.wanted))
