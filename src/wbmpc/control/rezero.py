@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wbmpc.control.fall import FallForecast
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
 from wbmpc.model import RobotModel
@@ -18,15 +19,17 @@ class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
     ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
-    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one).
+    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
+    when the plans say that the robot will fall.
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
-        estimator: RezeroEstimator | None = None,
+        estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None,
     ) -> None:  # fmt: skip
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
+        self.forecast = forecast
         self.limit = robot.limits.input_upper[: torque.size]
         self._spin = robot.base.wheel_torque_map()[2]
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
@@ -38,6 +41,7 @@ class RezeroAgent:
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
+        self.feedforward = torque.copy()  # its part without feedback
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -110,6 +114,9 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
+        if self.forecast is not None:
+            self.forecast.look(plans.current)
+        self.feedforward = plans.current.feedforward(t)[: self.limit.size]
         self.wanted = plans.current(t, self.state())[: self.limit.size]
         torque = self._possible(self.wanted)
         self.clamped = bool(np.any(torque != self.wanted))
