@@ -191,6 +191,19 @@ def call_scalar(address: int, arguments: list[np.ndarray], sizes: list[int]) -> 
     return [o[:s] for o, s in zip(outputs, sizes, strict=True)]
 
 
+def call_lanes(
+    address: int, arguments: list[np.ndarray], sizes: list[int], shared: tuple[int, ...] = ()
+) -> list[np.ndarray]:
+    """Call a function of eight nodes: arguments (8, n), or (n,) when shared; results (8, size), which start as NaN."""
+    turned = [np.append(a, 0.0) if i in shared else np.ascontiguousarray(a.T) for i, a in enumerate(arguments)]
+    inputs = [aligned_copy(a) if a.size else aligned(8) for a in turned]
+    outputs = [aligned_copy(np.full((max(s, 1), 8), np.nan)) for s in sizes]
+    pointer = lambda arrays: (ctypes.c_void_p * len(arrays))(*[a.ctypes.data for a in arrays])
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
+    prototype(address)(pointer(inputs), pointer(outputs))
+    return [o[:s].T.copy() for o, s in zip(outputs, sizes, strict=True)]
+
+
 def call_pointers(address: int, *arrays: np.ndarray) -> None:
     """Call ``void f(ptr, …)``."""
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(arrays))(address)(*[a.ctypes.data for a in arrays])

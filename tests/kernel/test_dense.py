@@ -40,25 +40,6 @@ def test_empty_product_is_refused() -> None:
         dense.matrix_product("k", 1, 0, 3, 8, 1, 1, 8, None, False)
 
 
-@settings(max_examples=15, deadline=None)
-@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 99))
-def test_chain(nx: int, nu: int, seed: int) -> None:
-    r = np.random.default_rng(seed)
-    lz = dense.pad(nx + 1 + nu)
-    full = np.zeros((nx, lz))
-    mask = r.uniform(size=(nx, nx)) < 0.6
-    full[:, :nx] = r.normal(size=(nx, nx)) * mask
-    full[:, nx + 1 : nx + 1 + nu] = r.normal(size=(nx, nu))
-    s, a = r.normal(size=(nx, lz)), r.normal(size=(nx, lz))
-    pattern = [list(np.flatnonzero(row)) for row in mask]
-    _engine, address = compile_kernel(dense.chain("chain", pattern, lz), "chain")
-    t, total = aligned(nx * lz).reshape(nx, lz), aligned_copy(a)
-    call_pointers(address, aligned_copy(full), aligned_copy(s), t, total, np.array([0.3, 0.7]))
-    want = full + 0.3 * full[:, :nx] @ s
-    np.testing.assert_allclose(t, want, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(total, a + 0.7 * want, rtol=1e-12, atol=1e-13)
-
-
 def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:
     """A, b, B, H (symmetric), gradient, C, D, e, P (with slope) of one node."""
     r = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Emitted scalar code. Truth: CasADi's interpreter at the same points, edge values included."""
+"""Emitted code, for one node and for eight. Truth: CasADi's interpreter at the same points, edge values included."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from toys import call_scalar, compile_ir
+from toys import call_lanes, call_scalar, compile_ir
 from wbmpc.errors import KernelError
+from wbmpc.kernel.lanes import REACH, emit_lanes, helpers
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations
 
 TINY, HUGE = np.finfo(float).tiny, 1e300
@@ -32,6 +33,9 @@ EDGES = [
     np.nan,
 ]
 
+#: Scalar code, and vectors of two, four and eight.
+WIDTHS = (0, 2, 4, 8)
+
 UNARY = {
     ca.OP_ASSIGN: lambda x: x, ca.OP_NEG: lambda x: -x, ca.OP_SQ: lambda x: x * x, ca.OP_TWICE: lambda x: 2 * x,
     ca.OP_INV: lambda x: 1 / x, ca.OP_NOT: ca.logic_not, ca.OP_SIGN: ca.sign, ca.OP_SIN: ca.sin, ca.OP_COS: ca.cos,
@@ -52,11 +56,23 @@ def operations(function: ca.Function) -> set[int]:
     return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
-def compare(function: ca.Function, points: list[list[float]], sign_of_zero: bool = True) -> None:
-    engine = compile_ir(f"{DECLARATIONS}\n{emit_function(function, 'f')}")
-    address = engine.get_function_address("f")
-    for point in points:
-        got = call_scalar(address, [np.array([v]) for v in point], [1])[0][0]
+def results(function: ca.Function, points: list[list[float]], width: int) -> np.ndarray:
+    """Compiled results; ``width``: vectors of so many lanes, 0: scalar code."""
+    if width == 0:
+        engine = compile_ir(f"{DECLARATIONS}\n{emit_function(function, 'f')}")
+        address = engine.get_function_address("f")
+        return np.array([call_scalar(address, [np.array([v]) for v in point], [1])[0][0] for point in points])
+    ir = emit_lanes(function, "f", width)
+    engine = compile_ir("\n".join([DECLARATIONS, helpers(ir, width), ir]))
+    address, found = engine.get_function_address("f"), []
+    for start in range(0, len(points), 8):
+        eight = np.resize(points[start : start + 8], (8, len(points[0])))  # the first ones again where there are fewer
+        found.append(call_lanes(address, [eight[:, [i]] for i in range(eight.shape[1])], [1])[0].ravel())
+    return np.concatenate(found)[: len(points)]
+
+
+def compare(function: ca.Function, points: list[list[float]], sign_of_zero: bool = True, width: int = 0) -> None:
+    for point, got in zip(points, results(function, points, width), strict=True):
         want = float(function(*point))
         if np.isnan(want):
             assert np.isnan(got), (function, point, got)
@@ -69,29 +85,32 @@ def test_every_supported_operation_is_tried() -> None:
     assert supported_operations() == {*UNARY, *BINARY, ca.OP_CONSTPOW}
 
 
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("op", UNARY)
-def test_unary(op: int) -> None:
+def test_unary(op: int, width: int) -> None:
     x = ca.SX.sym("x")
     function = ca.Function("f", [x], [UNARY[op](x)])
     assert op == ca.OP_ASSIGN or op in operations(function)
-    compare(function, [[v] for v in EDGES])
+    compare(function, [[v] for v in EDGES], width=width)
 
 
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("op", BINARY)
-def test_binary(op: int) -> None:
+def test_binary(op: int, width: int) -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     expression = BINARY[op](x, y)
     function = ca.Function("f", [x, y], [expression])
     assert op in operations(function)
     # C leaves open which of 0 and −0 is the smaller one
-    compare(function, [[a, b] for a in EDGES for b in EDGES], op not in (ca.OP_FMIN, ca.OP_FMAX))
+    compare(function, [[a, b] for a in EDGES for b in EDGES], op not in (ca.OP_FMIN, ca.OP_FMAX), width)
 
 
 @pytest.mark.parametrize("power", [-2.0, -1.5, 0.0, 0.5, 2.5, 3.0])
-def test_constant_power(power: float) -> None:
+@pytest.mark.parametrize("width", WIDTHS)
+def test_constant_power(power: float, width: int) -> None:
     x = ca.SX.sym("x")
     function = ca.Function("f", [x], [ca.constpow(x, power)])
-    compare(function, [[v] for v in EDGES])
+    compare(function, [[v] for v in EDGES], width=width)
 
 
 @pytest.mark.parametrize("expression", [ca.erf, ca.log1p, ca.expm1, ca.asinh, ca.acosh, ca.atanh])
@@ -100,6 +119,25 @@ def test_unsupported_operation_is_named(expression) -> None:  # type: ignore[no-
     function = ca.Function("f", [x], [expression(x)])
     with pytest.raises(KernelError, match=f"OP_{expression.__name__.upper()}"):
         emit_function(function, "bad")
+
+
+@pytest.mark.parametrize("width", WIDTHS[1:])
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 30.0, 1e5])
+def test_sine_and_cosine_of_eight_angles(scale: float, width: int) -> None:
+    """Against the C library, to two units in the last place; near multiples of π/2 and up to where the reduction ends."""
+    rng = np.random.default_rng(1)
+    angles = np.concatenate([rng.uniform(-scale, scale, 400), np.round(rng.uniform(-scale, scale, 400)) * np.pi / 2])
+    angles = angles[np.abs(angles) <= REACH]
+    x = ca.SX.sym("x")
+    for function, truth in ((ca.sin(x), np.sin), (ca.cos(x), np.cos)):
+        got = results(ca.Function("f", [x], [function]), [[a] for a in angles], width)
+        assert np.max(np.abs(got - truth(angles)) / np.spacing(np.abs(truth(angles)))) <= 2.0
+
+
+def test_one_angle_out_of_reach_leaves_the_others_right() -> None:
+    x = ca.SX.sym("x")
+    points = [[v] for v in (0.3, 1e9, -2.0, np.nan, 7.0, -0.0, 1e5, 1e300)]
+    compare(ca.Function("f", [x], [ca.sin(x) + ca.cos(x)]), points, width=8)
 
 
 def test_literals_are_exact() -> None:

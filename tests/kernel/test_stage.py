@@ -1,12 +1,14 @@
-"""Compiled stage functions. Truth: CasADi's interpreter at the same random points."""
+"""Compiled stage functions, of one node and of eight. Truth: CasADi's interpreter at the same random points."""
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from toys import call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
-from wbmpc.kernel.compiled import output_maps
+from toys import call_lanes, call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
+from wbmpc.kernel.compiled import lane_maps, output_maps
+from wbmpc.solver import places, riccati
 
 MAKERS = {"swerve": swerve_solver, "rezero": rezero_solver, "pendulum": pendulum}
 
@@ -19,57 +21,111 @@ def solver(request):  # type: ignore[no-untyped-def]
 def expected(function, arguments, maps, size):  # type: ignore[no-untyped-def]
     """What the compiled function stores: CasADi's non-zeros at the mapped places; elsewhere NaN."""
     out = []
-    for value, places in zip(function.call([np.asarray(a) for a in arguments]), maps, strict=True):
+    for value, spots in zip(function.call([np.asarray(a) for a in arguments]), maps, strict=True):
         array = np.full(size, np.nan)
-        for number, offsets in zip(value.nonzeros(), places, strict=True):
+        for number, offsets in zip(value.nonzeros(), spots, strict=True):
             array[offsets] = number
         out.append(array)
     return out
 
 
 def check(solver, name: str, function, arguments) -> None:  # type: ignore[no-untyped-def]
+    """A function of one node."""
     sizes = solver.kernel.sizes
     maps = output_maps({**solver.problem.values, **solver.problem.derivatives}, sizes)[name]
     size = sizes.nz * sizes.lz + sizes.equality_buffer() + 8
     got = call_scalar(solver.kernel.address(name), arguments, [size] * function.n_out())
-    for a, b in zip(got, expected(function, arguments, maps, size), strict=True):
+    compare(got, expected(function, arguments, maps, size))
+
+
+def compare(got, want) -> None:  # type: ignore[no-untyped-def]
+    for a, b in zip(got, want, strict=True):
         np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
         scale = max(1.0, np.nanmax(np.abs(b))) if np.isfinite(b).any() else 1.0
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * scale)
 
 
-def test_all_stage_functions(solver) -> None:  # type: ignore[no-untyped-def]
+def eight_stages(solver, seed: int):  # type: ignore[no-untyped-def]
+    """Eight random nodes: x, u, p (8, …), the w that they share, h (8, 1)."""
+    rng = np.random.default_rng(seed)
+    nodes = [random_stage(solver, rng) for _ in range(8)]
+    x, u, p = (np.array([n[i] for n in nodes]) for i in range(3))
+    return [x, u, p, nodes[0][3], rng.uniform(0.01, 0.2, (8, 1))]
+
+
+def test_functions_of_one_node(solver) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(3)
     for _ in range(5):
         x, u, p, w = random_stage(solver, rng)
-        for name in ("dynamics", "cost", "equality"):
-            check(solver, name, solver.problem.values[name], [x, u, p, w])
+        check(solver, "dynamics", solver.problem.values["dynamics"], [x, u, p, w])
         check(solver, "terminal", solver.problem.values["terminal"], [x, p, w])
-        for name in ("dynamics_jacobian", "equality_jacobian"):
-            check(solver, name, solver.problem.derivatives[name], [x, u, p, w])
-        check(solver, "cost_quadratic", solver.problem.derivatives["cost_quadratic"], [x, u, p, w, np.array([0.07])])
         check(solver, "terminal_quadratic", solver.problem.derivatives["terminal_quadratic"], [x, p, w])
 
 
+@pytest.mark.parametrize("name", ["dynamics", "cost", "equality", "rows"])
+def test_values_of_eight_nodes(solver, name: str) -> None:  # type: ignore[no-untyped-def]
+    function, arguments = solver.problem.values[name], eight_stages(solver, 5)[:4]
+    size = function.nnz_out(0)
+    (got,) = call_lanes(solver.kernel.address(f"lanes.{name}"), arguments, [size], shared=(3,))
+    for k in range(8):
+        own = [a if i == 3 else a[k] for i, a in enumerate(arguments)]
+        compare([got[k]], [np.array(function(*own)).ravel()])
+
+
+@pytest.mark.parametrize("name", ["dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian"])
+def test_derivatives_of_eight_nodes(solver, name: str) -> None:  # type: ignore[no-untyped-def]
+    """Also: the non-zeros are where the unpacking of the groups takes them from."""
+    sizes, function = solver.kernel.sizes, solver.problem.derivatives[name]
+    whole = output_maps({**solver.problem.values, **solver.problem.derivatives}, sizes)
+    maps, size = lane_maps(whole)[name], sizes.nz * sizes.lz + sizes.equality_buffer() + 8
+    arguments = eight_stages(solver, 6)[: function.n_in()]
+    got = call_lanes(solver.kernel.address(f"lanes.{name}"), arguments, [size] * function.n_out(), shared=(3,))
+    for k in range(8):
+        own = [a if i == 3 else a[k] for i, a in enumerate(arguments)]
+        compare([g[k] for g in got], expected(function, own, maps, size))
+
+
 def test_matrix_layout(solver) -> None:  # type: ignore[no-untyped-def]
-    """The places of the solver's matrices, read back as dense arrays: [x, 1, u] columns."""
-    problem, s = solver.problem, solver.kernel.sizes
-    x, u, p, w = random_stage(solver, np.random.default_rng(4))
+    """The solver's matrices after :func:`linearise_block`, read back as dense arrays with columns [x, 1, u]."""
+    problem, s, ws = solver.problem, solver.kernel.sizes, solver.ws
+    x, u, p, w, _ = eight_stages(solver, 4)
+    n = min(8, len(ws.u))
+    ws.x[:n], ws.u[:n], ws.p[:n, : p.shape[1]], ws.w[: w.size] = x[:n], u[:n], p[:n], w
+    riccati.linearise_block(ws.memory, ws.table, 0, n, 0)
     index = [*range(s.nx), *range(s.first, s.nz)]
-    f = problem.derivatives["dynamics_jacobian"]
-    got = np.nan_to_num(call_scalar(solver.kernel.address("dynamics_jacobian"), [x, u, p, w], [s.nx, s.nx * s.lz])[1])
-    np.testing.assert_allclose(got.reshape(s.nx, s.lz)[:, index], np.array(f(x, u, p, w)[1]), rtol=1e-9, atol=1e-11)
-    size = s.nz * s.lz
-    arguments = [x, u, p, w, np.array([0.3])]
-    value, gradient, hessian = problem.derivatives["cost_quadratic"](*[np.asarray(a) for a in arguments])
-    out = call_scalar(solver.kernel.address("cost_quadratic"), arguments, [1, size, size])
-    full = np.array(hessian) + np.triu(np.array(hessian), 1).T
-    matrix = np.nan_to_num(out[2]).reshape(s.nz, s.lz)
-    scale = 1e-11 * (1.0 + np.abs(full).max())
-    np.testing.assert_allclose(matrix[: s.nx, : s.nx], full[: s.nx, : s.nx], rtol=1e-9, atol=scale)
-    lower = np.tril(matrix[np.ix_(index, index)])
-    np.testing.assert_allclose(lower, np.tril(full), rtol=1e-9, atol=scale)
-    column = np.nan_to_num(out[1]).reshape(s.nz, s.lz)
-    np.testing.assert_allclose(column[index, s.nx], np.array(gradient).ravel(), rtol=1e-9, atol=scale)
-    np.testing.assert_allclose(column[s.nx, : s.nx], np.array(gradient).ravel()[: s.nx], rtol=1e-9, atol=scale)
-    assert out[0][0] == pytest.approx(float(value), rel=1e-10)
+    at = lambda place, rows, k: ws.memory[ws.table[place] + k * rows * s.lz :][: rows * s.lz].reshape(rows, s.lz)
+    quadratic = problem.derivatives["cost_quadratic"]
+    for k in range(n):
+        _, gradient, hessian = quadratic(x[k], u[k], p[k], w, ws.grid[k + 1] - ws.grid[k])
+        full = np.array(hessian) + np.triu(np.array(hessian), 1).T
+        matrix, column = at(places.H, s.nz, k), np.array(gradient).ravel()
+        scale = 1e-11 * (1.0 + np.abs(full).max())
+        np.testing.assert_allclose(matrix[: s.nx, : s.nx], full[: s.nx, : s.nx], rtol=1e-9, atol=scale)
+        lower = np.tril(matrix[np.ix_(index, index)])
+        np.testing.assert_allclose(lower, np.tril(full), rtol=1e-9, atol=scale)
+        np.testing.assert_allclose(matrix[index, s.nx], column, rtol=1e-9, atol=scale)
+        np.testing.assert_allclose(matrix[s.nx, : s.nx], column[: s.nx], rtol=1e-9, atol=scale)
+        ab, truth = (
+            at(places.AB, s.nx + 1, k),
+            step_with_jacobian(problem, x[k], u[k], p[k], w, ws.grid[k + 1] - ws.grid[k]),
+        )
+        np.testing.assert_allclose(ab[: s.nx][:, index], truth[1], rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(ab[: s.nx, s.nx], truth[0] - ws.x[k + 1], rtol=1e-9, atol=1e-11)
+
+
+def step_with_jacobian(problem, x, u, p, w, h):  # type: ignore[no-untyped-def]
+    """End of a Runge-Kutta step and its derivative by (x, u), of CasADi's own graph of the whole step."""
+    z = ca.MX.sym("z", problem.nx + problem.nu)
+    start, given = z[: problem.nx], z[problem.nx :]
+    f = lambda state: problem.values["dynamics"](state, given, p, w)
+    if problem.ocp.integrator == "rk4":
+        k1 = f(start)
+        k2 = f(start + h / 2 * k1)
+        k3 = f(start + h / 2 * k2)
+        end = start + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(start + h * k3))
+    else:
+        end = start + h * f(start + h / 2 * f(start))
+    for q in problem.ocp.dynamics.unit_quaternions:
+        end[q : q + 4] = end[q : q + 4] / ca.norm_2(end[q : q + 4])
+    both = ca.Function("step", [z], [end, ca.jacobian(end, z)])(np.concatenate([x, u]))
+    return np.array(both[0]).ravel(), np.array(both[1])

@@ -16,6 +16,7 @@ from wbmpc.benchmark.program import Program
 from wbmpc.kernel import dense
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.machine import compile_module, load_object, vector_budget
+from wbmpc.kernel.translate import LANES
 from wbmpc.solver.workspace import aligned
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
@@ -80,33 +81,40 @@ def matrix_product_speed() -> float:
     return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
 
 
-def _chain_time(problem: Problem, ab: np.ndarray, repeat: int) -> float:
+def _chain_time(problem: Problem, blocks: int, repeat: int) -> float:
     """Milliseconds of the chain rule of one Runge-Kutta stage at all nodes."""
     kernel = problem.solver.kernel
     assert kernel is not None
-    size = kernel.sizes.nx * kernel.sizes.lz
-    room = aligned(3 * size)
-    weights, target = aligned(8), aligned(ab.size).reshape(ab.shape)
-    weights[:2] = 0.01, 0.02
-    address = kernel.address("chain")
-    return float(
-        milliseconds(lambda: loops.chain_all(address, room, size, target, ab[0].size, len(ab), weights), repeat).min()
-    )
+    size = LANES * kernel.sizes.nx * kernel.sizes.lz
+    room, weights = aligned(4 * size), aligned(2 * LANES)
+    weights[:] = 0.01
+    address = kernel.address("chain_lanes")
+    return float(milliseconds(lambda: loops.chain_all(address, room, size, blocks, weights), repeat).min())
+
+
+def side_by_side(rows: np.ndarray) -> np.ndarray:
+    """Numbers (N, width) of nodes as blocks (blocks, width, 8) of eight nodes; the last node fills the last block."""
+    blocks = -(-len(rows) // LANES)
+    nodes = np.minimum(np.arange(blocks * LANES), len(rows) - 1)
+    full = rows[nodes].reshape(blocks, LANES, rows.shape[1])
+    out = aligned(full.size).reshape(len(full), rows.shape[1], LANES)
+    out[:] = full.transpose(0, 2, 1)
+    return out
 
 
 def _stage_times(problem: Problem, x: np.ndarray, u: np.ndarray, program: Program, repeat: int) -> dict[str, float]:
     """Milliseconds of every stage function at all nodes once."""
     kernel, s = problem.solver.kernel, program.samples
     assert kernel is not None
-    p, w = (np.ascontiguousarray(np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)])) for a in (s.p, s.w))
-    x, u, h = np.ascontiguousarray(x), np.ascontiguousarray(u), np.ascontiguousarray(s.h)
-    nodes = range(program.n)
-    pointers = np.array([[a[k].ctypes.data for a in (x, u, p)] + [w.ctypes.data, h[k:].ctypes.data] for k in nodes])
-    room = aligned((kernel.sizes.nz + 8) * (kernel.sizes.lz + kernel.sizes.lg + 8))
+    w = np.append(s.w, 0.0)
+    given = [side_by_side(np.asarray(a, float)) for a in (x[: program.n], u, s.p[: program.n], s.h[: program.n, None])]
+    rows = [[a[k].ctypes.data for a in given] for k in range(len(given[0]))]
+    pointers = np.array([[*row[:3], w.ctypes.data, row[3]] for row in rows], dtype=np.int64)
+    room = aligned(LANES * (kernel.sizes.nz + 8) * (kernel.sizes.lz + kernel.sizes.lg + 8))
     results = np.full(3, room.ctypes.data, dtype=np.int64)
     names = ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "dynamics", "cost", "equality")
     time = lambda name: milliseconds(
-        lambda: loops.sweep(kernel.address(name), pointers, 5, program.n, results), repeat
+        lambda: loops.sweep(kernel.address(f"lanes.{name}"), pointers, 5, len(rows), results), repeat
     ).min()
     none = () if kernel.sizes.ng else ("equality", "equality_jacobian")  # not called where there are no rows
     return {name: 0.0 if name in none else float(time(name)) for name in names}
@@ -124,7 +132,7 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
     packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.compliance)
     slopes = 4 if program.stages.rk4 else 2
     times = {
-        "chain rule": (slopes - 1) * _chain_time(problem, packed.ab, repeat),
+        "chain rule": (slopes - 1) * _chain_time(problem, -(-program.n // LANES), repeat),
         "dynamics with Jacobian": slopes * stage["dynamics_jacobian"],
         "cost with Hessian": stage["cost_quadratic"],
         "equalities with Jacobian": stage["equality_jacobian"],

@@ -64,15 +64,14 @@ def repeat_product(address, a, b, c, count):  # type: ignore[no-untyped-def]
 
 @compiled(NONE, INT, INTS, INT, INT, INTS)
 def sweep(address, arguments, width, count, results):  # type: ignore[no-untyped-def]
-    """A stage function at ``count`` nodes; every row of ``width`` ``arguments`` holds its pointers."""
+    """A stage function at ``count`` blocks of nodes; every row of ``width`` ``arguments`` holds its pointers."""
     for k in range(count):
         call2(address, arguments.ctypes.data + 8 * k * width, results.ctypes.data)
 
 
-@compiled(NONE, INT, NUMS, INT, NUMS, INT, INT, NUMS)
-def chain_all(address, j, size, ab, node, count, weights):  # type: ignore[no-untyped-def]
-    """The chain rule of one Runge-Kutta stage at ``count`` nodes; ``j`` holds three matrices of ``size`` doubles."""
+@compiled(NONE, INT, NUMS, INT, INT, NUMS)
+def chain_all(address, j, size, count, weights):  # type: ignore[no-untyped-def]
+    """The chain rule of one Runge-Kutta stage at ``count`` blocks; ``j`` holds four matrices of ``size`` doubles."""
     first = j.ctypes.data
-    for k in range(count):
-        target = ab.ctypes.data + 8 * k * node
-        call5(address, first, first + 8 * size, first + 16 * size, target, weights.ctypes.data)
+    for _ in range(count):
+        call5(address, first, first + 8 * size, first + 16 * size, first + 24 * size, weights.ctypes.data)

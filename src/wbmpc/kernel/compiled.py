@@ -12,26 +12,21 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import KernelError
-from wbmpc.kernel import cache, dense
-from wbmpc.kernel.machine import compile_module, load_object, target_text, vector_budget
+from wbmpc.kernel import blocks, cache, dense
+from wbmpc.kernel.lanes import emit_lanes, helpers
+from wbmpc.kernel.machine import compile_module, load_object, register_width, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
 RELATIVE_COMPLIANCE = 1e-12
 
-_FUNCTIONS = (
+#: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
+_SINGLE = (
     "dynamics",
-    "cost",
-    "equality",
-    "rows",
     "terminal",
     "end_rows",
     "jump",
-    "dynamics_jacobian",
-    "cost_quadratic",
-    "equality_jacobian",
-    "rows_jacobian",
     "terminal_quadratic",
     "end_rows_jacobian",
     "jump_jacobian",
@@ -39,9 +34,31 @@ _FUNCTIONS = (
     "dynamics_hessian",
     "end_lagrangian",
 )
-_KERNELS = ("riccati_node", "chain", "add_rows")
+#: Functions of eight nodes at a time, at addresses called "lanes.…".
+_EIGHT = (
+    "dynamics",
+    "cost",
+    "equality",
+    "rows",
+    "dynamics_jacobian",
+    "cost_quadratic",
+    "equality_jacobian",
+    "rows_jacobian",
+)
+_KERNELS = (
+    "riccati_node",
+    "add_rows",
+    "chain_lanes",
+    "pack",
+    "unpack_ab",
+    "unpack_matrix",
+    "unpack_equalities",
+    "unpack_rows",
+)
 #: Order of the addresses in :attr:`Kernel.addresses`.
-ADDRESSES = (*_FUNCTIONS, *_KERNELS)
+ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
+#: What the nodes share among the arguments x, u, p, w, h.
+_SHARED = {3}
 
 
 @dataclass(frozen=True)
@@ -244,6 +261,55 @@ def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
     return pattern
 
 
+def matrix_groups(maps: dict[str, OutputMap]) -> dict[str, list[int]]:
+    """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries."""
+    outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1), "rows_jacobian": (1,)}
+    return {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
+
+
+def lane_maps(maps: dict[str, OutputMap]) -> dict[str, OutputMap]:
+    """Where the functions of eight nodes put their non-zeros: those of matrices group by group, see ``matrix_groups``."""
+    out, groups = {n: maps[n] for n in _EIGHT}, matrix_groups(maps)
+    pressed = lambda name, i: blocks.compact(maps[name][i], groups[name])
+    out["cost_quadratic"] = [[[0]], pressed("cost_quadratic", 1), pressed("cost_quadratic", 2)]
+    out["equality_jacobian"] = [pressed("equality_jacobian", i) for i in (0, 1)]
+    out["rows_jacobian"] = [maps["rows_jacobian"][0], pressed("rows_jacobian", 1)]
+    return out
+
+
+def _step_groups(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> list[int]:
+    """Groups of [A b B] that a step fills: all of them where a jump may follow, which mixes rows."""
+    if transcription.jumps:
+        return list(range(sizes.nx * sizes.lz // blocks.LANES))
+    given = np.zeros(jacobian.shape, dtype=bool)
+    given[tuple(np.array(jacobian.get_triplet()))] = True
+    stages = 4 if transcription.ocp.integrator == "rk4" else 2
+    rows, columns = np.nonzero(blocks.sensitivity_pattern(given, stages, transcription.ocp.dynamics.unit_quaternions))
+    places = rows * sizes.lz + columns + (columns >= sizes.nx)
+    gaps = np.arange(sizes.nx) * sizes.lz + sizes.nx
+    return blocks.groups_of(int(p) for p in [*places, *gaps])
+
+
+def _emit_blocks(
+    transcription: Transcription, functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes
+) -> list[str]:
+    """Everything that takes eight nodes at a time."""
+    width, jacobian, groups = register_width(), functions["dynamics_jacobian"].sparsity_out(1), matrix_groups(maps)
+    places = lane_maps(maps)
+    stages = "\n".join(emit_lanes(functions[n], f"l_{n}", width, places[n], _SHARED) for n in _EIGHT)
+    return [
+        helpers(stages, width),
+        stages,
+        blocks.declarations(width),
+        blocks.chain(_pattern(jacobian, sizes.nx), sizes.nz, sizes.lz, width),
+        blocks.pack(),
+        blocks.unpack("unpack_ab", _step_groups(transcription, jacobian, sizes), whole=True),
+        blocks.unpack("unpack_matrix", groups["cost_quadratic"]),
+        blocks.unpack("unpack_equalities", groups["equality_jacobian"]),
+        blocks.unpack("unpack_rows", groups["rows_jacobian"]),
+    ]
+
+
 def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     """The whole LLVM module of a problem."""
     functions = {**transcription.values, **transcription.derivatives}
@@ -251,9 +317,9 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
     maps = output_maps(functions, sizes)
     parts = [DECLARATIONS, dense.FMA]
-    parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _FUNCTIONS]
-    pattern = _pattern(functions["dynamics_jacobian"].sparsity_out(1), sizes.nx)
-    parts += [emit_riccati_node(sizes), dense.chain("chain", pattern, sizes.lz), emit_add_rows(sizes)]
+    parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _SINGLE]
+    parts += _emit_blocks(transcription, functions, maps, sizes)
+    parts += [emit_riccati_node(sizes), emit_add_rows(sizes)]
     return "\n".join(parts), sizes
 
 
@@ -295,7 +361,7 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     else:
         code = found[0]
     engine = load_object(code)
-    names = [*(f"w_{n}" for n in _FUNCTIONS), *_KERNELS]
+    names = [*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS]
     addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
     if np.any(addresses == 0):
         raise KernelError("the compiled code lacks a function")

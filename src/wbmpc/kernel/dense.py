@@ -253,23 +253,3 @@ def gains(name: str, n: int, first: int, ld: int, ldl: int, blocks: int, ldk: in
         for i in range(blocks):
             b.store(b.scale(acc[i], spread), "K", j * ldk + 8 * i)
     return b.text()
-
-
-def chain(name: str, pattern: list[list[int]], ld: int) -> str:
-    """One Runge-Kutta stage's sensitivity: T = J + c Jx S, A += h T.
-
-    J, S, T, A: one vector of length ``ld`` per state; ``pattern[r]``: the states that row r of J depends on.
-    Arguments J, S, T, A, and C = (c, h).
-    """
-    b = Body(name, "J S T A C")
-    blocks = ld // 8
-    c, weight = b.load_scalar("C", 0), b.splat(b.load_scalar("C", 1))
-    for r, states in enumerate(pattern):
-        acc = [b.load("J", r * ld + 8 * i) for i in range(blocks)]
-        for s in states:
-            factor = b.splat(b.new(f"fmul double {c}, {b.load_scalar('J', r * ld + s)}"))
-            acc = [b.fma(b.load("S", s * ld + 8 * i), factor, acc[i]) for i in range(blocks)]
-        for i in range(blocks):
-            b.store(acc[i], "T", r * ld + 8 * i)
-            b.store(b.fma(acc[i], weight, b.load("A", r * ld + 8 * i)), "A", r * ld + 8 * i)
-    return b.text()

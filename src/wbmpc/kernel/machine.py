@@ -30,16 +30,22 @@ def target() -> tuple[str, str]:
     return llvm.get_host_cpu_name(), flags
 
 
-def vector_budget() -> int:
-    """How many vectors of eight doubles a product may add up in the target's registers, a few left for its operands."""
+def register_width() -> int:
+    """How many doubles the target's registers hold: 8, 4 or 2."""
     name, flags = target()
     features = set(flags.split(","))
     wide = ("+avx512f" in features, "+avx2" in features or "+avx" in features)
     if "WBMPC_TARGET" in os.environ:
         wide = (wide[0] or name in _AVX512, wide[1] or name in _AVX2)
-    if wide[0]:
+    return 8 if wide[0] else 4 if wide[1] else 2
+
+
+def vector_budget() -> int:
+    """How many vectors of eight doubles a product may add up in the target's registers, a few left for its operands."""
+    width = register_width()
+    if width == 8:
         return 24  # 32 registers of 8
-    if wide[1] or platform.machine() in ("aarch64", "arm64"):
+    if width == 4 or platform.machine() in ("aarch64", "arm64"):
         return 6  # 16 registers of 4, or 32 of 2
     return 3  # 16 registers of 2
 

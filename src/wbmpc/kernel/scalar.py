@@ -42,10 +42,11 @@ _CALL = {
     ca.OP_COPYSIGN: "llvm.copysign.f64",
     ca.OP_HYPOT: "hypot",
 }
-_TWO = {"atan2", "pow", "fmin", "fmax", "llvm.copysign.f64", "hypot"}
+#: Those of them with two arguments.
+TWO = {"atan2", "pow", "fmin", "fmax", "llvm.copysign.f64", "hypot"}
 
 DECLARATIONS = "\n".join(
-    f"declare double @{name}({'double, double' if name in _TWO else 'double'}) nounwind memory(none)"
+    f"declare double @{name}({'double, double' if name in TWO else 'double'}) nounwind memory(none)"
     for name in sorted(set(_CALL.values()))
 )
 
@@ -66,7 +67,11 @@ def identity_map(function: ca.Function) -> list[list[list[int]]]:
     return [[[i] for i in range(function.nnz_out(k))] for k in range(function.n_out())]
 
 
-class _Emitter:
+class Emitter:
+    """One function as straight-line code. The hooks are what numbers and vectors of numbers do differently."""
+
+    number, bit = "double", "i1"
+
     def __init__(self, function: ca.Function, name: str, outputs: OutputMap) -> None:
         self.f, self.name, self.outputs = function, name, outputs
         self.lines: list[str] = []
@@ -74,6 +79,26 @@ class _Emitter:
         self.environment: dict[int, str] = {}
         self.loaded: dict[tuple[int, int], str] = {}
 
+    # ------------------------------------------------------------------ hooks
+    def constant(self, value: float) -> str:
+        return literal(value)
+
+    def fetch(self, argument: int, index: int) -> str:
+        return self.new(f"load double, ptr {self.address(f'a{argument}', index)}")
+
+    def put(self, value: str, result: int, offset: int) -> None:
+        self.lines.append(f"store double {value}, ptr {self.address(f'r{result}', offset)}")
+
+    def call(self, name: str, values: list[str]) -> str:
+        return self.new(f"call double @{name}({', '.join(f'double {v}' for v in values)})")
+
+    def opening(self) -> list[str]:
+        return self.pointers()
+
+    def closing(self) -> list[str]:
+        return ["ret i32 0", "}"]
+
+    # ------------------------------------------------------------------ plumbing
     def new(self, text: str) -> str:
         self.count += 1
         self.lines.append(f"%v{self.count} = {text}")
@@ -85,77 +110,83 @@ class _Emitter:
     def load(self, argument: int, index: int) -> str:
         key = (argument, index)
         if key not in self.loaded:
-            self.loaded[key] = self.new(f"load double, ptr {self.address(f'a{argument}', index)}")
+            self.loaded[key] = self.fetch(argument, index)
         return self.loaded[key]
 
+    def pointers(self) -> list[str]:
+        head = []
+        for letter, array, n in (("a", "arg", self.f.n_in()), ("r", "res", self.f.n_out())):
+            for i in range(n):
+                head.append(f"%p{letter}{i} = getelementptr ptr, ptr %{array}, i64 {i}")
+                head.append(f"%{letter}{i} = load ptr, ptr %p{letter}{i}")
+        return head
+
+    # ------------------------------------------------------------------ operations
     def truth(self, value: str) -> str:
-        return self.new(f"fcmp une double {value}, {literal(0.0)}")
+        return self.new(f"fcmp une {self.number} {value}, {self.constant(0.0)}")
 
     def as_double(self, bit: str) -> str:
-        return self.new(f"uitofp i1 {bit} to double")
+        return self.new(f"uitofp {self.bit} {bit} to {self.number}")
+
+    def select(self, bit: str, yes: str, no: str) -> str:
+        return self.new(f"select {self.bit} {bit}, {self.number} {yes}, {self.number} {no}")
 
     def operation(self, op: int, v: list[str]) -> str:
         if op in _BINARY:
-            return self.new(f"{_BINARY[op]} contract double {v[0]}, {v[1]}")
+            return self.new(f"{_BINARY[op]} contract {self.number} {v[0]}, {v[1]}")
         if op in _COMPARE:
-            return self.as_double(self.new(f"fcmp {_COMPARE[op]} double {v[0]}, {v[1]}"))
+            return self.as_double(self.new(f"fcmp {_COMPARE[op]} {self.number} {v[0]}, {v[1]}"))
         if op in _CALL:
-            name = _CALL[op]
-            given = ", ".join(f"double {a}" for a in (v[:2] if name in _TWO else v[:1]))
-            return self.new(f"call double @{name}({given})")
+            return self.call(_CALL[op], v[:2] if _CALL[op] in TWO else v[:1])
         return self._special(op, v)
 
     def _special(self, op: int, v: list[str]) -> str:
-        zero = literal(0.0)
+        t, zero = self.number, self.constant(0.0)
         if op == ca.OP_ASSIGN:
             return v[0]
         if op == ca.OP_NEG:
-            return self.new(f"fneg double {v[0]}")
+            return self.new(f"fneg {t} {v[0]}")
         if op == ca.OP_SQ:
-            return self.new(f"fmul contract double {v[0]}, {v[0]}")
+            return self.new(f"fmul contract {t} {v[0]}, {v[0]}")
         if op == ca.OP_TWICE:
-            return self.new(f"fadd double {v[0]}, {v[0]}")
+            return self.new(f"fadd {t} {v[0]}, {v[0]}")
         if op == ca.OP_INV:
-            return self.new(f"fdiv double {literal(1.0)}, {v[0]}")
+            return self.new(f"fdiv {t} {self.constant(1.0)}, {v[0]}")
         if op == ca.OP_NOT:
-            return self.as_double(self.new(f"fcmp oeq double {v[0]}, {zero}"))
+            return self.as_double(self.new(f"fcmp oeq {t} {v[0]}, {zero}"))
         if op in (ca.OP_AND, ca.OP_OR):
             word = "and" if op == ca.OP_AND else "or"
-            return self.as_double(self.new(f"{word} i1 {self.truth(v[0])}, {self.truth(v[1])}"))
+            return self.as_double(self.new(f"{word} {self.bit} {self.truth(v[0])}, {self.truth(v[1])}"))
         if op == ca.OP_IF_ELSE_ZERO:
-            return self.new(f"select i1 {self.truth(v[0])}, double {v[1]}, double {zero}")
+            return self.select(self.truth(v[0]), v[1], zero)
         if op == ca.OP_SIGN:
-            positive = self.new(f"fcmp ogt double {v[0]}, {zero}")
-            negative = self.new(f"fcmp olt double {v[0]}, {zero}")
-            low = self.new(f"select i1 {negative}, double {literal(-1.0)}, double {v[0]}")
-            return self.new(f"select i1 {positive}, double {literal(1.0)}, double {low}")
+            positive = self.new(f"fcmp ogt {t} {v[0]}, {zero}")
+            negative = self.new(f"fcmp olt {t} {v[0]}, {zero}")
+            return self.select(positive, self.constant(1.0), self.select(negative, self.constant(-1.0), v[0]))
         name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
         raise KernelError(f"function '{self.name}': the SX operation {name} cannot be compiled")
 
     def emit(self) -> str:
         f = self.f
         head = [f"define i32 @{self.name}(ptr noalias readonly %arg, ptr noalias readonly %res) nounwind {{"]
-        for letter, array, n in (("a", "arg", f.n_in()), ("r", "res", f.n_out())):
-            for i in range(n):
-                head.append(f"%p{letter}{i} = getelementptr ptr, ptr %{array}, i64 {i}")
-                head.append(f"%{letter}{i} = load ptr, ptr %p{letter}{i}")
+        head += self.opening()
         for k in range(f.n_instructions()):
             op, o = f.instruction_id(k), f.instruction_output(k)
             if op == ca.OP_CONST:
-                self.environment[o[0]] = literal(f.instruction_constant(k))
+                self.environment[o[0]] = self.constant(f.instruction_constant(k))
             elif op == ca.OP_INPUT:
                 argument, index = f.instruction_input(k)
                 self.environment[o[0]] = self.load(argument, index)
             elif op == ca.OP_OUTPUT:
                 value = self.environment[f.instruction_input(k)[0]]
                 for offset in self.outputs[o[0]][o[1]]:
-                    self.lines.append(f"store double {value}, ptr {self.address(f'r{o[0]}', offset)}")
+                    self.put(value, o[0], offset)
             else:
                 values = [self.environment[i] for i in f.instruction_input(k)]
                 self.environment[o[0]] = self.operation(op, values)
-        return "\n".join([*head, *self.lines, "ret i32 0", "}"])
+        return "\n".join([*head, *self.lines, *self.closing()])
 
 
 def emit_function(function: ca.Function, name: str, outputs: OutputMap | None = None) -> str:
     """LLVM IR of one SX function. Structural zeros are not stored."""
-    return _Emitter(function, name, identity_map(function) if outputs is None else outputs).emit()
+    return Emitter(function, name, identity_map(function) if outputs is None else outputs).emit()

@@ -5,7 +5,8 @@ Numbers (float, int, bool), flat arrays of float64 and int64, tuples of numbers 
 allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers.
 
 Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write; arithmetic and comparisons by element,
-``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all`` of a vector.
+``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``np.sqrt``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all``
+of a vector.
 
 The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
 read it before it is written to).
@@ -31,6 +32,9 @@ NUM2, NUM3, NUM4, NUM6 = ((NUM,) * n for n in (2, 3, 4, 6))
 INT2, INT3 = (INT,) * 2, (INT,) * 3
 Type = str | tuple[str, ...]
 
+#: Functions of more instructions are compiled once, not where they are called: half as much code, seconds at the first start.
+LARGE = 50
+
 _LLVM = {NUM: "double", INT: "i64", BOOL: "i1", NUMS: "ptr", INTS: "ptr", NONE: "void"}
 _LLVM |= {VEC: f"<{LANES} x double>", MASK: f"<{LANES} x i1>"}
 #: No assumption that numbers are finite: the driver must see a NaN.
@@ -49,6 +53,7 @@ DECLARATIONS = "\n".join(
 )
 DECLARATIONS += f"""
 declare {_LLVM[VEC]} @llvm.fabs.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
+declare {_LLVM[VEC]} @llvm.sqrt.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare double @llvm.vector.reduce.fmax.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare double @llvm.vector.reduce.fadd.v{LANES}f64(double, {_LLVM[VEC]}) nounwind memory(none)
 declare i1 @llvm.vector.reduce.and.v{LANES}i1({_LLVM[MASK]}) nounwind memory(none)"""
@@ -177,7 +182,9 @@ class Translator:
                 self.assign_name(name, Value(kind, f"%a.{name}"), self.tree)
         self.block(self.tree.body)
         self.lines.append("ret void" if self.signature.result == NONE else "unreachable")
-        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(given)}) nounwind {{"
+        large = len(self.lines) > LARGE and VEC not in (*self.signature.arguments, *self.signature.result)
+        rules = "nounwind noinline" if large else "nounwind"
+        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(given)}) {rules} {{"
         return "\n".join([head, *self.head, *self.lines, "}"])
 
     def block(self, body: list[ast.stmt]) -> None:
@@ -586,7 +593,11 @@ class Translator:
         found = self.of_vectors(name, node)
         if found is not None:
             return found
-        value = self.convert(self.value(node.args[0]), NUM, node)
+        value = self.value(node.args[0])
+        if value.kind == VEC and name == "sqrt":
+            t = llvm_type(VEC)
+            return Value(VEC, self.new(f"call {t} @llvm.sqrt.v{LANES}f64({t} {value.text})"))
+        value = self.convert(value, NUM, node)
         if name in _NUMPY:
             return Value(NUM, self.new(f"call double @{_NUMPY[name]}(double {value.text})"))
         if name in ("isfinite", "isinf"):

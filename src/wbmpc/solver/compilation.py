@@ -24,7 +24,7 @@ from wbmpc.kernel.translate import (
 
 LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled
-call2, call3, call5, call7 = PointerCall(2), PointerCall(3), PointerCall(5), PointerCall(7)
+call2, call3, call4, call5, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 7))
 
 __all__ = [
     "BOOL",
@@ -45,6 +45,7 @@ __all__ = [
     "VEC",
     "call2",
     "call3",
+    "call4",
     "call5",
     "call7",
     "compiled",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
-    COST,
     DU,
     DUAL,
     DX,
     END_BOXES,
     END_COST,
-    EQUALITY,
     EXACT,
     FILTER,
     FILTERED,
@@ -20,7 +19,6 @@ from wbmpc.solver.places import (
     LEFT,
     LX,
     MU,
-    NG,
     NP,
     NU,
     NX,
@@ -34,7 +32,6 @@ from wbmpc.solver.places import (
     ROW_COST,
     ROW_SLOPE,
     SHIFT,
-    SLOPES,
     SMALL,
     STATE,
     THETA,
@@ -47,8 +44,8 @@ from wbmpc.solver.places import (
     X,
 )  # fmt: skip
 from wbmpc.solver.riccati import backward, forward, kkt_residual
-from wbmpc.solver.rows import barrier_value, rows_merit, rows_step, start_rows, take_rows
-from wbmpc.solver.stages import interval, normalise, row_count, stage, stage_end
+from wbmpc.solver.rows import barrier_value, end_values, rows_merit, rows_step, start_rows, take_rows
+from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
 CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED = range(5)
@@ -94,48 +91,54 @@ def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
         m[o[UT] + k * nu + j] = total
 
 
+@compiled(NONE, NUMS, INTS, NUMS, NUM)
+def roll_out_policy(m, o, x0, alpha):  # type: ignore[no-untyped-def]
+    """The trial point of single shooting: the policy, feedback included, from ``x0`` on."""
+    nx = o[NX]
+    for i in range(nx):
+        m[o[XT] + i] = x0[i]
+    for k in range(o[N]):
+        policy_input(m, o, k, alpha)
+        x = o[XT] + k * nx
+        interval(m, o, k, x, o[UT] + k * o[NU], x + nx)
+
+
 @compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
 def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
 
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
-    n, nx, nu, ng, lx = o[N], o[NX], o[NU], o[NG], o[LX]
-    small, end = o[SMALL], o[SLOPES] + 5 * lx
+    n, nx, nu = o[N], o[NX], o[NU]
     if single:
-        for i in range(nx):
-            m[o[XT] + i] = x0[i]
+        roll_out_policy(m, o, x0, alpha)
     else:
         for k in range(n + 1):
             for i in range(nx):
-                m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * lx + i]
+                m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * o[LX] + i]
         for i in range(n * nu):
             m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
     cost, violation = 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
-    for k in range(n):
-        h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-        x, u, p = o[XT] + k * nx, o[UT] + k * nu, o[P] + k * o[NP]
-        if single:
-            policy_input(m, o, k, alpha)
-        interval(m, o, k, x, u, end)
-        for i in range(nx):
-            if single:
-                m[x + nx + i] = m[end + i]
-            else:
-                violation += abs(m[end + i] - m[x + nx + i])
-        stage(o, COST, x, u, p, small, small, small)
-        cost += h * (m[small] + barrier_value(m, o, 0, o[PATH_BOXES], x, u))
-        if ng > 0:
-            stage(o, EQUALITY, x, u, p, small + 16, small, small)
-            for q in range(ng):
-                violation += abs(m[small + 16 + q])
-        row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
-        cost, violation = cost + h * row_cost, violation + h * row_violation
-    last = o[XT] + n * nx
+    for first in range(0, n, LANES):
+        count = min(LANES, n - first)
+        load_block(m, o, first, count, o[XT], o[UT])
+        if not single:
+            violation += gaps(m, o, first, count, o[XT], o[UT])
+        path_cost, equalities = cost_and_equalities(m, o)
+        cost, violation = cost + path_cost, violation + equalities
+        evaluate_rows(m, o)
+        for k in range(first, first + count):
+            h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
+            take_rows_of_lane(m, o, k - first)
+            row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
+            cost += h * (barrier_value(m, o, 0, o[PATH_BOXES], x, u) + row_cost)
+            violation += h * row_violation
+    last, small = o[XT] + n * nx, o[SMALL]
     stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
     cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)
+    end_values(m, o, last)
     row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
     return cost + row_cost, violation + row_violation
 
@@ -186,7 +189,7 @@ def take(m, o):  # type: ignore[no-untyped-def]
         m[o[U] + i] = m[o[UT] + i]
     if o[QUATERNIONS] > 0:
         for k in range(n + 1):
-            normalise(m, o, o[X] + k * nx, -1)
+            normalise(m, o, o[X] + k * nx)
 
 
 @compiled(NONE, NUMS, INTS, NUMS)

@@ -44,7 +44,6 @@ from wbmpc.solver.places import (
     SMALL,
     STATE,
     THETA,
-    E,
     G,
     N,
     P,
@@ -101,9 +100,9 @@ def add_row_gradient(m, o, k, jacobian, gradient, w):  # type: ignore[no-untyped
                 m[gradient + i] += value * m[row + i]
 
 
-@compiled(NONE, NUMS, INTS)
-def least_squares_multipliers(m, o):  # type: ignore[no-untyped-def]
-    """ν of the equality rows [C e D] in ``e`` from the gradient by u in ``chained``: (D Dᵀ + ε) ν = −D g."""
+@compiled(NONE, NUMS, INTS, INT)
+def least_squares_multipliers(m, o, rows):  # type: ignore[no-untyped-def]
+    """ν of the equality rows [C e D] at ``rows`` from the gradient by u in ``chained``: (D Dᵀ + ε) ν = −D g."""
     ng, nu, lz, first = o[NG], o[NU], o[LZ], o[NX] + 1
     normal, nu_rows, gradient = o[NORMAL], o[NU_ROWS], o[CHAINED]
     for a in range(ng):
@@ -111,10 +110,10 @@ def least_squares_multipliers(m, o):  # type: ignore[no-untyped-def]
         for b in range(a + 1):
             total = 0.0
             for i in range(nu):
-                total += m[o[E] + a * lz + first + i] * m[o[E] + b * lz + first + i]
+                total += m[rows + a * lz + first + i] * m[rows + b * lz + first + i]
             m[normal + a * ng + b] = total
         for i in range(nu):
-            right -= m[o[E] + a * lz + first + i] * m[gradient + first + i]
+            right -= m[rows + a * lz + first + i] * m[gradient + first + i]
         m[nu_rows + a] = right
         m[normal + a * ng + a] += 1e-10 * m[normal + a * ng + a] + 1e-12
     for a in range(ng):  # Cholesky, then both triangular solves
@@ -192,9 +191,10 @@ def clear_second(m, o):  # type: ignore[no-untyped-def]
         m[o[SECOND] + i] = 0.0
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def exact_node(m, o, k, matrix):  # type: ignore[no-untyped-def]
-    """Second derivatives of node k onto its Hessian, after its linearisation; the costate moves to node k."""
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def exact_node(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+    """Second derivatives of node k onto its Hessian, after its linearisation; the costate moves to node k. ``rows``: where
+    the node's equality rows are."""
     nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
@@ -220,11 +220,11 @@ def exact_node(m, o, k, matrix):  # type: ignore[no-untyped-def]
         for i in range(nx + 1 + nu):
             m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
     add_row_gradient(m, o, k, o[ROW_J] + k * node_general(o, k) * lz, gradient, o[SMALL] + 2)
-    least_squares_multipliers(m, o)
+    least_squares_multipliers(m, o, rows)
     for i in range(nx):
         total = m[gradient + i]
         for q in range(o[NG]):
-            total += m[o[E] + q * lz + i] * m[o[NU_ROWS] + q]
+            total += m[rows + q * lz + i] * m[o[NU_ROWS] + q]
         m[costate + i] = total
     clear_second(m, o)
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])

@@ -24,6 +24,11 @@ ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jac
 ADJOINT, NU_ROWS, SIGNED = (_place[n] for n in ("adjoint", "multiplier", "signed"))
 PULLED, ROW_TRIAL, LANES_OUT = (_place[n] for n in ("pulled", "row_trial", "lanes"))
 NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
+LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_place[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
+LANE_F, LANE_J1, LANE_J2, LANE_S1, LANE_S2 = (_place[f"lane_{n}"] for n in ("f", "j1", "j2", "s1", "s2"))
+LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
+    _place[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")
+)
 GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old", "state", "filter"))
 
 #: Columns of the row table: h = sign z + offset (rows of one variable); ν or ρ; kind; whether the row counts at the first
@@ -36,10 +41,17 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
-DYNAMICS, COST, EQUALITY, ROW_VALUES = (_call[n] for n in ("dynamics", "cost", "equality", "rows"))
-END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("terminal", "end_rows", "jump"))
-DYNAMICS_J, COST_Q, EQUALITY_J = (_call[n] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian"))
-ROWS_J, END_ROWS_J, JUMP_J = (_call[n] for n in ("rows_jacobian", "end_rows_jacobian", "jump_jacobian"))
+DYNAMICS, END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("dynamics", "terminal", "end_rows", "jump"))
+END_Q, END_ROWS_J, JUMP_J = (_call[n] for n in ("terminal_quadratic", "end_rows_jacobian", "jump_jacobian"))
 LAGRANGIAN, DYNAMICS_H, END_LAGRANGIAN = (_call[n] for n in ("lagrangian", "dynamics_hessian", "end_lagrangian"))
-END_Q, RICCATI, CHAIN, ADD_ROWS = (_call[n] for n in ("terminal_quadratic", "riccati_node", "chain", "add_rows"))
+LANES_DYNAMICS, LANES_COST, LANES_EQUALITY, LANES_ROWS = (
+    _call[f"lanes.{n}"] for n in ("dynamics", "cost", "equality", "rows")
+)
+LANES_DYNAMICS_J, LANES_COST_Q, LANES_EQUALITY_J, LANES_ROWS_J = (
+    _call[f"lanes.{n}"] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian")
+)
+RICCATI, CHAIN, ADD_ROWS, PACK = (_call[n] for n in ("riccati_node", "chain_lanes", "add_rows", "pack"))
+UNPACK_AB, UNPACK_MATRIX, UNPACK_EQUALITIES, UNPACK_ROWS = (
+    _call[f"unpack_{n}"] for n in ("ab", "matrix", "equalities", "rows")
+)
 ARG, RES, INDEX = _w.POINTERS, _w.POINTERS + 8, _w.INDICES

@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM2, NUM4, NUMS, call7, compiled
 from wbmpc.solver.exact import exact_end, exact_node
+from wbmpc.solver.lanes import (
+    INTERVAL,
+    LANE_COST,
+    linearise_dynamics,
+    load_block,
+    single_lane,
+    stage_lanes,
+    take_rows_of_lane,
+    unpack,
+)
 from wbmpc.solver.places import (
     AB,
     BASE,
-    COST_Q,
     DU,
     DX,
     END_BOXES,
     END_Q,
     END_ROW_GENERAL,
     EPS,
-    EQUALITY_J,
     EXACT,
     GRID,
+    LANE_E,
+    LANE_MATRIX,
+    LANE_ROWS,
+    LANE_SMALL,
+    LANE_U,
+    LANE_VALUES,
+    LANE_X,
+    LANES_COST_Q,
+    LANES_EQUALITY_J,
+    LANES_ROWS_J,
+    LG,
     LX,
     LZ,
     NG,
@@ -28,11 +47,15 @@ from wbmpc.solver.places import (
     RICCATI,
     ROW_COST,
     ROW_GENERAL,
+    ROW_J,
     SCRATCH,
     SHIFT,
     SMALL,
     STATE,
     TERMINAL,
+    UNPACK_EQUALITIES,
+    UNPACK_MATRIX,
+    UNPACK_ROWS,
     VALUE,
     E,
     G,
@@ -44,43 +67,66 @@ from wbmpc.solver.places import (
     X,
 )  # fmt: skip
 from wbmpc.solver.rows import add_barrier, add_rows_product, barrier_value, linearise_rows
-from wbmpc.solver.stages import linearise_dynamics, stage, stage_end
+from wbmpc.solver.stages import stage_end
 
 
-@compiled(NUM4, NUMS, INTS, INT, INT)
-def linearise_node(m, o, k, slot):  # type: ignore[no-untyped-def]
-    """All of node k, its Hessian into buffer ``slot``: (cost, gap, violation of equalities, of rows).
-
-    The rows' part of the cost is also added up in ``state``.
-    """
-    nx, nu, ng, lz = o[NX], o[NU], o[NG], o[LZ]
-    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-    x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
-    matrix, small, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[SMALL], o[G] + k * lz
-    gap = linearise_dynamics(m, o, k)
-    m[small + 2] = h
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
+    """Dynamics, cost, equality rows and general rows of ``count`` ≤ 8 nodes from ``first`` on; Hessians into the buffers from
+    ``slot`` on, equality rows into their eight. What is left to do is :func:`finish_node`."""
+    nx, nu, lz, values = o[NX], o[NU], o[LZ], o[LANE_VALUES]
+    size, x, u = (nx + 1 + nu) * lz, o[LANE_X], o[LANE_U]
+    matrix = o[H] + slot * size
+    load_block(m, o, first, count, o[X], o[U])
+    linearise_dynamics(m, o, first, count)
     if o[ROW_GENERAL] + o[EXACT] > 0:  # rows and second derivatives add where the cost's functions write nothing
-        for i in range((nx + 1 + nu) * lz):
+        for i in range(count * size):
             m[matrix + i] = 0.0
-    stage(o, COST_Q, x, u, p, small + 3, matrix, matrix)
-    cost = m[small + 3] + h * barrier_value(m, o, 0, o[PATH_BOXES], x, u)
+    stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
+    unpack(o, UNPACK_MATRIX, o[LANE_MATRIX], matrix, size, count)
+    if o[NG] > 0:
+        stage_lanes(o, LANES_EQUALITY_J, x, u, o[LANE_E], o[LANE_E], o[LANE_E])
+        unpack(o, UNPACK_EQUALITIES, o[LANE_E], o[E], equality_size(o), count)
+    if o[ROW_GENERAL] > 0:
+        stage_lanes(o, LANES_ROWS_J, x, u, values, o[LANE_ROWS], o[LANE_ROWS])
+        rows = o[ROW_GENERAL] * lz
+        unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_J] + first * rows, rows, count)
+
+
+@compiled(INT, INTS)
+def equality_size(o):  # type: ignore[no-untyped-def]
+    """Doubles between the equality rows of two nodes: [C e D] and Dᵀ."""
+    return (o[NG] * o[LZ] + o[NU] * o[LG] + 7) // 8 * 8
+
+
+@compiled(NUM4, NUMS, INTS, INT, INT, INT)
+def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
+    """What the block's functions do not do of node k: limits, gradient, shift, sums: (cost, gap, violation of equalities, of
+    rows). The rows' part of the cost is also added up in ``state``.
+    """
+    nx, nu, lz = o[NX], o[NU], o[LZ]
+    x, u, small = o[X] + k * nx, o[U] + k * nu, o[LANE_SMALL]
+    matrix, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[G] + k * lz
+    ab, rows = o[AB] + k * (nx + 1) * lz + nx, o[E] + lane * equality_size(o)
+    h, gap, violation = m[small + INTERVAL + lane], 0.0, 0.0
+    cost = m[small + LANE_COST + lane] + h * barrier_value(m, o, 0, o[PATH_BOXES], x, u)
     add_barrier(m, o, 0, o[PATH_BOXES], x, u, h, matrix, lz)
     for i in range(nx):
         m[gradient + i] = m[matrix + nx * lz + i]
+        gap += abs(m[ab + i * lz])
     for i in range(nx + 1, nx + 1 + nu):
         m[gradient + i] = m[matrix + i * lz + nx]
+    take_rows_of_lane(m, o, lane)
     row_cost, row_violation = linearise_rows(m, o, k, x, u, matrix, lz)
     shift = m[o[STATE] + SHIFT]
     if shift > 0.0:
         for i in range(nx + 1 + nu):
             m[matrix + i * lz + i] += shift
-    violation = 0.0
-    if ng > 0:
-        stage(o, EQUALITY_J, x, u, p, o[E], o[E], o[E])
-        for q in range(ng):
-            violation += abs(m[o[E] + q * lz + nx])
+    for q in range(o[NG]):
+        violation += abs(m[rows + q * lz + nx])
     if o[EXACT] > 0:
-        exact_node(m, o, k, matrix)
+        single_lane(m, o, lane)
+        exact_node(m, o, k, matrix, rows)
     m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
@@ -122,26 +168,30 @@ def symmetrise(m, o):  # type: ignore[no-untyped-def]
 def backward(m, o, keep):  # type: ignore[no-untyped-def]
     """Linearise and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
 
-    ``keep``: every node keeps its Hessian (for the KKT residual); else all share one buffer.
+    ``keep``: every node keeps its Hessian (for the KKT residual); else eight buffers are enough.
     """
     cost, rows = linearise_end(m, o)
     gaps, violations = 0.0, 0.0
     base, nx, nu, lx, lz = o[BASE], o[NX], o[NU], o[LX], o[LZ]
-    for k in range(o[N] - 1, -1, -1):
-        slot = k if keep else 0
-        c, g, v, r = linearise_node(m, o, k, slot)
-        cost, gaps, violations, rows = cost + c, gaps + g, violations + v, rows + r
-        call7(
-            o[RICCATI],
-            base + 8 * (o[AB] + k * (nx + 1) * lz),
-            base + 8 * (o[H] + slot * (nx + 1 + nu) * lz),
-            base + 8 * o[E],
-            base + 8 * o[EPS],
-            base + 8 * o[VALUE],
-            base + 8 * (o[K] + k * nu * lx),
-            base + 8 * o[SCRATCH],
-        )
-        symmetrise(m, o)
+    for block in range((o[N] - 1) // LANES, -1, -1):
+        start = block * LANES
+        count, slot = min(LANES, o[N] - start), start if keep else 0
+        linearise_block(m, o, start, count, slot)
+        for lane in range(count - 1, -1, -1):
+            k = start + lane
+            c, g, v, r = finish_node(m, o, k, lane, slot + lane)
+            cost, gaps, violations, rows = cost + c, gaps + g, violations + v, rows + r
+            call7(
+                o[RICCATI],
+                base + 8 * (o[AB] + k * (nx + 1) * lz),
+                base + 8 * (o[H] + (slot + lane) * (nx + 1 + nu) * lz),
+                base + 8 * (o[E] + lane * equality_size(o)),
+                base + 8 * o[EPS],
+                base + 8 * o[VALUE],
+                base + 8 * (o[K] + k * nu * lx),
+                base + 8 * o[SCRATCH],
+            )
+            symmetrise(m, o)
     return cost, gaps, violations, rows
 
 

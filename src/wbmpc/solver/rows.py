@@ -34,6 +34,7 @@ from wbmpc.solver.compilation import (
     call3,
     compiled,
 )
+from wbmpc.solver.lanes import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
@@ -85,10 +86,8 @@ from wbmpc.solver.places import (
     ROW_TABLE,
     ROW_TOTAL,
     ROW_TRIAL,
-    ROW_VALUES,
     ROW_Y,
     ROWS,
-    ROWS_J,
     SIGN,
     SMALL,
     STATE,
@@ -97,7 +96,7 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.stages import row_index, stage, stage_end
+from wbmpc.solver.stages import row_index, stage_end
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
 
@@ -277,25 +276,23 @@ def collect_values(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
         m[out + boxes + j] = m[o[SMALL] + 16 + j]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def general_values(m, o, k, x, u):  # type: ignore[no-untyped-def]
-    """Values of the general rows of node k into ``small`` from entry 16 on."""
-    out, p = o[SMALL] + 16, o[P] + k * o[NP]
-    if k < o[N]:
-        if o[ROW_GENERAL] > 0:
-            stage(o, ROW_VALUES, x, u, p, out, out, out)
-    elif o[END_ROW_GENERAL] > 0:
-        stage_end(o, END_ROW_VALUES, x, p, out, out)
+@compiled(NONE, NUMS, INTS, INT)
+def end_values(m, o, x):  # type: ignore[no-untyped-def]
+    """Values of the general rows of the end into ``small`` from entry 16 on."""
+    if o[END_ROW_GENERAL] > 0:
+        out = o[SMALL] + 16
+        stage_end(o, END_ROW_VALUES, x, o[P] + o[N] * o[NP], out, out)
 
 
 @compiled(NUM2, NUMS, INTS, INT, INT, INT, NUM)
 def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
-    """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w."""
+    """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w.
+
+    The values of its general rows are in ``small``."""
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
     place, mu, values = k * o[ROWS], m[o[STATE] + MU], o[ROW_TRIAL]
-    general_values(m, o, k, x, u)
     collect_values(m, o, k, x, u, values)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
@@ -344,19 +341,18 @@ def add_boxes(m, o, first, place, boxes, w, matrix, ld):  # type: ignore[no-unty
 
 @compiled(NUM2, NUMS, INTS, INT, INT, INT, INT, INT)
 def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
-    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation)."""
+    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
+
+    The functions of general rows along the path have been called: values in ``small``, Jacobian in its place.
+    """
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
     mu, place, lz = m[o[STATE] + MU], k * o[ROWS], o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
-    if general > 0:
-        out, p = o[SMALL] + 16, o[P] + k * o[NP]
-        if k < o[N]:
-            stage(o, ROWS_J, x, u, p, out, jacobian, jacobian)
-        else:
-            stage_end(o, END_ROWS_J, x, p, out, jacobian)
+    if general > 0 and k == o[N]:
+        stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
     collect_values(m, o, k, x, u, o[ROW_H] + place)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
@@ -497,7 +493,13 @@ def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
         if boxes + general == 0:
             continue
         x, u, values = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU], o[ROW_TRIAL]
-        general_values(m, o, k, x, u)
+        if k == o[N]:
+            end_values(m, o, x)
+        elif general > 0:
+            if k % LANES == 0:
+                load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
+                evaluate_rows(m, o)
+            take_rows_of_lane(m, o, k % LANES)
         collect_values(m, o, k, x, u, values)
         for j in range(0, boxes + general, LANES):
             q, at = k * o[ROWS] + j, values + j

@@ -1,29 +1,23 @@
-"""Compiled code of one interval: stage functions, Runge-Kutta steps, their sensitivities, jumps at events."""
+"""Compiled code of one interval of one node: stage functions, Runge-Kutta steps, jumps at events and their derivatives."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, call2, call5, compiled
+from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, call2, compiled
 from wbmpc.solver.places import (
-    AB,
     ARG,
     BASE,
-    CHAIN,
     DYNAMICS,
-    DYNAMICS_J,
     END_BOXES,
     GRID,
     INDEX,
-    J1,
-    J2,
     JUMP,
     JUMP_J,
     JUMPS,
     LX,
     LZ,
     NP,
-    NU,
     NX,
     PATH_BOXES,
     QUATERNIONS,
@@ -35,9 +29,7 @@ from wbmpc.solver.places import (
     SLOPES,
     SMALL,
     P,
-    U,
     W,
-    X,
 )  # fmt: skip
 
 
@@ -78,22 +70,15 @@ def jumps_after(o, k):  # type: ignore[no-untyped-def]
     return o[JUMPS] > 0 and o[row_index(o) + row_count(o) + k] > 0
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def normalise(m, o, x, ab):  # type: ignore[no-untyped-def]
-    """Unit length of the quaternions of a state; with ``ab`` ≥ 0 the derivative of that onto its rows."""
-    lz, boxes = o[LZ], o[PATH_BOXES] + o[END_BOXES]
+@compiled(NONE, NUMS, INTS, INT)
+def normalise(m, o, x):  # type: ignore[no-untyped-def]
+    """Unit length of the quaternions of a state."""
+    boxes = o[PATH_BOXES] + o[END_BOXES]
     for s in range(o[QUATERNIONS]):
         q = o[INDEX + boxes + s]
         norm = np.sqrt(m[x + q] ** 2 + m[x + q + 1] ** 2 + m[x + q + 2] ** 2 + m[x + q + 3] ** 2)
         for i in range(q, q + 4):
             m[x + i] /= norm
-        if ab >= 0:
-            for c in range(lz):
-                along = 0.0
-                for i in range(q, q + 4):
-                    along += m[x + i] * m[ab + i * lz + c]
-                for i in range(q, q + 4):
-                    m[ab + i * lz + c] = (m[ab + i * lz + c] - m[x + i] * along) / norm
 
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
@@ -129,7 +114,7 @@ def integrate(m, o, x, u, p, h, out):  # type: ignore[no-untyped-def]
         offset_state(m, o, middle, x, k1 + 2 * lx, h)
         stage(o, DYNAMICS, middle, u, p, k1 + 3 * lx, k1, k1)
         combine(m, o, out, x, k1, h)
-    normalise(m, o, out, -1)
+    normalise(m, o, out)
 
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
@@ -141,14 +126,6 @@ def interval(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
         stage_end(o, JUMP, out, p + o[NP], o[SLOPES], o[SLOPES])
         for i in range(nx):
             m[out + i] = m[o[SLOPES] + i]
-
-
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, NUM)
-def chain(m, o, j, s, t, ab, c, weight):  # type: ignore[no-untyped-def]
-    """t = j + c j_x s; ab += weight t."""
-    base, small = o[BASE], o[SMALL]
-    m[small], m[small + 1] = c, weight
-    call5(o[CHAIN], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * ab, base + 8 * small)
 
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT)
@@ -171,44 +148,3 @@ def jump_sensitivity(m, o, x, p, ab):  # type: ignore[no-untyped-def]
         m[ab + i] = m[rows + i]
         m[jacobian + i] = 0.0
         m[rows + i] = 0.0
-
-
-@compiled(NUM, NUMS, INTS, INT)
-def linearise_dynamics(m, o, k):  # type: ignore[no-untyped-def]
-    """[A b B] of node k; returns the 1-norm of the gap b."""
-    nx, lx, lz = o[NX], o[LX], o[LZ]
-    h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-    x, u, p = o[X] + k * nx, o[U] + k * o[NU], o[P] + k * o[NP]
-    ab, j1, j2, s1, s2 = o[AB] + k * (nx + 1) * lz, o[J1], o[J2], o[S1], o[S2]
-    k1 = o[SLOPES]
-    middle, end = k1 + 4 * lx, k1 + 5 * lx
-    for i in range(nx * lz):
-        m[ab + i] = 0.0
-    for i in range(nx):
-        m[ab + i * lz + i] = 1.0
-    stage(o, DYNAMICS_J, x, u, p, k1, j1, j1)
-    offset_state(m, o, middle, x, k1, 0.5 * h)
-    stage(o, DYNAMICS_J, middle, u, p, k1 + lx, j2, j2)
-    if o[RK4] == 0:
-        chain(m, o, j2, j1, s1, ab, 0.5 * h, h)
-        offset_state(m, o, end, x, k1 + lx, h)
-    else:
-        for i in range(nx * lz):
-            m[ab + i] += h / 6.0 * m[j1 + i]
-        chain(m, o, j2, j1, s1, ab, 0.5 * h, h / 3.0)
-        offset_state(m, o, middle, x, k1 + lx, 0.5 * h)
-        stage(o, DYNAMICS_J, middle, u, p, k1 + 2 * lx, j2, j2)
-        chain(m, o, j2, s1, s2, ab, 0.5 * h, h / 3.0)
-        offset_state(m, o, middle, x, k1 + 2 * lx, h)
-        stage(o, DYNAMICS_J, middle, u, p, k1 + 3 * lx, j2, j2)
-        chain(m, o, j2, s2, s1, ab, h, h / 6.0)
-        combine(m, o, end, x, k1, h)
-    normalise(m, o, end, ab)
-    if jumps_after(o, k):
-        jump_sensitivity(m, o, end, p + o[NP], ab)
-    gap = 0.0
-    for i in range(nx):
-        difference = m[end + i] - m[x + nx + i]
-        m[ab + i * lz + nx] = difference
-        gap += abs(difference)
-    return gap

@@ -12,7 +12,9 @@ import numpy as np
 
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.compiled import ADDRESSES as FUNCTIONS
+from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.dense import pad
+from wbmpc.kernel.translate import LANES
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import BoxRow, Kind, Row
 
@@ -70,8 +72,8 @@ BLOCKS = (
     "p",  # (N + 1, np)
     "w",
     "ab",  # (N, nx + 1, lz): [A b B] of each node, last row unit
-    "h",  # (N, nz, lz): Hessian with the gradient in row and column nx
-    "e",  # equality rows of one node
+    "h",  # (N or 8, nz, lz): Hessian with the gradient in row and column nx
+    "e",  # equality rows of eight nodes
     "eps",  # (lg,)
     "k",  # (N, nu, lx): gains, feed-forward in entry nx
     "value",  # (nx + 1, lx): value function
@@ -113,6 +115,21 @@ BLOCKS = (
     "normal",  # (equalities, equalities)
     "second",  # (nz, lz): second derivatives
     "chained",  # (nz, lz)
+    "lane_x",  # eight nodes side by side, here and below: (nx, 8), the next states, inputs and parameters
+    "lane_next",
+    "lane_u",
+    "lane_p",
+    "lane_small",  # (6, 8): interval, 1 for lanes that count, weights of a Runge-Kutta stage, cost, violation
+    "lane_f",  # (6, nx, 8): slopes, middle, end
+    "lane_j1",  # (nx, lz, 8)
+    "lane_j2",
+    "lane_s1",
+    "lane_s2",
+    "lane_ab",
+    "lane_matrix",  # (nz, lz, 8), only the groups with entries
+    "lane_equalities",
+    "lane_rows",
+    "lane_values",  # (equalities or general rows, 8)
 )
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
 OFFSETS = len(DIMENSIONS)
@@ -168,6 +185,24 @@ class Workspace:
     rows_s: np.ndarray
 
 
+def _lane_shapes(s: Sizes, parameters: int) -> dict[str, tuple[int, ...]]:
+    """Of the blocks with eight nodes side by side."""
+    sizes = {
+        "lane_x": pad(s.nx),
+        "lane_next": pad(s.nx),
+        "lane_u": pad(s.nu),
+        "lane_p": pad(parameters),
+        "lane_small": 6,
+        "lane_f": 6 * s.nx,
+        **{f"lane_{name}": s.nx * s.lz for name in ("j1", "j2", "s1", "s2", "ab")},
+        "lane_matrix": s.nz * s.lz,
+        "lane_equalities": pad(s.equality_buffer()),
+        "lane_rows": s.nr * s.lz,
+        "lane_values": max(s.ng, s.nr),
+    }
+    return {name: (max(size, 1), LANES) for name, size in sizes.items()}
+
+
 def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]]:
     s, n = kernel.sizes, problem.ocp.intervals
     barriers = len(problem.path_boxes) + len(problem.terminal_boxes)
@@ -185,8 +220,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "p": (n + 1, max(problem.node.size, 1)),
         "w": (max(problem.constant.size, 1),),
         "ab": (n, s.nx + 1, s.lz),
-        "h": (n, s.nz, s.lz),
-        "e": (max(s.equality_buffer(), 1),),
+        "h": (max(n, LANES), s.nz, s.lz),
+        "e": (LANES, pad(s.equality_buffer())) if s.ng else (1,),
         "eps": (s.lg,),
         "k": (n, s.nu, s.lx),
         "value": (s.nx + 1, s.lx),
@@ -218,6 +253,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "second": (s.nz, s.lz) if problem.exact else (1,),
         "chained": (s.nz, s.lz) if problem.exact else (1,),
     }
+    shapes |= _lane_shapes(s, shapes["p"][1])
     return shapes | {name: (n + 1, rows) for name in _ROWS}
 
 
