@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce grids limits lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce grids limits door lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -51,6 +51,10 @@ grids: $(VENV)/.installed
 # hard limits in closed loop, five variants of the solver (half an hour; goes on where it was interrupted)
 limits: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/hard_limits.py $(LIMITS_ARGS)
+
+# the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
+door: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
