@@ -9,9 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.experiments.rezero_problem import RezeroCost
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, mpc_settings, run_task
-from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, resting, run_task
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing
 from wbmpc.model import RobotModel, load_robot
@@ -58,12 +56,9 @@ STEADY, MOVING = 1.0, 0.5
 class RezeroStepsSettings(RezeroSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
-    ``preview``: whether the MPC sees a step before it comes. Weights are sharper than :data:`STEPS_AND_PUSHES`, with which
-    the steps take up to 1.2 s.
+    ``preview``: whether the MPC sees a step before it comes.
     """
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
-    cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle: float = Field(5.0, ge=0.5, le=600.0)
     rest: float = Field(10.0, ge=0.0, le=600.0)
@@ -116,6 +111,11 @@ class Schedule:
     def reference(self) -> Reference:
         return Reference.poses(self.times, self.positions, self.quaternions, hold=True)
 
+    def body(self, robot: RobotModel) -> Reference:
+        """How the robot rests with its hand in these poses: so that a weight on the arm's posture moves no hand."""
+        states = [resting(robot, p, q) for p, q in zip(self.positions, self.quaternions, strict=True)]
+        return Reference(self.times, np.array(states), "hold")
+
     def at(self, t: float) -> int:
         return int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
 
@@ -124,15 +124,18 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
     """One run over all steps."""
     robot = load_robot("rezero")
     schedule = Schedule.of(settings, robot)
+    body = schedule.body(robot)
 
     def hide_future(mpc: MPC, timing: Timing, t: float) -> None:
         """Without preview the present target holds for the whole horizon."""
         i = schedule.at(t + timing.delay * timing.period)
         mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
+        mpc.reference["body"] = Reference.constant(body.values[i])
 
+    references = {"hand": schedule.reference(), "body": body}
     return run_task(
         NAME, settings, seed,
-        Task(robot.home[robot.state["arm"]], schedule.duration, {"hand": schedule.reference()}),
+        Task(robot.home[robot.state["arm"]], schedule.duration, references),
         lambda log, ending: _metrics(log, schedule, settings, ending.fell), lambda log: _plots(log, schedule, robot),
         IDEALISATIONS, progress, None if settings.preview else hide_future,
     )  # fmt: skip
