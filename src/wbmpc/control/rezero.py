@@ -90,19 +90,22 @@ class RezeroAgent:
     def _possible(self, torque: np.ndarray) -> np.ndarray:
         """Torques within the drives' limits. Balance comes before yaw: wheels that are clipped one by one would spin the ball.
 
-        What spins the ball is limited first; if the rest is still too large, it is scaled as a whole, and the spin fills up
-        what is left.
+        What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
+        asked for is taken; what leans is scaled as a whole only where there is none.
         """
         n = self._spin.size
         along, limit = self._spin / np.linalg.norm(self._spin), self.limit[:n]
         spin = float(along @ torque[:n])
         lean = torque[:n] - spin * along
-        lean = lean / max(1.0, float(np.max(np.abs(lean) / limit)))
         most = self.robot.description.limits.spin_effort / np.linalg.norm(self._spin)
-        room = np.where(along > 0.0, (limit - lean) / np.abs(along), (limit + lean) / np.abs(along))
-        back = np.where(along > 0.0, (limit + lean) / np.abs(along), (limit - lean) / np.abs(along))
-        spin = float(np.clip(spin, -min(most, back.min()), min(most, room.min())))
-        return np.concatenate([lean + spin * along, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
+        # spins that wheel i can have beside c lean: -c at_i ± room_i; they overlap if every two of them do, and with ±most
+        at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), most)
+        apart = at[:, None] - at
+        scale = min(1.0, float(np.min((room[:, None] + room) / np.maximum(apart, 1e-12))))
+        at *= scale
+        spin = min(max(spin, float(np.max(-at - room))), float(np.min(-at + room)))
+        wheels = np.clip(scale * lean + spin * along, -limit, limit)  # only rounding is clipped
+        return np.concatenate([wheels, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
 
     def stop(self) -> RezeroCommand:
         """No torque."""
