@@ -163,6 +163,8 @@ def run_task(
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
 
     def drawn() -> list[Plot]:
+        if planner is None:
+            return plots(log)
         solve = 1e3 * np.array(mpc.statistics.solve_times)
         times = Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])
         return [*plots(log), times]
