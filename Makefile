@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce grids limits robustness swerve rivals door lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals door lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -43,6 +43,17 @@ study: $(VENV)/.installed
 reproduce: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
+
+# README's table and clip from a site of reproduced runs, which is completed first
+readme: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
+	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(README_ARGS)
+	$(BIN)/python scripts/readme.py
+
+# how late the 400 Hz loop is with and without a browser on its view
+lateness: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[viz]"
+	$(ENVIRONMENT) $(BIN)/python benchmarks/view_lateness.py $(LATENESS_ARGS)
 
 # error and time of the swerve robot's MPC over grids of the horizon (minutes)
 grids: $(VENV)/.installed

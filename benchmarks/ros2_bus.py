@@ -239,8 +239,9 @@ def steps_inside(settings: RezeroStepsSettings, seed: int) -> Steps:
     return Steps(*(m[n].value for n in ("rise_time_max", "steady_position_error_max", "tilt_max")))
 
 
-def steps(bus: Bus, settings: RezeroStepsSettings) -> Steps:
-    """The same on the bus: the schedule of poses is sent as one path of the hand; a step is two poses 1 ms apart."""
+def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> Steps:
+    """The same on the bus, or the first ``count`` steps: the schedule of poses is sent as one path of the
+    hand; a step is two poses 1 ms apart."""
     robot = load_robot("rezero")
     schedule, lift = Schedule.of(settings, robot), np.array([0.0, 0.0, robot.base.radius])
     recorder, node = Recorder(bus.node), bus.node
@@ -259,14 +260,14 @@ def steps(bus: Bus, settings: RezeroStepsSettings) -> Steps:
     goal.publish(path(0.0, "odom", np.array(positions) + lift, np.array(turned), times))
     bus.wait_for(lambda: "running" in bus.said, 60.0)
     start = float(bus.figures["began at [s]"])
-    end = start + schedule.times[len(STEPS) + 1]
+    end = start + schedule.times[count + 1]
     bus.wait_for(lambda: recorder.time > end or "stopped" in bus.said or bus.sim.poll() is not None, 900.0)
     if recorder.time < end:
         raise RuntimeError(f"{bus.said}\n{bus.output()}")
-    return judged(recorder, schedule, settings, start)
+    return judged(recorder, schedule, settings, start, count)
 
 
-def judged(recorder: Recorder, schedule: Schedule, settings: RezeroStepsSettings, start: float) -> Steps:
+def judged(recorder: Recorder, schedule: Schedule, settings: RezeroStepsSettings, start: float, count: int) -> Steps:
     """The figures of `rezero-steps` from what was seen on the bus."""
     lift, lead = np.array([0.0, 0.0, load_robot("rezero").base.radius]), settings.lead
     hand = np.array(sorted(recorder.poses["hand"]))
@@ -276,7 +277,7 @@ def judged(recorder: Recorder, schedule: Schedule, settings: RezeroStepsSettings
         log.add("hand", row[0] - start, row[1:4] - lift)
         log.add("hand_quaternion", row[0] - start, row[4:8])
     rises, steady = [], []
-    for k in range(len(STEPS)):
+    for k in range(count):
         begin, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
         window = (log.times("hand") >= begin - lead) & (log.times("hand") < end - lead)
         rises.append(rise_time(log.times("hand")[window], progress_of(k, log, schedule, window)))

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import statistics
+import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,6 +18,7 @@ from wbmpc.errors import InputError
 from wbmpc.reproduce import Job, parse_seeds, plan, run_all, summarise, write_site
 
 HERE = Path(__file__).parent
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE.parent / "src")}
 FAKE = (
     f"import os, sys; sys.path[:0] = [{str(HERE)!r}, {str(HERE.parent / 'src')!r}]\n"
     "from fake_experiment import REGISTRY; from wbmpc.cli import main\n"
@@ -122,7 +124,7 @@ def test_the_site_stands_alone(site) -> None:  # type: ignore[no-untyped-def]
                 links.extend(v for k, v in attrs if k in ("src", "href") and v)
 
         Finder().feed(text)
-        assert links and all((page.parent / link).is_file() for link in links), links
+        assert links and all((page.parent / link.partition("#")[0]).is_file() for link in links), links
         assert "http" not in re.sub(r"<style>.*?</style>", "", text, flags=re.S)
     body = index.read_text()
     row = next(r for r in body.split("<tr>") if "hand_error_mean_odometry" in r)
@@ -160,3 +162,28 @@ def test_the_default_command_is_a_run(tmp_path: Path) -> None:
     failed = run_all(plan(["nonsense"], [1], tmp_path), 1)
     (reason,) = failed.values()
     assert reason.startswith("wbmpc: unknown experiment 'nonsense'")
+
+
+def test_the_readme_gets_its_table(site, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Between its marks, as often as one likes; the medians are those of the runs' own files."""
+    out, jobs, _, _ = site
+    readme = tmp_path / "README.md"
+    readme.write_text("# A\n\n## The problem\nb\n")
+    script = HERE.parent / "scripts" / "readme.py"
+    for _ in range(2):
+        arguments = ["--site", str(out), "--readme", str(readme), "--clip", str(tmp_path / "a.gif")]
+        subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
+    text = readme.read_text()
+    assert text.startswith("# A\n\n<!--") and text.endswith("\n## The problem\nb\n") and text.count("<!--") == 2
+    rows = {}
+    for line in text.splitlines():
+        cells = [c.strip() for c in line.split("|")]
+        if line.startswith("| ") and len(cells) == 9 and "[" in cells[2]:
+            rows[cells[2].rpartition(" [")[0]] = cells[3:7]
+    wanted = {n: m for n, m in summarise(jobs)["fake"]["metrics"].items() if not (m["paper"] is m["goal"] is None)}
+    assert rows and rows.keys() == wanted.keys()
+    for name, cells in rows.items():
+        files = [json.loads((j.directory / "metrics.json").read_text()) for j in jobs if j.done]
+        values = [f["metrics"][name]["value"] for f in files if name in f["metrics"]]
+        known = [float("inf") if v is None else v for v in values]
+        assert float(cells[0]) == pytest.approx(statistics.median(known), rel=6e-3)

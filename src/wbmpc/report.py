@@ -277,7 +277,7 @@ def page(result: RunResult) -> str:
 <h2>Figures</h2>{metrics}
 <p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>{notes}
 {_solve_times(result.mpc)}
-<h2>Plots</h2>{_plots(result.plots)}
+<h2 id="plots">Plots</h2>{_plots(result.plots)}
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>
 <details class="card"><summary>Settings of this run</summary><pre>{settings}</pre></details>

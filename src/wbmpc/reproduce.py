@@ -209,12 +209,14 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
         state = "completed" if run["completed"] else html.escape(run["reason"])
         runs.append([f'<a href="seed{seed}/report.html">seed {seed}</a>', state])
     runs += [[f"seed {seed}", f"no result: {html.escape(reason)}"] for seed, reason in lost.items()]
-    first = next(iter(entry["runs"].values()))
+    shown, first = next(iter(entry["runs"].items()))
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in first["idealisations"])
     settings = html.escape(json.dumps(first["settings"], indent=2))
     body = f"""<h1>{html.escape(name)}</h1><p class="sub"><a href="../index.html">all experiments</a></p>
 <h2>Figures</h2>{table(_HEADER, _metric_rows(entry["metrics"]), {2, 3, 4, 5})}
 <h2>Clip</h2>{clip}
+<h2>Redrawn figures</h2><p class="sub">Seed {shown}, at its plots; they can be zoomed.</p>
+<iframe class="card" style="width: 100%; height: 900px" title="plots of seed {shown}" src="seed{shown}/report.html#plots"></iframe>
 <h2>Runs</h2><p class="sub">Each run's page has its plots.</p>{table(["run", ""], runs, set())}
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>
 <h2>Settings</h2><details class="card"><summary>Settings of all runs</summary><pre>{settings}</pre></details>

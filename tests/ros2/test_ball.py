@@ -47,8 +47,8 @@ def balancing(s: Any) -> None:
 
 
 def standing(s: Any) -> None:
-    """It stands, 3 s later too: without torques it falls within 1 s."""
-    s.run(3.0)
+    """It stands, 2 s later too: without torques it falls within 1 s."""
+    s.run(2.0)
     assert not s.why and s.truth().tilt < 0.25 and s.control.running
 
 
@@ -89,6 +89,20 @@ def test_an_mpc_that_dies_leaves_its_last_policy(made: Callable[..., Any], caplo
     assert "running on the last policy" in s.control.state and "no memory" in s.control.state
     assert errors(caplog, "no memory") == 1
     assert any("no memory" in m for m in s.messages(2))
+
+
+def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    """A policy that is too old is kept, and given up as soon as there is a new one."""
+    s = made()
+    balancing(s)
+    solve = s.control.pilot.mpc.advance
+    s.control.pilot.mpc.advance = lambda observation: False
+    s.run(2.0)
+    assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
+    assert not s.why and s.truth().tilt < 0.25
+    s.control.pilot.mpc.advance = solve
+    assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
+    standing(s)
 
 
 def test_a_message_that_is_wrong_does_not_count(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds
 
+from wbmpc.experiments.rezero_steps import RezeroStepsSettings
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 
 pytestmark = needs_dds
 if not MISSING:
-    from ros2_bus import Bus, Recorder, inside, open_bus, track
+    from ros2_bus import Bus, Recorder, inside, open_bus, steps, track
 
 SEED, REST = 3, 1.0
 #: A short and fast sine, so that the test is.
@@ -68,6 +69,18 @@ def test_what_ends_ends_well(bus: Bus) -> None:
     bus.control.terminate()
     assert bus.control.wait(20.0) == 0
     assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
+
+
+def test_the_ball_robot_takes_a_step_and_falls_without_its_controller() -> None:
+    """Goals of the experiment (Minniti et al. 2019) for the first step; MuJoCo's robot after a kill."""
+    settings = RezeroStepsSettings(hold=4.0, settle=1.3, rest=0.0)
+    with open_bus(73, SEED, factor=10.0, robot="rezero") as bus:
+        found = steps(bus, settings, 1)
+        assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
+        bus.control.kill()
+        bus.wait_for(lambda: bus.sim.poll() is not None, 30.0)
+        assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == 1
+        assert "the robot fell at" in bus.output()
 
 
 def test_a_driver_that_hangs_in_real_time() -> None:

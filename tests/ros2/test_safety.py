@@ -245,6 +245,22 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
     stopped(p, "the pose on /amcl_pose is 0.", caplog)
 
 
+def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
+    """Two poses of the same spread for a robot that stands: their mean, with half of the variance (Kalman by hand)."""
+    p = pair(topics={"pose": "/amcl_pose"})
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    covariance = np.diag([1e-4, 1e-4, 0.0, 0.0, 0.0, 1e-4]).ravel()
+    for x in (3.0, 3.01):
+        message = {"pose": {"position": {"x": x}}, "covariance": covariance}
+        publisher.publish({"header": {"frame_id": "odom"}, "pose": message})
+        time.sleep(0.05)
+        p.run(0.05)
+    assert p.control.pilot.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
+    e = p.control.pilot.estimate()
+    assert e.covariance[0, 0] == pytest.approx(0.5e-4, rel=0.05) and e.covariance[2, 2] == 1e6
+
+
 def test_a_goal_after_a_stop_starts_again(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     p = pair()
     running(p)

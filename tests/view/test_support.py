@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from wbmpc.plant.scene import Contact
 from wbmpc.view.snapshot import ground
-from wbmpc.view.support import hull, margin, pressure_point
+from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -45,6 +45,22 @@ def test_margin() -> None:
     assert margin(corners[:2], np.zeros(2)) == 0.0 and margin(corners, np.full(2, np.nan)) == 0.0
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_active_triangle_is_without_the_foot_that_carries_least(seed: int) -> None:
+    """Truth: the loads of a table that rests on three of its legs, by moments about the point of pressure."""
+    rng = np.random.default_rng(seed)
+    feet = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]]) + rng.uniform(-0.2, 0.2, (4, 2))
+    lifted = int(rng.integers(4))
+    resting = np.delete(np.arange(4), lifted)
+    inside = rng.dirichlet([2.0, 2, 2]) @ feet[resting]
+    loads = np.zeros(4)
+    loads[resting] = np.linalg.solve(np.vstack([feet[resting].T, np.ones(3)]), [*inside, 1.0])
+    found = active_triangle(feet, 100.0 * loads)
+    assert {tuple(c) for c in found} == {tuple(f) for f in feet[resting]}
+    assert margin(found, inside) > 0.0
+    assert len(active_triangle(feet[:2], loads[:2])) == 0
+
+
 def test_contacts_are_drawn() -> None:
     feet = [np.array([x, y, 0.0]) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     contacts = [Contact("foot", np.array([10.0, 0, 100.0]), p) for p in feet]
@@ -55,5 +71,8 @@ def test_contacts_are_drawn() -> None:
     assert np.isfinite(shown["support"]).all(axis=1).sum() == 4  # what holds the hand carries no foot
     np.testing.assert_allclose(shown["forces"][0], [feet[0], feet[0] + [0.02, 0, 0.2]])
     np.testing.assert_allclose(shown["forces"][4], [hand.point, hand.point + [0, 0.1, 0.4]])  # drawn ten times as large
+    heavy = [Contact("foot", np.array([0.0, 0, f]), p) for f, p in zip((300.0, 200, 50, 180), feet, strict=True)]
+    corners = ground(heavy)["triangle"].tolist()
+    assert sorted(corners) == sorted(p.tolist() for p in (feet[0], feet[1], feet[3]))
     none = ground([])
     assert np.isnan(none["support"]).all() and float(none["margin"]) == 0.0

@@ -1,10 +1,9 @@
-"""The command line: list, run, demo, stability, bench, calibrate; recordings in a file of their own."""
+"""The command line: list, run, demo, bench; other commands in files beside it."""
 
 from __future__ import annotations
 
 import json
 import logging
-import math
 import os
 import sys
 import traceback
@@ -13,14 +12,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wbmpc import __version__
+from wbmpc.cli.calibration import calibrate
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import ABORTED, BAD_INPUT, COMPLETED, INTERRUPTED, logged, progress_bar, silent
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
@@ -38,7 +39,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (view, replay, render, compare, reproduce):
+for _command in (stability, calibrate, view, replay, render, compare, reproduce):
     app.command()(_command)
 
 
@@ -273,59 +274,6 @@ def demo(
 
 
 @app.command()
-def stability(
-    robot: Annotated[str, typer.Argument(help="A robot's name (see 'wbmpc list') or its YAML file.")],
-    configuration: Annotated[
-        str | None, typer.Option(help="H, X, A, or one leg angle [rad] per leg: 0.1,-0.1,0,0 (default: home).")
-    ] = None,
-    wrench: Annotated[
-        str, typer.Option(help="What the world does to the hand: force [N], or force and moment [N m]: 0,0,-50.")
-    ] = "0,0,0",
-    arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints [rad] (default: home).")] = None,
-    slope: Annotated[float, typer.Option(help="Slope of the ground [rad].")] = 0.0,
-    uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead [rad].")] = 0.0,
-    plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
-) -> None:
-    """Support polygon, support triangles and zero-moment point of a robot at rest."""
-    from wbmpc.model import load_robot
-    from wbmpc.stability import assess, draw, slope_gravity
-
-    if not abs(slope) < 0.5 * math.pi:
-        raise InputError(f"--slope: must be between -1.57 and 1.57 rad, got {slope:g}")
-    if not math.isfinite(uphill):
-        raise InputError(f"--uphill: must be finite, got {uphill:g}")
-    if plot is not None and plot.suffix.lower() != ".svg":
-        raise InputError(f"--plot: '{plot}' must end with .svg")
-    model = load_robot(robot)
-    push = _numbers("--wrench", wrench, (3, 6))
-    joints = None if arm is None else _numbers("--arm", arm, (len(model.state.groups["arm"]),))
-    result = assess(model, configuration, [*push, 0.0, 0.0, 0.0][:6], slope_gravity(slope, uphill), joints)
-    files = {}
-    if plot is not None:
-        plot.write_text(draw(result))
-        files["plot"] = str(plot)
-    if as_json:
-        typer.echo(json.dumps({**result.figures(), "files": files}, allow_nan=False))
-    else:
-        typer.echo(result.text())
-        if files:
-            typer.echo(f"drawing: {plot}")
-
-
-def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
-    """Finite numbers of an option, separated by commas or blanks."""
-    wanted = " or ".join(map(str, sizes))
-    try:
-        values = [float(v) for v in text.replace(",", " ").split()]
-    except ValueError:
-        raise InputError(f"{option}: {wanted} numbers are needed, got '{text}'") from None
-    if len(values) not in sizes or not all(map(math.isfinite, values)):
-        raise InputError(f"{option}: {wanted} finite numbers are needed, got '{text}'")
-    return values
-
-
-@app.command()
 def bench(
     peers: Annotated[
         bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
@@ -351,72 +299,6 @@ def bench(
         from wbmpc.benchmark.table import text
 
         typer.echo(text(figures))
-
-
-def _channels(path: Path) -> tuple[dict[str, Any], Path]:
-    """The arrays of a run's log (its folder or the log.npz itself), and the file."""
-    import zipfile
-
-    import numpy as np
-
-    file = path / "log.npz" if path.is_dir() else path
-    if not file.is_file():
-        raise InputError(f"{file}: there is no such file; give a run's folder or its log.npz")
-    try:
-        with np.load(file, allow_pickle=False) as log:
-            return {name: log[name] for name in log.files}, file
-    except (ValueError, OSError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(f"{file}: this is not the log of a run (log.npz)") from error
-
-
-def _robot_of(file: Path, given: str | None) -> str:
-    """The robot of a log: as given, or from the metrics.json beside it."""
-    if given is not None:
-        return given
-    metrics = file.with_name("metrics.json")
-    try:
-        return str(json.loads(metrics.read_text())["settings"]["robot"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
-
-
-@app.command()
-def calibrate(
-    run_log: Annotated[
-        Path, typer.Argument(metavar="RUN_LOG", help="A run's folder or its log.npz, with global poses.")
-    ],
-    out: Annotated[Path | None, typer.Option(help="File to write (default: calibration.yaml beside the log).")] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
-) -> None:
-    """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses."""
-    from wbmpc import estimation
-    from wbmpc.experiments.swerve_calibrate import steer_joints, swerve_robot
-
-    channels, file = _channels(run_log)
-    model = swerve_robot(_robot_of(file, robot))
-    record = estimation.WheelRecord.of(channels, str(file))
-    found, names = estimation.calibrate(model.base.geometry, record), steer_joints(model)
-    target = out or file.with_name("calibration.yaml")
-    found.save(target, names)
-    std = found.std
-    if as_json:
-        rows = {
-            name: {"steer_zero": float(found.steer_zero[i]), "wheel_radius": float(found.wheel_radius[i])}
-            for i, name in enumerate(names)
-        }
-        typer.echo(json.dumps({"modules": rows, "file": str(target)}))
-        return
-    for i, name in enumerate(names):
-        typer.echo(
-            f"{name}: steer zero {1e3 * found.steer_zero[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
-            f"radius {1e3 * found.wheel_radius[i]:.3f} mm (std {1e3 * found.wheel_radius[i] * std[1][i]:.3f})"
-        )
-    mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
-    typer.echo(f"mean of the steer zeros {1e3 * found.steer_zero.mean():.2f} mrad (std {1e3 * mean:.2f})")
-    typer.echo(f"written to {target}; use it with --set calibration={target}")
 
 
 def _complain(error: Exception, debug: bool) -> None:

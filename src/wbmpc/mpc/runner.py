@@ -103,7 +103,8 @@ class Runner:
         if getattr(self.clock, "in_turns", False):  # one thread: nothing depends on the machine's speed
             runs = [partial(interleave, self.clock, loops, math.inf)]
         self._threads = [threading.Thread(target=run, daemon=True) for run in runs]
-        self._threads.append(threading.Thread(target=self._watch, daemon=True))
+        if not getattr(self.clock, "in_turns", False):  # there a tick may wait for a solve
+            self._threads.append(threading.Thread(target=self._watch, daemon=True))
         for thread in self._threads:
             thread.start()
 

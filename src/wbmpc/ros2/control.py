@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
-from wbmpc.mpc import RealTime, Runner, WallClock
+from wbmpc.mpc import Observation, RealTime, Runner, WallClock
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
@@ -276,6 +276,7 @@ class ControlNode:
         settings, pilot = self.settings, self.pilot
         pilot.begin(x)
         self._put(task, x)
+        pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,

@@ -162,7 +162,8 @@ class SimNode:
 
     def _pace(self, due: float) -> float:
         """Wait for the next period's wall time; returns the one after it."""
-        due += self.period / self.factor
+        # without commands time goes by the wall's clock, so that who begins has time to
+        due += self.period / (min(self.factor, 1.0) if self._silent else self.factor)
         wait = due - time.perf_counter()
         if wait > 0.0:
             time.sleep(wait)

@@ -176,7 +176,7 @@ class View:
         on_floor = ground(reader.contacts(data))
         numbers = {
             "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": running.mpc.solve_time,
-            "deadline": running.mpc.period, "margin": on_floor.pop("margin"),
+            "deadline": running.mpc.period, **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0),
         }  # fmt: skip
         return {

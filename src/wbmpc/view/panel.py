@@ -13,7 +13,7 @@ import viser
 from viser import uplot
 
 from wbmpc.mpc.buffer import Mailbox
-from wbmpc.view.snapshot import NUMBERS
+from wbmpc.view.snapshot import NUMBERS, spoken
 from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
 
 Array = np.ndarray
@@ -159,11 +159,7 @@ class Panel:
         if self._count % _EVERY:
             return
         value = dict(zip(NUMBERS, numbers, strict=True))
-        text = f"**{self.controls.title}**, {value['t']:.1f} s"
-        if np.isfinite(value["error"]):
-            text += f", hand error {1e3 * value['error']:.1f} mm"
-        if value["margin"] != 0.0:
-            text += f", ZMP {1e3 * value['margin']:.0f} mm inside"
+        text = f"**{self.controls.title}**, {value['t']:.1f} s{spoken(value)}"
         self._status.content = text
         rows = np.array(self._rows)
         for handle, lines in self._figures:

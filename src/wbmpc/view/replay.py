@@ -13,7 +13,7 @@ from wbmpc.errors import InputError
 from wbmpc.plant.scene import Contact, Scene
 from wbmpc.recording.plots import hand_error, positions
 from wbmpc.recording.reader import Recording
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, spoken
 
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
@@ -86,7 +86,8 @@ class Film:
         on_floor = ground(contacts)
         values = {name: v[latest(times, t)] for name, (times, v) in self._series.items()}
         period = self.recording.topics.get("/mpc/period")
-        values |= {"t": t, "margin": on_floor.pop("margin"), "deadline": period.last() if period else np.nan}
+        values |= {"t": t, "deadline": period.last() if period else np.nan}
+        values |= {name: on_floor.pop(name) for name in ("margin", "triangle_margin")}
         paths = {
             n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
         }
@@ -157,8 +158,7 @@ class Player:
         self.stage.show(s)
         self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
-        error = f", hand error {1e3 * numbers['error']:.1f} mm" if np.isfinite(numbers["error"]) else ""
-        self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{error}"
+        self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{spoken(numbers)}"
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C."""

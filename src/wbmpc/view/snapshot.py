@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from wbmpc.plant.scene import Contact, Scene
-from wbmpc.view.support import hull, margin, pressure_point
+from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 Array = np.ndarray
 #: Points of the reference path and of plans, and contacts, at most.
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
-#: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit.
-NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin")
+#: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit;
+#: ``margin``, ``triangle_margin``: of the point of pressure inside the support polygon and the active triangle.
+NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin", "triangle_margin")
 
 
 def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
@@ -27,6 +29,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         "hand_plan": (PLAN, 3),
         "base_plan": (PLAN, 3),
         "support": (CONTACTS, 3),
+        "triangle": (3, 3),
         "pressure": (3,),
         "forces": (CONTACTS, 2, 3),
         "goal": (7,),
@@ -47,16 +50,30 @@ def filled(rows: Any, shape: tuple[int, ...]) -> Array:
 
 def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.02) -> dict[str, Array]:
     """Of contacts: forces as arrows (``size`` [m/N]; ``size_above`` for those above the floor: a hand pushes less than feet),
-    support polygon, point of pressure (the ZMP on a flat floor), and how far it is inside [m]."""
+    support polygon, active triangle, point of pressure (the ZMP on a flat floor), and how far it is inside of both [m]."""
     arrows = [(c.point, c.point + (size if c.point[2] < ABOVE else size_above) * c.force) for c in contacts]
     carrying = [c for c in contacts if c.force[2] > 1.0 and c.point[2] < ABOVE]
     points = np.array([c.point for c in carrying]).reshape(-1, 3)
     corners = hull(points[:, :2]) if len(points) else np.zeros((0, 2))
     level = float(points[:, 2].mean()) if len(points) else 0.0
-    found = pressure_point(points, np.array([c.force[2] for c in carrying]))
+    loads = np.array([c.force[2] for c in carrying])
+    found, triangle = pressure_point(points, loads), active_triangle(points[:, :2], loads)
+    on_floor = lambda p: np.column_stack([p, np.full(len(p), level)])
     return {
         "forces": filled(arrows, (CONTACTS, 2, 3)),
-        "support": filled(np.column_stack([corners, np.full(len(corners), level)]), (CONTACTS, 3)),
+        "support": filled(on_floor(corners), (CONTACTS, 3)),
+        "triangle": filled(on_floor(triangle), (3, 3)),
         "pressure": found,
         "margin": np.array(margin(corners, found[:2])),
+        "triangle_margin": np.array(margin(triangle, found[:2])),
     }
+
+
+def spoken(numbers: Mapping[str, float]) -> str:
+    """The hand's error and how far the ZMP is inside of what it must stay in, for a line of text; begins with a comma."""
+    text = f", hand error {1e3 * numbers['error']:.1f} mm" if np.isfinite(numbers["error"]) else ""
+    if numbers["margin"] != 0.0:
+        text += f", ZMP {1e3 * numbers['margin']:.0f} mm inside the polygon"
+    if numbers["triangle_margin"] != 0.0:
+        text += f", {1e3 * numbers['triangle_margin']:.0f} mm inside the active triangle"
+    return text

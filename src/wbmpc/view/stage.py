@@ -13,8 +13,8 @@ from wbmpc.plant.scene import Scene, Shape
 
 Array = np.ndarray
 #: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
-REFERENCE, HAND, BASE, SUPPORT, PRESSURE, FORCE = (
-    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (240, 170, 20), (200, 40, 120),
+REFERENCE, HAND, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE = (
+    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120),
 )  # fmt: skip
 _THICKNESS = 0.008
 #: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
@@ -83,8 +83,9 @@ class Stage:
             self._path("reference", s["reference"], REFERENCE)
             self._path("hand_plan", s["hand_plan"], HAND)
             self._path("base_plan", s["base_plan"], BASE)
-            corners = s["support"][np.isfinite(s["support"]).all(axis=1)]
-            self._path("support", np.vstack([corners, corners[:1]]), SUPPORT)
+            for name, colour, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):
+                corners = s[name][np.isfinite(s[name]).all(axis=1)] + [0.0, 0.0, above]
+                self._path(name, np.vstack([corners, corners[:1]]), colour)
             cross = s["pressure"] + 0.05 * np.array([[-1, 0, 0], [1, 0, 0], [0, 0, 0], [0, -1, 0], [0, 1, 0]])
             self._path("pressure", cross, PRESSURE)
             self._arrows(s["forces"])

@@ -33,6 +33,16 @@ def pressure_point(points: Array, forces: Array) -> Array:
     return (forces @ points) / total if total > 0.0 else np.full(3, np.nan)
 
 
+def active_triangle(points: Array, forces: Array) -> Array:
+    """Corners (3, 2), counter-clockwise, of the three points (n, 2) that carry most of the vertical forces (n) [N].
+
+    A rigid base on more than three feet rests on one of their triangles (Pankert et al. 2022, section III): the feet that
+    it rests on press harder than the others. Nothing (0, 2) for fewer than three points, or three on a line.
+    """
+    corners = hull(points[np.argsort(forces)[-3:]])
+    return corners if len(corners) == 3 else np.zeros((0, 2))
+
+
 def margin(corners: Array, point: Array) -> float:
     """Distance [m] from a point (2) to the nearest edge of a polygon (k, 2); negative outside; 0 without an area."""
     if len(corners) < 3 or not np.isfinite(point).all():
