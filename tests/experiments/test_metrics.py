@@ -23,7 +23,7 @@ def rotations(quaternions: np.ndarray) -> Rotation:
 def stepping(settings: RezeroStepsSettings, constants, offsets, turns) -> dict[str, float]:  # type: ignore[no-untyped-def]
     """Metrics of a hand that goes to pose i exponentially with ``constants[i]`` [s], and comes to rest ``offsets[i]`` [m]
     beside it, turned by the vector ``turns[i]`` [rad]."""
-    schedule, log, lead = rezero_steps._Schedule.of(settings, BALL), Log(), settings.lead
+    schedule, log, lead = rezero_steps.Schedule.of(settings, BALL), Log(), settings.lead
     times = np.arange(0.0, schedule.duration, 0.005)
     index = np.maximum(np.searchsorted(schedule.times - lead, times + 1e-9, side="right") - 1, 0)
     for i in range(index.max() + 1):

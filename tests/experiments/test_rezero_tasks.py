@@ -39,6 +39,20 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
         assert abs(state[now, speed + 1 - axis]) < 0.1
 
 
+@pytest.mark.parametrize("controller", ["lqr", "scheduled-lqr"])
+def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
+    settings = RezeroPushBallSettings(forces=(40.0,), settle=0.5, pause=4.0, controller=controller)
+    result = REGISTRY["rezero-push-ball"].run(settings, 0, None)
+    m, log = values(result), result.log
+    assert result.mpc is not None and result.mpc.solves == 0
+    assert m["fell"] == 0.0 and m["not_recovered"] == 0.0
+    t, torque, state = log.times("torque"), log.array("torque"), log.array("state")
+    assert np.abs(torque[:, :3]).max() <= 4.0 + 1e-9
+    start = BALL.state["base_velocity"].start
+    assert state[np.argmin(np.abs(t - 0.7)), start] > 0.1  # it was pushed
+    assert np.hypot(*state[t > 8.2, :2].T).max() < 0.06
+
+
 def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     """200 N s are five times what the recovered pushes give: the robot falls, and the run ends before it has."""
     result = REGISTRY["rezero-push-hand"].run(RezeroPushHandSettings(forces=(1000.0,), settle=0.5), 0, None)

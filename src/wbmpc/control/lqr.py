@@ -1,8 +1,8 @@
 """Rivals of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
 
-They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator and its drives' limits, but no horizon with
-limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains from a grid of arm angles and
-turns with the base's heading; the plain one has the gain of home.
+They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
+limits, but no horizon with limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains
+from a grid of arm angles and turns with the base's heading; the plain one has the gain of home.
 """
 
 from __future__ import annotations
@@ -65,6 +65,15 @@ class RegulatorGains:
         p = solve_discrete_are(ad, bd, q, r)
         return np.linalg.solve(r + bd.T @ p @ bd, bd.T @ p @ ad)
 
+    def at_rest(self, arm: Array) -> Array:
+        """(2 + nu, nq): how lean (pitch, roll) and torques at rest change with constant generalised forces, to first order."""
+        x, u = self.robot.equilibrium(arm)
+        n = self.robot.base.nq
+        jacobian = np.array(self._linear(x, u)[0])[n:]
+        slope = np.hstack([jacobian[:, 3:5], jacobian[:, x.size :]])
+        change: Array = -np.linalg.pinv(slope) @ np.linalg.inv(self.robot.mass_matrix(x[:n]))
+        return change
+
     @cached_property
     def schedule(self) -> RegularGridInterpolator:
         """Gains over the arm's angles: three values of each joint, all but the first within ±1 rad of home."""
@@ -91,7 +100,8 @@ class LqrAgent(RezeroAgent):
     ) -> None:
         """What the regulator needs beside the agent's own."""
         self.gains, self.wanted_state, self.scheduled, self.most = gains, wanted_state, scheduled, most
-        self._home = gains.at(self.robot.home[self.robot.state["arm"]])
+        home = self.robot.home[self.robot.state["arm"]]
+        self._home, self._shift = gains.at(home), gains.at_rest(home)
         self._rest: tuple[Array, Array] = (np.full(self.robot.state.size, np.nan), np.zeros(self.limit.size))
 
     def _equilibrium(self, t: float) -> tuple[Array, Array]:
@@ -112,7 +122,9 @@ class LqrAgent(RezeroAgent):
         """Torques of the regulator at the predicted present state."""
         x, n = self.state(), self.robot.base.nq
         wanted, torque = self._equilibrium(t)
-        error = x - wanted
+        shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
+        error, torque = x - wanted, torque + shift[2:]
+        error[3:5] -= shift[:2]
         error[:2] *= min(1.0, self.most / max(float(np.hypot(*error[:2])), 1e-9))
         if self.scheduled:
             c, s = np.cos(x[2]), np.sin(x[2])

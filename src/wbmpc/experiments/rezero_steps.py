@@ -192,7 +192,7 @@ def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: 
     unreachable = _orientation_error(log, schedule, len(STEPS) + 1, roll) if roll.any() else float("inf")
     worst = lambda values: max(values) if values else float("inf")
     return {
-        "rise_time_max": Metric(worst(rises), "s", goal=1.2),
+        "rise_time_max": Metric(worst(rises), "s", goal=1.0),
         "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),
         "steady_position_error_world_max": Metric(worst(world), "m"),
         "steady_orientation_error_max": Metric(worst(turned), "rad"),

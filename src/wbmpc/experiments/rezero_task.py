@@ -55,7 +55,7 @@ def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
 
 
 class RivalSettings(Settings):
-    """The rivals' own gains, found by ``benchmarks/rezero_rivals.py`` on seeds 0 to 3: factors of the MPC's weights of torques
+    """The rivals' own gains, searched by ``benchmarks/rezero_rivals.py``: factors of the MPC's weights of torques
     (``torque``), ball speed and tilt rate (``damping``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
 
     torque: float = Field(1.0, gt=0)
@@ -163,6 +163,8 @@ def run_task(
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
 
     def drawn() -> list[Plot]:
+        if planner is None:
+            return plots(log)
         solve = 1e3 * np.array(mpc.statistics.solve_times)
         times = Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])
         return [*plots(log), times]

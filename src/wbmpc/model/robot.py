@@ -233,17 +233,21 @@ class RobotModel:
         def joints(z: Array) -> Array:
             return np.concatenate([[0, 0, yaw], z[:2], angles])
 
-        def unbalanced(z: Array) -> Array:
-            return np.array(rest_of(joints(z), z[2:], push)).ravel()
+        # With more than three wheels the torques are not unique: the least-norm ones to a torque (3) on the ball.
+        wheels = np.linalg.pinv(base.wheel_torque_map())
 
-        # With more than three wheels the torques are not unique: the least-norm ones come from starting at zero.
-        start = np.zeros(2 + len(base.input["wheel"]) + n - 5)
-        found = root(unbalanced, start, method="lm", options={"xtol": 1e-14, "ftol": 1e-14})
+        def torques(z: Array) -> Array:
+            return np.concatenate([wheels @ z[2:5], z[5:]])
+
+        def unbalanced(z: Array) -> Array:
+            return np.array(rest_of(joints(z), torques(z), push)).ravel()
+
+        found = root(unbalanced, np.zeros(n), method="lm", options={"xtol": 1e-14, "ftol": 1e-14})
         if np.abs(found.fun).max() > 1e-8:
             raise InputError(f"{self.description.name}: no equilibrium for the arm at {angles} with force {push}")
         x = self.state.vector({})
         x[:n] = joints(found.x)
-        return x, found.x[2:]
+        return x, torques(found.x)
 
 
 def load_robot(name_or_path: str | Path, **base: Any) -> RobotModel:
