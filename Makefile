@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce grids limits door lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce grids limits robustness swerve rivals door lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -55,6 +55,20 @@ limits: $(VENV)/.installed
 # the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
 door: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
+
+# the swerve robot under loads, on a slope, with other delays (hours; goes on where it stopped; ROBUSTNESS_ARGS="--seeds 200-201")
+robustness: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py $(ROBUSTNESS_ARGS)
+
+# the swerve experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
+swerve: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --conditions protocol --out runs/swerve --only \
+	  swerve-fixed swerve-drive swerve-unified swerve-brakes swerve-wobble swerve-stability swerve-calibrate $(SWERVE_ARGS)
+
+# gains of the rivals without MPC: a search on tuning seeds (an hour)
+rivals: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival ik $(RIVALS_ARGS)
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival four_wheel $(RIVALS_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -71,7 +71,7 @@ class Recorder:
     rig: Rig
     times: list[float] = field(default_factory=list)
     command: list[float] = field(default_factory=list)
-    wanted: list[float] = field(default_factory=list)
+    clamped: list[float] = field(default_factory=list)
     state: list[np.ndarray] = field(default_factory=list)
     plan_state: float = 0.0
     plan_input: float = 0.0
@@ -102,7 +102,7 @@ class Recorder:
         self.times.append(t)
         planned = float(self.u.excess(plan.feedforward(self._clock(t))).max())
         self.command.append(max(planned, float(self.drive.excess(self._sent(command)).max())))
-        self.wanted.append(float(self.drive.excess(self._wanted()).max()))
+        self.clamped.append(self._cut(command))
         self.state.append(self.x.excess(self._measured()))
         if len(self.times) % 4 == 0:
             self.error.append(float(np.linalg.norm(self._hand() - rig.goal(t))))
@@ -113,6 +113,13 @@ class Recorder:
 
     def _wanted(self) -> np.ndarray:
         return self.rig.agent.wanted[: self.rig.robot.input.size]
+
+    def _cut(self, command: Any) -> float:
+        """Share of the range by which the command differs from what feedback or steering servo asked for."""
+        if self.swerve:
+            return float(self.drive.excess(self._wanted()).max())
+        width = (self.drive.upper - self.drive.lower)[: command.torque.size]
+        return float(np.max(np.abs(command.torque - self._wanted()[: command.torque.size]) / width))
 
     def _sent(self, command: Any) -> np.ndarray:
         if not self.swerve:
@@ -178,7 +185,7 @@ def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
         "plan_state_excess": record.plan_state,
         "state_excess": float(state.max()),
         "return_time": longest(state > OUTSIDE, rig.timing.period),
-        "clamped": float(np.mean(np.array(record.wanted) > OUTSIDE)),
+        "clamped": float(np.mean(np.array(record.clamped) > OUTSIDE)),
         "failed": float(bool(ending.reason) or rig.mpc.statistics.failures > 0),
         "hand_error": float(np.mean(record.error)),
         "stalled": float(np.mean(np.array(solves.steps) < STALLED)),

@@ -15,9 +15,9 @@ from wbmpc.log import Log
 from wbmpc.model import load_robot
 
 GRID: dict[str, tuple[float, ...]] = {
-    "lead": (0.0, 0.01, 0.015, 0.02, 0.03, 0.04),
-    "base_gain": (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
-    "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0),
+    "lead": (0.0, 0.01, 0.02, 0.03),
+    "base_gain": (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0),
+    "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
     "look_ahead": (0.5, 1.0, 1.5, 2.0),
 }
 KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--random", type=float, default=20.0)
     given = parser.parse_args()
     first, last = (int(v) for v in given.seeds.split("-"))
-    gains = {"lead": 0.04, "base_gain": 2.0, "steer_gain": 10.0, "look_ahead": 1.0}
+    gains = {"lead": 0.01, "base_gain": 2.0, "steer_gain": 10.0, "look_ahead": 1.0}
     best = error(given.rival, gains, range(first, last + 1), given.random)
     for _ in range(2):
         before = best

@@ -134,6 +134,16 @@ class FaultyMPC(MPC):
         return usable
 
 
+def make_faulty(fault: str, after: int = 30) -> FaultyMPC:
+    """An MPC that a process can make itself: after so many updates it fails, is late once, or hangs."""
+    actions: dict[str, Callable[[int], bool | None]] = {
+        "fails": lambda n: False if n > after else None,
+        "late": lambda n: time.sleep(0.25) if n == after else None,
+        "hangs": lambda n: time.sleep(1.5) if n == after else None,
+    }
+    return FaultyMPC(actions[fault])
+
+
 def wait_for(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
     """Whether the condition comes true in time."""
     end = time.perf_counter() + seconds

@@ -22,6 +22,10 @@ class RunAborted(WbmpcError):
     """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
 
 
+class FallForeseen(RunAborted):
+    """A robot that balances will fall whatever it does: the motors are switched off before it does."""
+
+
 class SolveFailed(WbmpcError):
     """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
 

@@ -189,3 +189,10 @@ def pose_inverse(a: ArrayLike) -> Array:
 def pose_between(a: ArrayLike, b: ArrayLike) -> Array:
     """The pose (7) of ``b`` in ``a``, both given in one frame."""
     return pose_compose(pose_inverse(a), b)
+
+
+def poses_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """:func:`pose_between` of many: poses (n, 7) of ``b`` in ``a``, row by row."""
+    a, b = np.asarray(a, float).T, np.asarray(b, float).T
+    place = np.einsum("ijn,in->jn", quaternion_to_rotation(a[3:]), b[:3] - a[:3])
+    return np.concatenate([place, quaternion_multiply(quaternion_conjugate(a[3:]), b[3:])]).T

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.errors import FallForeseen, InputError, NotFinite, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
 Progress = Callable[[float, str], None]
@@ -190,6 +190,8 @@ def _tick(
         for watcher in watchers:
             watcher.tick(t, command, plans)
         plant.step(command, timing.steps)
+    except FallForeseen as error:
+        return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}")
     except NotFinite as error:

@@ -299,6 +299,7 @@ def test_the_run_is_one_object_of_known_structure(monkeypatch: pytest.MonkeyPatc
     assert [r["solver"] for r in figures["rows"]] == ["wbmpc SQP", "fatrop", "ipopt"] * 2
     assert all(r["success"] and r["iteration_ms"] > 0.0 for r in figures["rows"])
     assert [r["limits"] for r in figures["rows"]] == [0] * 3 + [2] * 3
+    assert all(r["residual"] < 1e-6 and 0 < r["equal_iterations"] <= r["iterations"] for r in figures["rows"])
     (profile,) = figures["floor"]
     assert profile["operations"] == sum(p["operations"] for p in profile["parts"].values())
     assert sum(p["ms"] for p in profile["parts"].values()) == pytest.approx(profile["iteration_ms"])

@@ -16,7 +16,7 @@ import ipopt
 
 from toys import rezero_solver, robot
 from wbmpc.ocp import Constraint, Reference
-from wbmpc.solver import ILQR, SQP, InteriorPoint, Solver, Status
+from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solver, Status
 from wbmpc.zoo import MAKERS, ZooProblem
 
 #: A small last μ: beside a row that is only just active the solution moves by the square root of it.
@@ -25,7 +25,12 @@ SOLVERS = {
     "sqp-merit": SQP(iterations=400, interior_point=FINE),
     "sqp-filter": SQP(iterations=400, interior_point=FINE, line_search="filter"),
     "sqp-exact": SQP(iterations=400, interior_point=FINE, hessian="exact"),
+    "sqp-shift": SQP(
+        iterations=400, interior_point=FINE, smallest_step=0.9
+    ),  # full steps, or a Levenberg-Marquardt shift
     "ilqr": ILQR(iterations=400, interior_point=FINE),
+    "ilqr-filter": ILQR(iterations=400, interior_point=FINE, line_search="filter"),
+    "slq": SLQ(iterations=400, interior_point=FINE, step=0.04),
 }
 
 
@@ -70,15 +75,18 @@ PROBLEMS = {
 
 
 def goes_with(name: str, solver: str) -> bool:
-    """The exact Hessian is for rk2 without quaternions."""
-    return not (solver == "sqp-exact" and (name == "cartpole" or name.startswith("swerve")))
+    """The exact Hessian is for rk2 without quaternions; SLQ where IPOPT on the finer grid takes no minutes."""
+    if solver == "sqp-exact":
+        return name != "cartpole" and not name.startswith("swerve")
+    return solver != "slq" or name in ("double-integrator", "cartpole", "ballbot", "torque-arm")
 
 
 @cache
-def truth(name: str) -> tuple[np.ndarray, np.ndarray]:
+def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """IPOPT's answer; ``refined``: on the grid of SLQ."""
     maker, near = PROBLEMS[name]
     problem = maker()
-    solver = problem.solver(SQP(iterations=400))
+    solver = problem.solver(SOLVERS["slq"] if refined else SQP(iterations=400))
     solver.run(problem.x0)  # samples the references
     if near:
         noise = np.random.default_rng(0)
@@ -97,7 +105,8 @@ def test_optimum(name: str, solver: str) -> None:
     found = made.solve(problem.x0)
     assert found.status is Status.CONVERGED, found
     assert found.iterations > 2  # the guess is not the optimum
-    x, u = truth(name)
+    x, u = truth(name, solver == "slq")
+    assert len(found.u) == made.ocp.intervals and (solver != "slq" or np.diff(found.times).max() <= 0.04 + 1e-9)
     assert np.abs(found.x - x).max() < 2e-6 * (1.0 + np.abs(x).max()), name
     assert np.abs(found.u - u).max() < 1e-5 * (1.0 + np.abs(u).max()), name
     check_certificate(made, found.x, found.u, problem)

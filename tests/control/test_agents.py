@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.optimize import linprog
 
 from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
@@ -286,13 +287,38 @@ def test_ball_robot_clips_torques_and_stops_without() -> None:
     torque = agent.command(0.0, plans).torque
     np.testing.assert_allclose(np.abs(torque[3:]), [20, 20, 20])
     assert np.abs(torque[:3]).max() < 4.0 + 1e-9
-    # balance before yaw: what tilts (the part without a common share) keeps its direction and is as large as it can be,
-    # what spins the ball stays below the floor's friction
-    asked, given = agent.wanted[:3] - agent.wanted[:3].mean(), torque[:3] - torque[:3].mean()
-    assert np.abs(given).max() == pytest.approx(4.0)
-    np.testing.assert_allclose(given / np.abs(given).max(), asked / np.abs(asked).max(), atol=1e-9)
-    assert abs(0.125 / 0.064 * np.sin(np.pi / 4) * torque[:3].sum()) <= 2.0 + 1e-9
     np.testing.assert_array_equal(agent.stop().torque, np.zeros(TORQUES))
+
+
+#: Torque about the vertical that wheel torques (3) do to the ball [N m] and its limit, by hand.
+SPIN, MOST = 0.125 / 0.064 * np.sin(np.pi / 4) * np.ones(3), 2.0
+
+
+def largest_share(lean: np.ndarray) -> float:
+    """By linear programming: the most of ``lean`` that the wheels can do, with whatever spin the floor allows."""
+    rows = np.column_stack([np.vstack([lean, -lean]).reshape(2, 3).ravel(), np.repeat([1.0, -1.0], 3)])
+    reach = MOST / SPIN.sum()
+    return float(linprog([-1.0, 0.0], A_ub=rows, b_ub=np.full(6, 4.0), bounds=[(0.0, 1.0), (-reach, reach)]).x[0])
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0, 8.0, 100.0])
+def test_balance_comes_before_yaw(size: float) -> None:
+    """What tilts keeps its direction and as much of its size as some spin allows; what is possible is not touched."""
+    agent, plans = ball_agent(), Plans()
+    agent.measure(RezeroMeasurement(0.0, np.zeros(2 * N), 0.0))
+    wild, rng, untouched = feedback_policy(0), np.random.default_rng(0), 0
+    for _ in range(50):
+        asked = size * rng.normal(size=3)
+        u = np.tile(np.concatenate([asked, np.zeros(TORQUES - 3)]), (len(wild.u), 1))
+        plans.current = Policy(wild.times, wild.x, u, 0.0 * wild.gain)
+        given = agent.command(0.0, plans).torque[:3]
+        assert np.abs(given).max() <= 4.0 + 1e-9 and abs(SPIN @ given) <= MOST + 1e-9
+        lean, left = asked - asked.mean(), given - given.mean()
+        np.testing.assert_allclose(left, largest_share(lean) * lean, atol=1e-6)
+        if np.abs(asked).max() <= 4.0 and abs(SPIN @ asked) <= MOST:
+            untouched += 1
+            np.testing.assert_allclose(given, asked, atol=1e-12)
+    assert untouched > 5 or size > 3.0
 
 
 def test_ball_robot_hands_its_disturbance_to_the_model() -> None:

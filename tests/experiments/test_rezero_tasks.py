@@ -39,6 +39,15 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
         assert abs(state[now, speed + 1 - axis]) < 0.1
 
 
+def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
+    """200 N s are five times what the recovered pushes give: the robot falls, and the run ends before it has."""
+    result = REGISTRY["rezero-push-hand"].run(RezeroPushHandSettings(forces=(1000.0,), settle=0.5), 0, None)
+    assert not result.completed and "will fall" in result.reason and "motors off" in result.reason
+    assert result.metrics["fell"].value == 1.0
+    tilt = result.log.array("tilt")
+    assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
+
+
 def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
     s = RezeroCircleSettings(radius=0.2, lap=4.0, rounds=2, settle=1.0)
     t = np.arange(0.0, 14.0, 0.001)

@@ -44,7 +44,7 @@ def test_second_build_comes_from_the_cache(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "short", "text"])
-def test_damaged_files_are_built_again(folder: Path, damage: str) -> None:
+def test_damaged_files_are_built_again(folder: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
     build_kernel(transcription())
     (file,) = folder.glob("*.bin")
     good = file.read_bytes()
@@ -53,6 +53,7 @@ def test_damaged_files_are_built_again(folder: Path, damage: str) -> None:
     bad = {"truncated": good[:-100], "flipped": bytes(flipped), "empty": b"", "short": good[:20], "text": b"x" * 500}
     file.write_bytes(bad[damage])
     assert not build_kernel(transcription()).from_cache
+    assert "is damaged: it is built again" in caplog.text and str(file) in caplog.text
     assert file.read_bytes()[:32] == good[:32]
     assert build_kernel(transcription()).from_cache
 
@@ -105,11 +106,50 @@ def test_concurrent_writers_leave_a_valid_entry(folder: Path) -> None:
     assert cache.load("other") is None
 
 
+@pytest.mark.parametrize("thing", ["folder", "pipe", "dangling link", "locked"])
+def test_what_is_no_file_is_bypassed_and_nothing_piles_up(folder: Path, thing: str) -> None:
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    file.unlink()
+    {
+        "folder": file.mkdir,
+        "pipe": lambda: os.mkfifo(file),
+        "dangling link": lambda: file.symlink_to("/nonexistent/place"),
+        "locked": lambda: file.touch(0),
+    }[thing]()
+    for again in (False, thing != "folder"):  # a folder in its place cannot be replaced
+        assert build_kernel(transcription()).from_cache == again
+    assert list(folder.iterdir()) == [file]
+
+
+def test_a_full_disk_is_told_once_and_leaves_nothing(tmp_path: Path) -> None:
+    code = """
+import resource, signal
+from wbmpc.kernel import cache
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+for key in ("one", "two"):
+    cache.save(key, b"code" * 1000, {})
+assert cache.load("one") is None
+"""
+    environment = {**os.environ, "WBMPC_CACHE_DIR": str(tmp_path / "new"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("cannot be kept in") == 1 and str(tmp_path / "new") in done.stderr
+    assert list((tmp_path / "new").iterdir()) == []
+
+
 def test_directory_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("WBMPC_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.cache_directory() == tmp_path / "wbmpc"
     monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("WBMPC_CACHE_DIR", "~/elsewhere")
+    assert cache.cache_directory() == tmp_path / "elsewhere"
+    monkeypatch.delenv("WBMPC_CACHE_DIR")
     assert cache.cache_directory() == Path.home() / ".cache" / "wbmpc"
 
 

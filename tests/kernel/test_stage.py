@@ -6,11 +6,40 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from toys import call_lanes, call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
+from toys import Rows, ToyDynamics, call_lanes, call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
 from wbmpc.kernel.compiled import lane_maps, output_maps
-from wbmpc.solver import places, riccati
+from wbmpc.ocp import Cost, OptimalControlProblem
+from wbmpc.solver import SQP, Solver, places, riccati
 
-MAKERS = {"swerve": swerve_solver, "rezero": rezero_solver, "pendulum": pendulum}
+
+class Spinning(ToyDynamics):
+    """A position and an attitude: ṡ = u₀ + q₁, q̇ = ½ q ⊗ (0, ω) with a spin that grows with the position."""
+
+    unit_quaternions = (1,)
+
+    def __init__(self) -> None:
+        def f(x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+            a, v, spin = x[1], x[2:5], u[1:4] + 0.3 * x[0]
+            return ca.vertcat(u[0] + v[0], -0.5 * ca.dot(v, spin), 0.5 * (a * spin + ca.cross(v, spin)))
+
+        super().__init__(5, 4, f)
+
+
+def spinning(integrator: str) -> Solver:
+    """No reference, quadratic costs."""
+    ocp = OptimalControlProblem(Spinning(), 1.0, 9, integrator=integrator)
+    ocp.add(Cost("state", Rows(5, lambda s: s.x), 1.0, at="all"))
+    ocp.add(Cost("input", Rows(4, lambda s: s.u), 0.1))
+    return Solver(ocp, SQP(iterations=1))
+
+
+MAKERS = {
+    "swerve": swerve_solver,
+    "rezero": rezero_solver,
+    "pendulum": pendulum,
+    "quaternion, rk2": lambda: spinning("rk2"),
+    "quaternion, rk4": lambda: spinning("rk4"),
+}
 
 
 @pytest.fixture(scope="module", params=MAKERS)

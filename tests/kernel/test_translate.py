@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbmpc.errors import KernelError
+from wbmpc.kernel.ir import BOOL, INT, INT2, INTS, LANES, MASK, NONE, NUM, NUM2, NUM3, NUMS, VEC, PointerCall
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import BOOL, INT, INT2, INTS, LANES, MASK, NONE, NUM, NUM2, NUM3, NUMS, VEC, PointerCall
 from wbmpc.solver import compilation, receding  # noqa: F401  the library of the driver
 
 LIBRARY = Library("test")

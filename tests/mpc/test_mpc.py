@@ -233,6 +233,35 @@ def test_guess_comes_once_per_standstill() -> None:
     assert np.abs(solver.ws.u).max() > 0.1  # at rest again: armed again
 
 
+def test_a_plan_that_is_stuck_at_the_end_of_a_range_is_written_on_with_a_stop() -> None:
+    """The direction turns at 0.7 rad/s; the plan follows until its wheels are at their ends, and stays there."""
+    model, solver = swerve_workspace()
+    ws, part, g = solver.ws, model.state["steer"], model.base.geometry
+    around = lambda t, pose: 0.2 * np.stack([np.cos(0.7 * t), np.sin(0.7 * t), 0.0 * t], axis=1)
+    high = model.limits.state_upper[part]
+    wanted = model.home[part] + 0.7 * ws.grid[:, None]
+    ws.x[:, part], ws.u[:, model.input["base"]] = np.minimum(wanted, high), around(ws.grid[:-1], None)
+    before, guess = ws.x.copy(), SteeringGuess(model, around)
+    guess(solver, 0.0, model.home)
+    stuck = int(np.argmax((wanted > high).any(axis=1)))
+    assert 0 < stuck < 200
+    # a direction is lost at 0.6 rad; nothing is touched long before
+    assert np.array_equal(ws.x[: stuck - 30], before[: stuck - 30])
+    steer, base = ws.x[:, part], ws.u[:, model.input["base"]]
+    assert np.all((steer >= model.limits.state_lower[part] - 1e-9) & (steer <= high + 1e-9))
+    rolls = np.hypot(*base[:, :2].T) > 1e-9
+    stop = np.flatnonzero(~rolls)
+    # one stop, no longer than half a turn takes, after which wheels roll along the velocity of their axes
+    assert np.all(np.diff(stop) == 1) and 0.5 < (stop[-1] - stop[0]) * 6.0 / 240 < 1.5
+    for k in range(stop[-1] + 1, 240):
+        v = wheel_velocities(g, ws.x[k, model.state["leg"]], base[k])
+        heading = g.wheel_heading + ws.x[k, model.state["leg"]] + steer[k]
+        assert np.abs(v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)).max() < 0.05 * 0.2
+    again = ws.x.copy()
+    guess(solver, 0.7, model.home)
+    assert np.array_equal(ws.x, again)  # it can go on as it is
+
+
 def test_guess_waits_for_a_motion() -> None:
     model, solver = swerve_workspace()
     later = lambda t, pose: np.where(t[:, None] > 5.0, [[0.0, 0.2, 0.0]], 0.0)

@@ -15,7 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from realtime_toys import FaultyMPC, Force, Measured, ToyAgent, ToyRobot, make_mpc, make_nothing, problem, wait_for
+from realtime_toys import (
+    FaultyMPC,
+    Force,
+    Measured,
+    ToyAgent,
+    ToyRobot,
+    make_faulty,
+    make_mpc,
+    make_nothing,
+    problem,
+    wait_for,
+)
 from wbmpc.errors import InputError
 from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
 from wbmpc.mpc.figures import Spread
@@ -430,3 +441,80 @@ def test_a_process_that_cannot_make_its_mpc(capfd: pytest.CaptureFixture[str]) -
     with pytest.raises(InputError, match="did not come up: ValueError: no robot of that name"):
         runner.start()
     assert "no robot of that name" in capfd.readouterr().err  # with its traceback
+
+
+# ---------------------------------------------------------------------- the same faults in threads and in two processes
+STOPPED = r"stopped at (\d+\.\d+) s: "
+#: Limits [s] wide enough for a busy machine.
+AGE = 0.3
+
+
+def faulty(mode: str, fault: str) -> MPC | Callable[[], MPC]:
+    return make_faulty(fault) if mode == "thread" else partial(make_faulty, fault)
+
+
+def healthy(mode: str) -> MPC | Callable[[], MPC]:
+    return make_mpc() if mode == "thread" else make_mpc
+
+
+def check_safe(runner: Runner, sentence: str) -> float:
+    """It has stopped with that reason; nothing is written any more, and stop() comes at every tick. Returns when."""
+    assert wait_for(lambda: runner.stopped)
+    found = re.fullmatch(STOPPED + sentence, runner.state)
+    assert found, runner.state
+    writes, stops = len(runner.robot.writes), runner.robot.stops
+    assert wait_for(lambda: runner.robot.stops > stops + 3)
+    assert len(runner.robot.writes) == writes and runner.robot.u == 0.0
+    return float(found[1])
+
+
+@pytest.mark.parametrize("mode", ["thread", "process"])
+def test_solves_that_fail_leave_the_policy_its_horizon(mode: str) -> None:
+    with real(faulty(mode, "fails")) as runner:
+        assert wait_for(lambda: runner.report().failures > 3)
+        last = runner.plans.current
+        assert runner.state == "running" and last is not None
+        when = check_safe(runner, r"the policy is 1\.\d+ s old, the limit is 1 s \(\d+ solves failed\)")
+    assert 1.0 < when - last.valid_from < 1.5  # type: ignore[attr-defined]
+    assert runner.robot.writes[-1] - last.valid_from > 0.9  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("mode", ["thread", "process"])
+def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
+    with real(faulty(mode, "late")) as runner:
+        assert wait_for(lambda: runner.own["policies"] > 40)
+        assert runner.state == "running"
+    assert runner.report().mpc_misses >= 5  # 0.25 s at 50 Hz
+    with real(faulty(mode, "hangs"), max_policy_age=AGE) as runner:
+        check_safe(runner, r"the policy is 0\.[3-9]\d* s old, the limit is 0\.3 s \(0 solves failed\)")
+        if mode == "process":
+            os.kill(runner.process_id, signal.SIGKILL)  # do not wait for it
+
+
+@pytest.mark.parametrize("mode", ["thread", "process"])
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (freeze, r"the measurement is 0\.[3-9]\d* s old, the limit is 0\.3 s"),
+        (lose, r"measurement\.x is not finite"),
+    ],
+    ids=["stale", "nan"],
+)
+def test_observations_that_are_stale_or_no_numbers_stop(
+    mode: str, fault: Callable[[ToyRobot], None], sentence: str
+) -> None:
+    runner = real(
+        healthy(mode), fault=lambda r: fault(r) if runner.state == "running" else None, max_observation_age=AGE
+    )
+    with runner:
+        check_safe(runner, sentence)
+    assert runner.robot.writes  # it had been moving
+
+
+def test_a_process_that_is_suspended() -> None:
+    """What a debugger or a full machine does: the process is there, and says nothing."""
+    with real(make_mpc, max_policy_age=AGE) as runner:
+        assert wait_for(lambda: runner.state == "running")
+        os.kill(runner.process_id, signal.SIGSTOP)
+        check_safe(runner, r"the policy is 0\.[3-9]\d* s old, the limit is 0\.3 s \(0 solves failed\)")
+        os.kill(runner.process_id, signal.SIGKILL)

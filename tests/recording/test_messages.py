@@ -8,6 +8,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from wbmpc.errors import InputError
 from wbmpc.recording.messages import DEFINITIONS, decode, encode, fields, full_name, numbers, schema
+from wbmpc.recording.template import Template
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -73,3 +74,47 @@ def test_wrong_messages_are_named() -> None:
         fields("geometry_msgs/Pse")
     with pytest.raises(InputError, match="little-endian"):
         decode("std_msgs/String", b"\x00\x00\x00\x00")
+
+
+@pytest.mark.parametrize("kind", DEFINITIONS)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_template_gives_the_bytes_of_the_message(kind: str, seed: int) -> None:
+    """Made of one message, filled with the time and the numbers of another one of the same names and lengths."""
+    message = random_message(kind, np.random.default_rng(seed))
+    other = _like(message, np.random.default_rng(100 + seed))
+    found: list[float] = []
+    expected = encode(kind, _timed(kind, other, 7, 123456789, found))
+    assert Template(kind, message)(7, 123456789, np.array(found)) == expected
+    with pytest.raises(InputError, match="numbers, got"):
+        Template(kind, message)(7, 0, np.zeros(len(found) + 1))
+
+
+def _like(value, rng: np.random.Generator):  # type: ignore[no-untyped-def]
+    """The same message with other float64."""
+    if isinstance(value, np.ndarray):
+        return rng.normal(size=value.shape)
+    if isinstance(value, dict):
+        return {k: _like(v, rng) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_like(v, rng) for v in value]
+    return float(rng.normal()) if isinstance(value, float) else value
+
+
+def _timed(kind: str, value, sec: int, nanosec: int, found: list[float]):  # type: ignore[no-untyped-def]
+    """With all stamps at one time; ``found`` gets all float64 in order."""
+    if kind == "builtin_interfaces/Time":
+        return {"sec": sec, "nanosec": nanosec}
+    if kind == "float64" or (kind in DEFINITIONS and numbers(kind)):
+        found += np.ravel(value).tolist()
+    elif isinstance(value, dict):
+        out = {}
+        for field in fields(kind):
+            inside = value[field.name]
+            several = field.array is not None and field.kind != "float64"
+            out[field.name] = (
+                [_timed(field.kind, v, sec, nanosec, found) for v in inside]
+                if several
+                else _timed(field.kind, inside, sec, nanosec, found)
+            )
+        return out
+    return value

@@ -71,7 +71,8 @@ class Pair:
 
     def __init__(self, robot: RobotModel, network: Network, **settings: Any) -> None:
         self.robot = robot
-        self.settings = RosSettings.model_validate({"use_sim_time": True, **settings})
+        time = {"use_sim_time": True, "lockstep": settings.get("use_sim_time", True)}
+        self.settings = RosSettings.model_validate({**time, **settings})
         self.node = open_node("wbmpc", "dds", network)
         self.control = ControlNode(self.node, robot, self.settings)
         self.standin = Standin(robot, network)

@@ -19,7 +19,7 @@ pytestmark = needs_dds
 if not MISSING:
     from wbmpc.ros2.check import check
     from wbmpc.ros2.convert import header
-    from wbmpc.ros2.settings import RosSettings
+    from wbmpc.ros2.settings import BallSettings, RosSettings
 
 ROBOT = load_robot("swerve-ur10")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "46"})
@@ -109,6 +109,21 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     assert ("/joint_states", "2 publishers: their messages mix") in f
     assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
     assert ("/steer_controller/commands", "somebody else publishes on it: the controller will not start") in f
+
+
+def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(robot: Any, looker: Any) -> None:
+    listen(robot, ("wheel",))
+    arm = load_robot("rezero").input.groups["arm"]
+    controllers = {
+        "wheel": {"topic": "/wheel_controller/commands", "joints": ["wheel_0", "wheel_1", "wheel_2"]},
+        "arm": {"topic": "/arm_controller/joint_trajectory", "joints": arm, "takes": "trajectory"},
+    }
+    robot.subscribe("/arm_controller/joint_trajectory", COMMANDS, lambda message: None)
+    settings = BallSettings.model_validate({"controllers": controllers})
+    f = {x.topic: (x.level, x.text) for x in check(looker, load_robot("rezero"), settings, 1.0)}
+    assert f["/imu"][0] == "error" and f["/wheel_controller/commands"] == ("ok", "1 listening")
+    wrong = f"its type is {COMMANDS}, trajectory_msgs/msg/JointTrajectory is needed"
+    assert f["/arm_controller/joint_trajectory"] == ("error", wrong)
 
 
 def test_the_command_says_so_with_its_status(

@@ -10,6 +10,7 @@ from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.ros2.goals import LEASH, HandTrack, Planner, Task, Track, base_track, hand_track
 from wbmpc.ros2.settings import Speeds
+from wbmpc.ros2.swerve import references_of
 
 ROBOT = load_robot("swerve-ur10")
 SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)
@@ -50,7 +51,7 @@ def test_the_twists_move_the_poses() -> None:
     for twist, h in zip(task.base.twists, np.diff(task.base.times)):
         pose = lie.se2_step(pose, twist * h)
     np.testing.assert_allclose(pose, task.base.poses[-1], atol=1e-9)
-    references = task.references(ROBOT, at())
+    references = references_of(task, ROBOT, at())
     assert references["state"].values.shape[1] == ROBOT.state.size
     np.testing.assert_array_equal(references["input"].values[:, ROBOT.input["base"]], task.base.twists)
 

@@ -120,7 +120,7 @@ def test_joints_are_matched_by_name_and_mapped(pair: Callable[..., Any]) -> None
 
     p.standin.change = change
     p.ready()
-    x = p.control.agent.snapshot()[1]
+    x = p.control.pilot.snapshot()[1]
     np.testing.assert_array_equal(x, ROBOT.home)
 
 
@@ -164,9 +164,9 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     """Two machines' clocks may differ by hours; a driver that hangs repeats itself."""
     body, t = pair(use_sim_time=False).control.body, types("jazzy")
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
-    message = lambda at: t.make(
-        "sensor_msgs/msg/JointState", {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}
-    )
+    kind = "sensor_msgs/msg/JointState"
+    encoded = lambda at: t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]})
+    message = lambda at: t.decode(kind, encoded(at))
     for at in (5.0, 5.1):
         body._take_joints(message(at))
         assert body.age() < 0.1 and body.waits_for() == ""
@@ -237,7 +237,7 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
 
     p.standin.change = change
     p.ready()
-    np.testing.assert_allclose(p.control.agent.snapshot()[1][:3], [3.0, -1.0, 0.0])
+    np.testing.assert_allclose(p.control.pilot.snapshot()[1][:3], [3.0, -1.0, 0.0])
     p.go(3.5, -1.0)
     assert p.until(lambda: p.control.runner is not None and "running" in p.control.state)
     sending.clear()
@@ -280,8 +280,8 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             x = ROBOT.home.copy()
             x[ROBOT.state["wheel"]] = ahead * 2 * np.pi * k / 100
             stamped = header(1.0 + 0.01 * k, "")
-            message = t.make(kind, {"header": stamped, "name": names, "position": x[3:]})
-            bag.write(connection, k * 10_000_000, t.encode(kind, message))
+            message = t.encode(kind, {"header": stamped, "name": names, "position": x[3:]})
+            bag.write(connection, k * 10_000_000, message)
     p = pair(topics={"imu": ""})
     node = p.standin.node
     clock = node.publisher("/clock", "rosgraph_msgs/msg/Clock")
@@ -298,7 +298,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             )  # fmt: skip
             assert wait_until(arrived)
             p.control.step()
-    pose = p.control.agent.snapshot()[1][:3]
+    pose = p.control.pilot.snapshot()[1][:3]
     np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
     assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
 
@@ -337,7 +337,7 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
     for _ in range(12):
         publisher.publish({"twist": twist} if stamped else twist)
         p.run(0.1)
-    assert p.control.agent.snapshot()[1][0] > 0.1
+    assert p.control.pilot.snapshot()[1][0] > 0.1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 4.0, rtol=0.1)  # 0.4 m/s on wheels of 0.1 m
     assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2, 1.5)  # 20 mm/s
     assert p.control.state == "running: base to rest"

@@ -76,9 +76,37 @@ def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
     assert settings.bus_name("wheel_LF") == "front_left_wheel_joint"
 
 
-def test_commands_refuse_other_robots_and_missing_files(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ros2", "control", "rezero"]) == 2
-    assert capsys.readouterr().err == "wbmpc: ros2: 'rezero' has a base of type 'ball'; valid: swerve\n"
+def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A robot that stands on a fixed base: one link, one hinge."""
+    (tmp_path / "r.xml").write_text(
+        '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
+        '<geom size="0.1"/></body></body></worldbody><compiler autolimits="true"/></mujoco>'
+    )
+    text = "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [turn], tool: tip}\n"
+    (tmp_path / "r.yaml").write_text(text)
+    assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
+    assert capsys.readouterr().err == "wbmpc: ros2: 'r' has a base of type 'fixed'; valid: swerve, ball\n"
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"
     assert main(["ros2"]) == 0
+
+
+def test_a_ball_robots_settings_are_its_own(tmp_path: Path) -> None:
+    ball = load_robot("rezero")
+    settings = load_settings(write(tmp_path, "joints: {wheel_0: omni_front}\ncost: {hand: {roll: 1.0}}"), ball)
+    assert settings.mpc.horizon == 1.3 and settings.bus_name("wheel_0") == "omni_front"
+    assert set(settings.command_topics(ball)) == {"wheel_controller", "arm_controller"}
+    with pytest.raises(InputError, match=r"unknown key 'cost.state'"):
+        load_settings(write(tmp_path, "cost: {state: {leg: 1.0}}"), ball)
+
+
+def test_only_an_arm_is_led_by_trajectories(tmp_path: Path) -> None:
+    names = {g: ", ".join(ROBOT.input.groups[g]) for g in ("wheel", "steer", "arm")}
+    controllers = "\n".join(
+        f"  {g}: {{topic: /{g}, joints: [{n}], takes: {'trajectory' if g == 'arm' else 'numbers'}}}"
+        for g, n in names.items()
+    )
+    settings = load_settings(write(tmp_path, f"controllers:\n{controllers}"), ROBOT)
+    assert settings.command_topics(ROBOT)["arm"].type == "trajectory_msgs/msg/JointTrajectory"
+    with pytest.raises(InputError, match=r"'wheel_LF' cannot be led by a trajectory; valid: shoulder_pan_joint"):
+        load_settings(write(tmp_path, f"controllers:\n{controllers.replace('numbers', 'trajectory')}"), ROBOT)

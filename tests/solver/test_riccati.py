@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 from scipy.linalg import solve_discrete_are
+from scipy.sparse.linalg import spsolve
 
 from toys import LinearQuadratic
 from wbmpc.solver import SQP, Solver
@@ -53,6 +55,46 @@ def test_against_dense_kkt(nx: int, nu: int, data: st.DataObject) -> None:
     ng = data.draw(st.integers(0, min(nu, 8)))
     lq = LinearQuadratic(nx, nu, ng, n=4, seed=data.draw(st.integers(0, 999)))
     check_against_kkt(lq, one_step(lq), 1e-6)
+
+
+def sparse_kkt(lq: LinearQuadratic) -> tuple[np.ndarray, np.ndarray]:
+    """Solution (x, u) of the KKT system of a problem with independent rows, however long its horizon."""
+    n, nx, nz, ng = lq.n, lq.nx, lq.nx + lq.nu, len(lq.e_offset)
+    h, pick = np.diff(lq.grid), sparse.eye(n + 1, format="csr")
+    cost = sparse.kron(sparse.diags(h), lq.rows.T @ np.diag(lq.weight) @ lq.rows)
+    hessian = sparse.block_diag([cost, 3.0 * lq.end_rows.T @ lq.end_rows])
+    slope = lq.rows.T @ (lq.weight * lq.offset)
+    gradient = np.concatenate([*(slope * t for t in h), 3.0 * lq.end_rows.T @ lq.end_offset])
+    here = lambda k: sparse.hstack([sparse.kron(pick[k, :n], sparse.eye(nz)), sparse.csr_matrix((nz, nx))])
+    state = lambda k: sparse.csr_matrix((np.ones(nx), (range(nx), k * nz + np.arange(nx))), (nx, n * nz + nx))
+    left, right = [state(0)], [lq.x0]
+    for k, step in enumerate(h):
+        a, b, c = lq.discrete(step)
+        left += [state(k + 1) - sparse.csr_matrix(np.hstack([a, b])) @ here(k)]
+        right += [c]
+        if ng:
+            left, right = [*left, sparse.csr_matrix(lq.e_rows) @ here(k)], [*right, -lq.e_offset]
+    g = sparse.vstack(left)
+    z = spsolve(sparse.bmat([[hessian, g.T], [g, None]], format="csc"), np.concatenate([-gradient, *right]))
+    nodes = z[: n * nz].reshape(n, nz)
+    return np.vstack([nodes[:, :nx], z[n * nz : n * nz + nx]]), nodes[:, nx:]
+
+
+@settings(max_examples=9, deadline=None, derandomize=True)
+@given(st.sampled_from([1, 2, 400]), st.integers(1, 5), st.integers(1, 5), st.data())
+def test_short_and_long_horizons(n: int, nx: int, nu: int, data: st.DataObject) -> None:
+    """No constraints, and more rows than needed: each up to three times, together more than there are inputs."""
+    ng, times = data.draw(st.integers(0, nu)), data.draw(st.integers(0, 2))
+    seed = data.draw(st.integers(0, 999))
+    make = lambda repeat: LinearQuadratic(nx, nu, ng, n=n, seed=seed, repeat=repeat)
+    lq, once = make(times * ng), make(0)
+    for problem in (lq, once):
+        problem.grid = problem.grid * (0.1 if n < 3 else 2.0) / problem.grid[-1]  # random models are unstable
+    step, (x, u) = one_step(lq), sparse_kkt(once)
+    assert len(lq.e_offset) == (1 + times) * ng and step.u.shape == (n, nu)
+    scale = 1.0 + max(np.abs(x).max(), np.abs(u).max())
+    assert np.abs(step.x - x).max() < 1e-6 * scale
+    assert np.abs(step.u - u).max() < 1e-5 * scale
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from toys import LinearQuadratic, Rows, ToyDynamics, pendulum, rezero_solver, robot, swerve_solver
+from wbmpc.errors import InputError
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem
-from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
+from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.workspace import LOG
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
@@ -177,3 +180,35 @@ def test_compiled_iterations_are_much_faster_than_interpreted() -> None:
     compiled, interpreted = fastest(lambda: a.run(model.home), 100), fastest(lambda: b.run(model.home), 2)
     assert interpreted > 20.0 * compiled
     assert fastest(lambda: c.run(model.home), 100) < 3.0 * compiled
+
+
+@pytest.mark.parametrize("algorithm", [SQP, ILQR])
+@pytest.mark.parametrize("line_search", ["merit", "filter"])
+def test_a_step_that_fails_is_damped(algorithm: type[SQP], line_search: str) -> None:
+    """Gauss-Newton overshoots where the arc tangent is flat; with full steps only, the Levenberg-Marquardt shift must help."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 4)
+    ocp.add(Cost("turn", Rows(1, lambda s: ca.atan(5.0 * (s.u - 1.0))), 1.0))
+    ocp.add(Cost("still", Rows(1, lambda s: s.x), 1e-3, at="all"))
+    found = []
+    for shift in (0.0, 1e6):
+        settings = algorithm(iterations=200, line_search=line_search, smallest_step=0.9, largest_shift=shift)
+        solver = Solver(ocp, settings)
+        solver.guess(np.zeros((5, 1)), np.full((4, 1), 5.0))
+        found.append(solver.solve(np.zeros(1)))
+    undamped, damped = found
+    assert undamped.status in (Status.NO_STEP, Status.INFEASIBLE) and undamped.log[:, COLUMNS["shift"]].max() == 0.0
+    assert damped.status is Status.CONVERGED, damped
+    np.testing.assert_allclose(damped.u, 1.0, atol=1e-4)  # as far as the small pull to 0 lets it
+    assert damped.log[:, COLUMNS["shift"]].max() > 0.1 and damped.log[-1, COLUMNS["shift"]] < 1e-4
+
+
+def test_slq_takes_a_guess_on_the_grid_of_the_problem() -> None:
+    """A ramp and a staircase: linear states and held inputs, read off between the nodes that were given."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 2, grid=[0.0, 0.4, 1.0])
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 1.0))
+    solver = Solver(ocp, SLQ(step=0.2))
+    solver.guess(np.array([[0.0], [4.0], [10.0]]), np.array([[1.0], [2.0]]))
+    np.testing.assert_allclose(solver.ws.x.ravel(), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+    np.testing.assert_allclose(solver.ws.u.ravel(), [1.0, 1.0, 2.0, 2.0, 2.0])
+    with pytest.raises(InputError, match=r"guess of x: .* are needed, got"):
+        solver.guess(np.zeros((4, 1)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -38,34 +39,56 @@ class Page:
     def wait(self, seconds: float) -> None:
         self.page.wait_for_timeout(1000 * seconds)
 
-    def picture(self) -> np.ndarray:
-        """The canvas as numbers (rows, columns, 3)."""
+    def picture(self, box: tuple[float, float, float, float] = (0, 160, 640, HEIGHT - 160)) -> np.ndarray:
+        """The page as numbers (rows, columns, 3); ``box``: x, y, width, height, without it the canvas."""
         import io
 
         from PIL import Image
 
-        data = self.page.screenshot(clip={"x": 0, "y": 160, "width": 640, "height": HEIGHT - 160}, timeout=120_000)
+        data = self.page.screenshot(clip=dict(zip(("x", "y", "width", "height"), box, strict=True)), timeout=120_000)
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
-    def changed(self, seconds: float) -> int:
-        """How many pixels change within some seconds."""
-        before = self.picture()
-        self.wait(seconds)
+    def differs(self, before: np.ndarray) -> int:
+        """How many pixels of the canvas are others than in an earlier picture."""
         return int((np.abs(self.picture() - before).max(axis=2) > 20).sum())
+
+    def until(self, true: Callable[[], bool], seconds: float) -> bool:
+        """Whether something becomes true within some seconds; the page goes on meanwhile."""
+        deadline = time.monotonic() + seconds
+        while not true():
+            if time.monotonic() > deadline:
+                return False
+            self.wait(0.1)
+        return True
 
     def click(self, label: str) -> None:
         self.page.get_by_role("button", name=label, exact=True).first.click(timeout=20_000)
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        mouse = self.page.mouse
-        mouse.move(*start)
-        self.wait(1.0)
-        mouse.down()
-        self.wait(0.5)
+    def uncheck(self, label: str) -> None:
+        self.page.get_by_label(label).first.uncheck(timeout=20_000)
+
+    def _lit(self, at: np.ndarray) -> int:
+        """Pixels near a point in the colour of a gizmo's part under the pointer (yellow)."""
+        near = self.picture((at[0] - 60, at[1] - 60, 120, 120))
+        return int(((near[..., :2] > 170).all(axis=2) & (near[..., :2].min(axis=2) - near[..., 2] > 60)).sum())
+
+    def grasp(self, at: np.ndarray, seconds: float = 10.0) -> bool:
+        """Put the pointer on a part of a gizmo and press; False, and nothing is pressed, if the gizmo does not light up."""
+        self.page.mouse.move(5.0, HEIGHT - 5.0)
+        self.wait(0.3)
+        before = self._lit(at)
+        self.page.mouse.move(*at)
+        if not self.until(lambda: self._lit(at) > before + 15, seconds):
+            return False
+        self.page.mouse.down()
+        return True
+
+    def pull(self, start: np.ndarray, end: np.ndarray) -> None:
+        """Drag what is grasped, in steps that the page has drawn, and let go."""
         for share in np.linspace(0.1, 1.0, 10):
-            mouse.move(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]))
-            self.wait(0.15)
-        mouse.up()
+            self.page.mouse.move(*(start + share * (end - start)))
+            self.page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+        self.page.mouse.up()
 
 
 @contextmanager

@@ -53,15 +53,20 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
             film = Film(_partly(tmp_path))
             eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
+            page.uncheck("Camera follows the robot")  # from here on its place is known
+            before = page.picture()
             page.click("Push")
-            assert page.changed(1.5) > 300
-            page.wait(6.0)
-            # the gizmo's red arrow, three quarters of its 0.3 m out: it is pulled further along itself
+            assert page.until(lambda: page.differs(before) > 300, 30.0)
+            assert page.until(lambda: _hand_off(tmp_path) > 0.03, 60.0)
+            # the gizmo's red arrow, 0.3 m long: it is pulled further along itself
             goal, base, box = film.snapshot(0.0)["goal"], np.array([0.0, 0.0, 0.125]), (676.0, 700.0)
             arrow = lie.quaternion_to_rotation(goal[3:])[:, 0]
             pixel = lambda along: project(goal[:3] + along * arrow, base + eye, base, box, FIELD)
-            page.drag(tuple(pixel(0.22)), tuple(pixel(0.22 + 0.12)))
-            page.wait(5.0)
+            # a hand that sways may stand before the arrow: then another place, a little later
+            along = next(a for a in (0.22, 0.18, 0.25, 0.15, 0.22, 0.18, 0.25) if page.grasp(pixel(a)))
+            page.pull(pixel(along), pixel(along + 0.12))
+            assert page.until(lambda: _goal_moved(tmp_path) > 0.04, 60.0)
+            assert page.until(lambda: _hand_error(tmp_path) < 0.02, 60.0)
             page.click("End the run")
             out, _ = process.communicate(timeout=60)
         assert process.returncode == 1 and "ended in the view" in out
@@ -79,6 +84,31 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     moved = goal_path[-1] - goal_path[0]
     assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
     assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
+
+
+def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """What is recorded so far: the hand's reference (n, 3) and the hand (n, 3)."""
+    recording = read(folder)
+    found = [positions(recording, topic) for topic in ("/hand/reference", "/hand/pose")]
+    goal, hand = (np.zeros((0, 3)) if f is None else f[1] for f in found)
+    rows = min(len(goal), len(hand))
+    return goal[:rows], hand[:rows]
+
+
+def _hand_off(folder: Path) -> float:
+    """How far the hand has ever been from its first goal [m]."""
+    goal, hand = _paths(folder)
+    return float(np.linalg.norm(hand - goal[0], axis=1).max())
+
+
+def _goal_moved(folder: Path) -> float:
+    goal, _ = _paths(folder)
+    return float(np.linalg.norm(goal[-1] - goal[0]))
+
+
+def _hand_error(folder: Path) -> float:
+    goal, hand = _paths(folder)
+    return float(np.linalg.norm(hand[-1] - goal[-1]))
 
 
 def _partly(folder: Path):  # type: ignore[no-untyped-def]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -15,8 +16,8 @@ from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
 from wbmpc.kernel import dense
 from wbmpc.kernel.compiled import Sizes
+from wbmpc.kernel.ir import LANES
 from wbmpc.kernel.machine import compile_module, load_object, vector_budget
-from wbmpc.kernel.translate import LANES
 from wbmpc.solver.workspace import aligned
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
@@ -81,6 +82,11 @@ def matrix_product_speed() -> float:
     return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
 
 
+def _net(call: Callable[[int], Any], count: int, repeat: int) -> float:
+    """Milliseconds of a loop over ``count`` nodes or blocks, less those of the call of an empty loop."""
+    return float(milliseconds(lambda: call(count), repeat).min() - milliseconds(lambda: call(0), repeat).min())
+
+
 def _chain_time(problem: Problem, blocks: int, repeat: int) -> float:
     """Milliseconds of the chain rule of one Runge-Kutta stage at all nodes."""
     kernel = problem.solver.kernel
@@ -89,7 +95,7 @@ def _chain_time(problem: Problem, blocks: int, repeat: int) -> float:
     room, weights = aligned(4 * size), aligned(2 * LANES)
     weights[:] = 0.01
     address = kernel.address("chain_lanes")
-    return float(milliseconds(lambda: loops.chain_all(address, room, size, blocks, weights), repeat).min())
+    return _net(lambda count: loops.chain_all(address, room, size, count, weights), blocks, repeat)
 
 
 def side_by_side(rows: np.ndarray) -> np.ndarray:
@@ -113,11 +119,11 @@ def _stage_times(problem: Problem, x: np.ndarray, u: np.ndarray, program: Progra
     room = aligned(LANES * (kernel.sizes.nz + 8) * (kernel.sizes.lz + kernel.sizes.lg + 8))
     results = np.full(3, room.ctypes.data, dtype=np.int64)
     names = ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "dynamics", "cost", "equality")
-    time = lambda name: milliseconds(
-        lambda: loops.sweep(kernel.address(f"lanes.{name}"), pointers, 5, len(rows), results), repeat
-    ).min()
+    time = lambda name: _net(
+        lambda count: loops.sweep(kernel.address(f"lanes.{name}"), pointers, 5, count, results), len(rows), repeat
+    )
     none = () if kernel.sizes.ng else ("equality", "equality_jacobian")  # not called where there are no rows
-    return {name: 0.0 if name in none else float(time(name)) for name in names}
+    return {name: 0.0 if name in none else time(name) for name in names}
 
 
 def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
@@ -131,13 +137,14 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
     stage = _stage_times(problem, solution.x, solution.u, program, repeat)
     packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.compliance)
     slopes = 4 if program.stages.rk4 else 2
+    short = {n: packed._replace(sizes=np.array([n, *packed.sizes[1:]], dtype=np.int64)) for n in (0, program.n)}
     times = {
         "chain rule": (slopes - 1) * _chain_time(problem, -(-program.n // LANES), repeat),
         "dynamics with Jacobian": slopes * stage["dynamics_jacobian"],
         "cost with Hessian": stage["cost_quadratic"],
         "equalities with Jacobian": stage["equality_jacobian"],
-        "Riccati": float(milliseconds(lambda: eliminate(packed), repeat).min()),
-        "step": float(milliseconds(lambda: substitute(packed), repeat).min()),
+        "Riccati": _net(lambda count: eliminate(short[count]), program.n, repeat),
+        "step": _net(lambda count: substitute(short[count]), program.n, repeat),
         "trial: dynamics": slopes * stage["dynamics"],
         "trial: cost": stage["cost"],
         "trial: equalities": stage["equality"],

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from wbmpc.kernel.ir import INT, INTS, NONE, NUMS, PointerCall
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import INT, INTS, NONE, NUMS, PointerCall
 
 LIBRARY = Library("benchmark", rooms=("benchmark", "kernel"))
 compiled = LIBRARY.compiled

@@ -38,6 +38,20 @@ def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP
     return single
 
 
+def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
+    """Least processor time [ms] of ``repeat`` solves of at most so many iterations from the common guess, and where they end."""
+    solver = problem.solver
+    few = single_iteration(solver, solver.ws.x, solver.ws.u, replace(solver.settings, iterations=iterations))
+
+    def solve() -> None:
+        few.guess(problem.x0, problem.u0)
+        few.forget()
+        few.run(problem.x0)
+
+    times = milliseconds(solve, repeat)
+    return float(times.min()), few.ws.x.copy(), few.ws.u.copy()
+
+
 def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Solution (x, u) from the common guess and figures: least time of an iteration (warm, trial point included) and of
     five solves to convergence, with the certificate's residuals."""

@@ -278,6 +278,10 @@ class Program:
         pattern = ca.diagcat(*[h.sparsity()] * self.n, h_end.sparsity())
         return ca.vertcat(ca.vec(gradients), g_end), ca.MX(pattern, ca.vertcat(ca.vec(hessians), h_end.nz[:]))
 
+    def gradient(self) -> ca.MX:
+        """Of :meth:`cost`."""
+        return self._quadratic(full=False)[0]
+
     def functions(self) -> dict[str, ca.Function]:
         """The program and its derivatives; ``nlp_hess_l`` in the form that Fatrop asks for, ``hess_lag`` in IPOPT's."""
         arguments, f, g = [self.x, self.p], self.cost(), self.constraints()

@@ -12,11 +12,12 @@ from wbmpc.benchmark import closed_loop, scaling
 from wbmpc.benchmark.crocoddyl_peer import ball_robot_spec, crocoddyl_figures, lq_spec, torque_arm_spec
 from wbmpc.benchmark.floor import matrix_product_speed, peak_gflops, profile
 from wbmpc.benchmark.limits import iteration_times
-from wbmpc.benchmark.ours import ours
+from wbmpc.benchmark.ours import ours, several_iterations
 from wbmpc.benchmark.peers import PEERS, peer, prepare
 from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
 from wbmpc.benchmark.program import compiler
 from wbmpc.benchmark.qp import quadratic_race
+from wbmpc.benchmark.residual import Measure, to_equal_residual
 from wbmpc.benchmark.sizes import size_race
 from wbmpc.benchmark.yardstick import yardstick
 from wbmpc.report import versions
@@ -60,9 +61,13 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
     rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]
     note(f"{problem.name}: compiling for the peers")
     prepared = prepare(problem)
+    measure = Measure(prepared.program)
+    attempt = lambda iterations: several_iterations(problem, iterations)
+    rows[0]["residual"] = measure(x, u, problem.x0).figure
+    rows[0] |= to_equal_residual(attempt, figures["iterations"], lambda x, u: measure(x, u, problem.x0))
     for name in PEERS:
         note(f"{problem.name}: {name}")
-        rows.append({**common, "solver": name, **peer(name, prepared, problem, x, u)})
+        rows.append({**common, "solver": name, **peer(name, prepared, problem, x, u, measure)})
     return rows
 
 

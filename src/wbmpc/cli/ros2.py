@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import signal
 import sys
@@ -38,11 +37,10 @@ def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple
 
     from wbmpc.model import load_robot
     from wbmpc.ros2.bus import open_node
-    from wbmpc.ros2.settings import load_settings, need_swerve
+    from wbmpc.ros2.settings import load_settings
 
     logging.getLogger("wbmpc").setLevel(logging.INFO)  # a node tells what it does
     model = load_robot(robot)
-    need_swerve(model)
     settings = load_settings(config, model)
     return open_node(f"{settings.node}{suffix}", backend), model, settings
 
@@ -65,23 +63,39 @@ def _until_told() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+def _before_all_others() -> None:
+    """The kernel lets this process run whenever it can. Raises :class:`InputError` without the right to."""
+    import os
+
+    from wbmpc.errors import InputError
+
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except (AttributeError, PermissionError) as error:
+        raise InputError(f"--fifo: the system does not allow it ({error}); see 'rtprio' in limits.conf") from error
+
+
 @ros2.command("control")
 def ros2_control(
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
     use_sim_time: Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")] = False,
+    fifo: Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")] = False,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="So it is, and a solve takes a fixed part of it.")
+    ] = False,
 ) -> None:
     """Run the controller as a node; it waits for joint states and a goal."""
+    if fifo:
+        _before_all_others()  # threads that are made from now on, those of the bus too, are as this one
     node, model, settings = _on_bus(robot, config, backend, "")
     from wbmpc.ros2.control import ControlNode
 
-    gc.collect()
-    gc.freeze()  # what is there now stays: later collections look at little and take no time from a tick
     # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
     sys.setswitchinterval(5e-5)
-    if use_sim_time:
-        settings = settings.model_copy(update={"use_sim_time": True})
+    if use_sim_time or lockstep:
+        settings = settings.model_copy(update={"use_sim_time": True, "lockstep": settings.lockstep or lockstep})
     try:
         with _until_told() as ended:
             ControlNode(node, model, settings).spin(ended)

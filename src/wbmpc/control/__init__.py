@@ -1,6 +1,8 @@
 """Controllers between MPC and plant: prediction over the delay, tracking, servos, brakes."""
 
 from wbmpc.control.brakes import BrakeControl
+from wbmpc.control.fall import FallForecast
+from wbmpc.control.lqr import LqrAgent, LqrWeights, RegulatorGains
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
 from wbmpc.control.swerve import SwerveAgent
@@ -8,8 +10,12 @@ from wbmpc.mpc import Plans
 
 __all__ = [
     "BrakeControl",
+    "FallForecast",
     "FourWheelSteeringAgent",
+    "LqrAgent",
+    "LqrWeights",
     "Plans",
+    "RegulatorGains",
     "RezeroAgent",
     "RollingAgent",
     "SwerveAgent",

@@ -10,10 +10,38 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault
-from wbmpc.model import RobotModel
+from wbmpc.model import RobotModel, SwerveGeometry
 from wbmpc.ocp import Mode, ModeSchedule
 
 Array = NDArray[np.float64]
+#: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
+FLOATING, PASS = 0.05, 1.0
+#: Length [m] that turns a yaw rate into a speed.
+_LEVER = 0.5
+
+
+def floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> tuple[float, Array]:
+    """How firmly the wheels hold the base (0: not at all), and the body motion (vx, vy, ω) [m/s, rad/s] that they hold least.
+
+    ``leg`` (n) [rad], ``brake`` (n, 1 = open). A wheel at the end of a leg that swings holds the base only along that leg: from
+    Pankert et al. 2022, equations 4 and 5, a motion v + ω ẑ × h with d · (v + ω ẑ × h) = 0 for every open leg (hinge h,
+    direction d) is one that leg rates cancel, and no wheel sees it. So it is with all legs parallel (H: sideways).
+    """
+    angle = geometry.leg_heading + geometry.leg_angles(leg)
+    rows = []
+    places = zip(geometry.hinge, geometry.steer_axes(leg), angle, np.asarray(brake, float), strict=True)
+    for hinge, axis, a, is_open in places:
+        at, held = (hinge, [(np.cos(a), np.sin(a))]) if is_open > 0.5 else (axis, [(1.0, 0.0), (0.0, 1.0)])
+        rows += [[x, y, (at[0] * y - at[1] * x) / _LEVER] for x, y in held]
+    _, values, motions = np.linalg.svd(np.array(rows))
+    motion = motions[-1] / [1.0, 1.0, _LEVER]
+    return float(values[-1]), motion * np.sign(motion[np.argmax(np.abs(motion))])
+
+
+def described(motion: Array) -> str:
+    """A body motion in words."""
+    parts = zip(motion / np.linalg.norm(motion), ("forwards", "sideways", "turning"), strict=True)
+    return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
 class BrakeControl:
@@ -34,6 +62,7 @@ class BrakeControl:
         if "brake" not in robot.mode:
             raise InputError(f"{robot.description.name}: its legs have no brakes")
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
+        self.geometry = robot.base.geometry
         closed = np.zeros(len(self.legs))
         self._times: list[float] = [-np.inf]
         self._states: list[Array] = [self._checked(closed if start is None else start)]
@@ -46,10 +75,22 @@ class BrakeControl:
             raise InputError(f"brakes: {len(self.legs)} numbers, 0 (closed) or 1 (open), are needed, got {state}")
         return state.copy()
 
-    def set(self, t: float, brake: ArrayLike) -> None:
-        """From t [s] on the brakes (n) are as given; what was scheduled for later stays, what was for the same time goes."""
+    def set(self, t: float, brake: ArrayLike, leg: ArrayLike | None = None) -> None:
+        """From t [s] on the brakes (n) are as given; what was scheduled for later stays, what was for the same time goes.
+
+        ``leg`` (n) [rad]: where the legs will stay meanwhile. If nothing held the base then, as in H with open brakes, the
+        event is refused (:class:`InputError`). Missions that move their legs at once do not give it.
+        """
         if not np.isfinite(t):
             raise InputError(f"brakes: the time of an event must be finite, got {t}")
+        if leg is not None:
+            held, motion = floating(self.geometry, leg, self._checked(brake))
+            if held < FLOATING:
+                angles = np.round(np.asarray(leg, float), 2)
+                raise InputError(
+                    f"brakes: with these legs {angles} rad nothing would hold the base against {described(motion)} "
+                    "once they are open; valid: a closed brake, or other leg angles at once"
+                )
         place = int(np.searchsorted(self._times, t))
         if place < len(self._times) and self._times[place] == t:
             self._states[place] = self._checked(brake)

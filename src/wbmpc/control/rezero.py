@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wbmpc.control.fall import FallForecast
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
 from wbmpc.model import RobotModel
@@ -18,15 +19,17 @@ class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
     ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
-    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one).
+    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
+    when the plans say that the robot will fall.
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
-        estimator: RezeroEstimator | None = None,
+        estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None,
     ) -> None:  # fmt: skip
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
+        self.forecast = forecast
         self.limit = robot.limits.input_upper[: torque.size]
         self._spin = robot.base.wheel_torque_map()[2]
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
@@ -38,6 +41,7 @@ class RezeroAgent:
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
+        self.feedforward = torque.copy()  # its part without feedback
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -86,19 +90,22 @@ class RezeroAgent:
     def _possible(self, torque: np.ndarray) -> np.ndarray:
         """Torques within the drives' limits. Balance comes before yaw: wheels that are clipped one by one would spin the ball.
 
-        What spins the ball is limited first; if the rest is still too large, it is scaled as a whole, and the spin fills up
-        what is left.
+        What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
+        asked for is taken; what leans is scaled as a whole only where there is none.
         """
         n = self._spin.size
         along, limit = self._spin / np.linalg.norm(self._spin), self.limit[:n]
         spin = float(along @ torque[:n])
         lean = torque[:n] - spin * along
-        lean = lean / max(1.0, float(np.max(np.abs(lean) / limit)))
         most = self.robot.description.limits.spin_effort / np.linalg.norm(self._spin)
-        room = np.where(along > 0.0, (limit - lean) / np.abs(along), (limit + lean) / np.abs(along))
-        back = np.where(along > 0.0, (limit + lean) / np.abs(along), (limit - lean) / np.abs(along))
-        spin = float(np.clip(spin, -min(most, back.min()), min(most, room.min())))
-        return np.concatenate([lean + spin * along, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
+        # spins that wheel i can have beside c lean: -c at_i ± room_i; they overlap if every two of them do, and with ±most
+        at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), most)
+        apart = at[:, None] - at
+        scale = min(1.0, float(np.min((room[:, None] + room) / np.maximum(apart, 1e-12))))
+        at *= scale
+        spin = min(max(spin, float(np.max(-at - room))), float(np.min(-at + room)))
+        wheels = np.clip(scale * lean + spin * along, -limit, limit)  # only rounding is clipped
+        return np.concatenate([wheels, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
 
     def stop(self) -> RezeroCommand:
         """No torque."""
@@ -107,6 +114,9 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the feedback policy at the predicted present state."""
         assert plans.current is not None
+        if self.forecast is not None:
+            self.forecast.look(plans.current)
+        self.feedforward = plans.current.feedforward(t)[: self.limit.size]
         self.wanted = plans.current(t, self.state())[: self.limit.size]
         torque = self._possible(self.wanted)
         self.clamped = bool(np.any(torque != self.wanted))

@@ -162,6 +162,14 @@ class FusedOdometry:
         return self._state.p[:3, :3]
 
     @property
+    def twist_covariance(self) -> Array:
+        """(3, 3) of the error of ``twist``, as the wheels of the last interval say; 0 before the first."""
+        if not self._past:
+            return np.zeros((3, 3))
+        step = self._past[-1][1]
+        return step.covariance / step.h**2
+
+    @property
     def gyro_bias(self) -> float:
         """[rad/s]."""
         return float(self._state.mean[BIAS])
@@ -179,11 +187,14 @@ class FusedOdometry:
         return WheelCalibration(prior.steer_zero + c[:n], prior.leg_zero, radius, self._state.p[WHEELS:, WHEELS:])
 
     # ------------------------------------------------------------------ from outside
-    def place(self, pose: ArrayLike) -> None:
-        """The base is at ``pose`` (3), exactly; what is known of gyro and wheels stays. Older global poses no longer count."""
+    def place(self, pose: ArrayLike, covariance: ArrayLike | None = None) -> None:
+        """The base is at ``pose`` (3), exactly or with a ``covariance`` (3, 3); what is known of gyro and wheels stays. Older
+        global poses no longer count."""
         mean, p = self._state.mean.copy(), self._state.p.copy()
         mean[:3] = _three("pose", pose)
         p[:3, :], p[:, :3] = 0.0, 0.0
+        if covariance is not None:
+            p[:3, :3] = covariance
         self._state = _State(self._state.t, mean, p)
         self._past.clear()
 

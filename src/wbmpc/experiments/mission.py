@@ -9,9 +9,11 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl
+from wbmpc.control.brakes import FLOATING, PASS, described, floating
+from wbmpc.errors import InputError
 from wbmpc.experiments.paths import _ramp as _ramped
 from wbmpc.experiments.paths import _rise
-from wbmpc.model import RobotModel, wheel_velocities
+from wbmpc.model import RobotModel, SwerveGeometry, wheel_velocities
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 
@@ -110,8 +112,27 @@ class Mission:
         """Body twists (k, 3) that the steering guess looks at."""
         return self.twist(t)
 
+    def check(self, geometry: SwerveGeometry) -> None:
+        """Open legs that are all parallel hold nothing sideways: they may be passed, not be stayed in (:class:`InputError`)."""
+        if not self.brakes:
+            return
+        ends = [p.start + float(np.abs(p.angles).max() + np.pi) / p.rate for p in self.reconfigurations]
+        t = np.arange(self.brakes[0][0], max([*ends, self.brakes[-1][0]]) + 2.0 * PASS, 0.05)
+        times, states = (np.array(c) for c in zip(*self.brakes, strict=True))
+        is_open = states[np.searchsorted(times, t + 1e-9) - 1] > 0.5
+        since = np.inf
+        for now, flag, leg in zip(t, is_open, self.leg(t)[0], strict=True):
+            held, motion = floating(geometry, leg, np.full(leg.size, float(flag)))
+            since = min(since, now) if held < FLOATING else np.inf
+            if now - since > PASS:
+                raise InputError(
+                    f"mission: from {since:.2f} s on the brakes are open while the legs hold nothing against "
+                    f"{described(motion)}, for more than {PASS:g} s; valid: closed brakes, or legs that move on"
+                )
+
     def apply(self, brakes: BrakeControl) -> None:
-        """Schedule the brake events."""
+        """Schedule the brake events, after :meth:`check`."""
+        self.check(brakes.geometry)
         for t, is_open in self.brakes:
             brakes.set(t, np.full(self.legs.size, is_open))
 

@@ -9,37 +9,44 @@ from pydantic import Field
 
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
 from wbmpc.model import RobotModel
+from wbmpc.model.balance import Balance
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+
+#: Penalty of arm speeds beyond their limit. A stiff one asks for all the torque there is after any excess, and through the lag
+#: of the drives the arm then swings from limit to limit for ever.
+SPEED_SLACK = 20.0
 
 
 class HandCost(Settings):
     """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
-    which the arm cannot control at rest; linear and angular velocity. ``limit`` [m, rad]: errors beyond it pull no
-    harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
+    which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
+    pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
     roll: Weight = 3.0
     limit: float = Field(default=0.1, gt=0)
+    turn_limit: float = Field(default=0.1, gt=0)
     twist: Weight = 1.0
     angular: Weight = 0.2
 
 
 class BodyCost(Settings):
-    """Weights of ball position and speed, yaw and its rate, tilt rate, arm rate, per second."""
+    """Weights of ball position and speed, yaw and its rate, tilt rate, arm posture (against home) and arm rate, per second."""
 
     ball: Weight = 0.0
     ball_speed: Weight = 1.0
     yaw: Weight = 1.0
     yaw_rate: Weight = 0.5
     tilt_rate: Weight = 2.0
+    arm: Weight = 0.0
     arm_rate: Weight = 0.2
 
 
 class TorqueCost(Settings):
-    """Weights of wheel and arm torques against those of the equilibrium, and of force and moment of contacts that are
-    inputs."""
+    """Weights of wheel torques, of arm torques beyond what holds the arm where it is, and of force and moment of contacts
+    that are inputs."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
@@ -48,12 +55,14 @@ class TorqueCost(Settings):
 
 
 class RezeroCost(Settings):
-    """All weights; the end of the horizon counts like one second (``terminal``) of it."""
+    """All weights; the end of the horizon counts like one second (``terminal``) of it. ``lean``: a hard limit of the lean's
+    divergent component, as a share of what the wheels can stop (:class:`wbmpc.model.balance.Balance`); 0: none."""
 
     hand: HandCost = HandCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
+    lean: float = Field(default=0.0, ge=0, le=1.0)
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
@@ -67,18 +76,18 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     body: dict[str, Any] = {
         "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
         "base_velocity": speeds,
+        "arm": b.arm,
         "arm_velocity": b.arm_rate,
     }
-    end = {
-        g: list(cost.terminal * np.atleast_1d(v)) if g != "arm_velocity" else cost.terminal * b.arm_rate
-        for g, v in body.items()
+    end: dict[str, Any] = {
+        g: [cost.terminal * w for w in v] if isinstance(v, list) else cost.terminal * v for g, v in body.items()
     }
     ocp.add(
         Cost(
             "hand",
             residuals.FramePose(robot, robot.tool, axes="reference"),
             list(pose),
-            norm=SmoothL1(h.limit),
+            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),
             at="all",
             terminal_weight=list(cost.terminal * pose),
         )
@@ -86,16 +95,16 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    inputs = {"wheel": t.wheel, "arm": t.arm, "force": t.force, "moment": t.moment}
+    inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
+    ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
     limits = robot.limits
-    free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
+    box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
+    free_state, free_input = residuals.State(robot, ["arm"], tracked=False), residuals.Input(robot, tracked=False)
+    rates = residuals.State(robot, ["arm_velocity"], tracked=False)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
-    ocp.add(
-        Constraint(
-            "ranges", free_state, sets.Box(limits.state_lower, limits.state_upper), at="all", penalty=barrier, hard=hard
-        )
-    )
+    ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
+    ocp.add(Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=SPEED_SLACK))
     barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
     ocp.add(
         Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)
@@ -103,6 +112,10 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
         ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
+    if cost.lean > 0.0:
+        balance = Balance.of(robot, robot.home[robot.state["arm"]])
+        lean, reach = residuals.CapturePoint(robot, balance.pole), cost.lean * float(balance.reach.min())
+        ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
     return ocp
 
 

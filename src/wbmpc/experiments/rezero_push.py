@@ -7,8 +7,17 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost
-from wbmpc.experiments.rezero_task import Push, RezeroSettings, Task, ball_felt, common_plots, hand_felt, run_task
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import (
+    STEPS_AND_PUSHES,
+    Push,
+    RezeroSettings,
+    Task,
+    ball_felt,
+    common_plots,
+    hand_felt,
+    run_task,
+)
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -31,12 +40,13 @@ class RezeroPushSettings(RezeroSettings):
 
 
 class RezeroPushBallSettings(RezeroPushSettings):
-    """The ball is held and, of the hand, only its orientation (the paper's first task)."""
+    """The ball is held and, of the hand, only its orientation (the paper's first task); otherwise the same weights."""
 
-    cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=0.0, orientation=10.0, limit=0.015),
-        body=BodyCost(ball=10.0, ball_speed=5.0, tilt_rate=5.0),
-        torque=TorqueCost(wheel=0.3),
+    cost: RezeroCost = STEPS_AND_PUSHES.model_copy(
+        update={
+            "hand": STEPS_AND_PUSHES.hand.model_copy(update={"weight": 0.0}),
+            "body": STEPS_AND_PUSHES.body.model_copy(update={"ball": 10.0}),
+        }
     )
 
 

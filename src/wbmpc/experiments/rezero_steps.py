@@ -9,9 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.experiments.rezero_problem import RezeroCost
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, mpc_settings, run_task
-from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, resting, run_task
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing
 from wbmpc.model import RobotModel, load_robot
@@ -58,12 +56,9 @@ STEADY, MOVING = 1.0, 0.5
 class RezeroStepsSettings(RezeroSettings):
     """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
 
-    ``preview``: whether the MPC sees a step before it comes. Weights are sharper than :data:`STEPS_AND_PUSHES`, with which
-    the steps take up to 1.2 s.
+    ``preview``: whether the MPC sees a step before it comes.
     """
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
-    cost: RezeroCost = RezeroCost()
     hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle: float = Field(5.0, ge=0.5, le=600.0)
     rest: float = Field(10.0, ge=0.0, le=600.0)
@@ -97,7 +92,7 @@ def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np
 
 
 @dataclass(frozen=True)
-class _Schedule:
+class Schedule:
     """Home for ``settle``, the steps one after another, the impossible one, home again: times and poses that hold."""
 
     times: np.ndarray
@@ -106,7 +101,7 @@ class _Schedule:
     duration: float
 
     @classmethod
-    def of(cls, settings: RezeroStepsSettings, robot: RobotModel) -> _Schedule:
+    def of(cls, settings: RezeroStepsSettings, robot: RobotModel) -> Schedule:
         home = robot.pose(robot.home)
         poses = [home, *(target(s, *home) for s in (*STEPS, IMPOSSIBLE)), home]
         times = [0.0, *(settings.settle + settings.hold * np.arange(len(STEPS) + 2))]
@@ -116,6 +111,11 @@ class _Schedule:
     def reference(self) -> Reference:
         return Reference.poses(self.times, self.positions, self.quaternions, hold=True)
 
+    def body(self, robot: RobotModel) -> Reference:
+        """How the robot rests with its hand in these poses: so that a weight on the arm's posture moves no hand."""
+        states = [resting(robot, p, q) for p, q in zip(self.positions, self.quaternions, strict=True)]
+        return Reference(self.times, np.array(states), "hold")
+
     def at(self, t: float) -> int:
         return int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
 
@@ -123,22 +123,25 @@ class _Schedule:
 def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run over all steps."""
     robot = load_robot("rezero")
-    schedule = _Schedule.of(settings, robot)
+    schedule = Schedule.of(settings, robot)
+    body = schedule.body(robot)
 
     def hide_future(mpc: MPC, timing: Timing, t: float) -> None:
         """Without preview the present target holds for the whole horizon."""
         i = schedule.at(t + timing.delay * timing.period)
         mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
+        mpc.reference["body"] = Reference.constant(body.values[i])
 
+    references = {"hand": schedule.reference(), "body": body}
     return run_task(
         NAME, settings, seed,
-        Task(robot.home[robot.state["arm"]], schedule.duration, {"hand": schedule.reference()}),
+        Task(robot.home[robot.state["arm"]], schedule.duration, references),
         lambda log, ending: _metrics(log, schedule, settings, ending.fell), lambda log: _plots(log, schedule, robot),
         IDEALISATIONS, progress, None if settings.preview else hide_future,
     )  # fmt: skip
 
 
-def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> np.ndarray:
+def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.ndarray:
     """How much of a step is done: 0 before, 1 after it; from where the hand was asked to be before."""
     i = step + 1
     before, after = schedule.positions[i - 1], schedule.positions[i]
@@ -155,20 +158,20 @@ def _progress_of(step: int, log: Log, schedule: _Schedule, use: np.ndarray) -> n
     return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
 
 
-def _orientation_error(log: Log, schedule: _Schedule, pose: int, use: np.ndarray) -> float:
+def _orientation_error(log: Log, schedule: Schedule, pose: int, use: np.ndarray) -> float:
     """Length [rad] of the mean rotation vector from a pose of the schedule to the hand."""
     wanted = lie.quaternion_conjugate(schedule.quaternions[pose])
     errors = [lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[use]]
     return float(np.linalg.norm(np.mean(errors, axis=0)))
 
 
-def _rise(t: np.ndarray, done: np.ndarray) -> float:
+def rise_time(t: np.ndarray, done: np.ndarray) -> float:
     """Time from 10 to 90 % [s]; infinite if it never gets there."""
     low, high = np.flatnonzero(done > 0.1), np.flatnonzero(done > 0.9)
     return float(t[high[0]] - t[low[0]]) if low.size and high.size else float("inf")
 
 
-def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
+def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
     t, hand = log.times("hand"), log.array("hand")
     felt = hand_felt(log)
     rises, steady, world, turned = [], [], [], []
@@ -178,7 +181,7 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
         if t[-1] < end - 0.1:
             continue
         window = (t >= start - lead) & (t < end - lead)
-        rises.append(_rise(t[window], _progress_of(k, log, schedule, window)))
+        rises.append(rise_time(t[window], progress_of(k, log, schedule, window)))
         # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
         last = (t >= end - lead - STEADY) & (t < end - lead)
         steady.append(float(np.linalg.norm(felt[last] - schedule.positions[k + 1], axis=1).mean()))
@@ -200,7 +203,7 @@ def _metrics(log: Log, schedule: _Schedule, settings: RezeroStepsSettings, fell:
     }
 
 
-def _plots(log: Log, schedule: _Schedule, robot: RobotModel) -> list[Plot]:
+def _plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
     t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
     asked = schedule.positions[[schedule.at(v) for v in t]]
     limit = robot.limits.input_upper[: torque.shape[1]]

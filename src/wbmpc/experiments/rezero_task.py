@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.optimize import least_squares
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
+from wbmpc.control import FallForecast, LqrAgent, LqrWeights, RegulatorGains, RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
-from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
+from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, Settings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
@@ -31,12 +32,13 @@ IDEALISATIONS = [
 ]
 
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N: an error beyond 15 mm or 15 mrad pulls no harder, so
-#: that a hand that was pushed away does not ask for more than 4 N m at the wheels; a stronger barrier keeps torque in reserve.
+#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up.
 STEPS_AND_PUSHES = RezeroCost(
-    hand=HandCost(weight=450.0, orientation=80.0, limit=0.015, twist=0.3, angular=0.05),
-    body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
-    torque=TorqueCost(wheel=0.2),
+    hand=HandCost(orientation=40.0),
+    body=BodyCost(tilt_rate=3.0, arm=1.0),
+    torque=TorqueCost(wheel=0.1, arm=0.3),
+    lean=0.6,
 )
 
 
@@ -49,20 +51,32 @@ def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
     """MPC and weights for a hand that is led accurately while the ball has a place of its own (weight ``ball``); stiff, for
     references that move slowly."""
     hand = HandCost(weight=1000.0, orientation=2.0, roll=0.0)
-    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0))
+    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0), lean=0.6)
+
+
+class RivalSettings(Settings):
+    """The rivals' own gains, found by ``benchmarks/rezero_rivals.py`` on seeds 0 to 3: factors of the MPC's weights of torques
+    (``torque``), ball speed and tilt rate (``damping``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
+
+    torque: float = Field(1.0, gt=0)
+    damping: float = Field(1.0, gt=0)
+    hand: float = Field(1.0, gt=0)
+    most: float = Field(0.1, gt=0)
 
 
 class RezeroSettings(ExperimentSettings):
     """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
-    unknown mass at the hand."""
+    unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives."""
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=0.1)
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
+    controller: Literal["mpc", "lqr", "scheduled-lqr"] = "mpc"
+    rival: RivalSettings = RivalSettings()
 
 
 @dataclass(frozen=True)
@@ -82,6 +96,26 @@ class Task:
     duration: float
     references: dict[str, Reference] = field(default_factory=dict)
     pushes: tuple[Push, ...] = ()
+
+
+def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """State (nx) in which the robot rests with its hand as near as it can be to a pose, and its arm near that of home.
+
+    Where the arm does not decide (place and heading of the base), a weak pull towards home does.
+    """
+    arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
+
+    def state(z: np.ndarray) -> np.ndarray:
+        x = robot.equilibrium(z[3:], yaw=float(z[2]))[0]
+        x[:2] = z[:2]
+        return x
+
+    def error(z: np.ndarray) -> np.ndarray:
+        place, turn = robot.pose(state(z))
+        turned = lie.quaternion_log(lie.quaternion_multiply(turn, wanted))
+        return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
+
+    return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
 
 
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
@@ -114,15 +148,16 @@ def run_task(
     plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
-    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, settings.observer, estimator)
+    agent = _agent(settings, robot, mpc, torque, timing.period, estimator, task)
     mpc.reset(home, torque)
+    planner = mpc if settings.controller == "mpc" else None  # a rival has the MPC as its model only
     log = Log()
 
     def record(t: float, command: Any, plans: Any) -> None:
         if before is not None:
             before(mpc, timing, t)
         record_rezero(log, t, plant, agent, command.torque)
-        log.add("feedback", t, agent.wanted - plans.current.feedforward(t)[: torque.size])
+        log.add("feedback", t, agent.wanted - agent.feedforward)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
@@ -132,12 +167,41 @@ def run_task(
         times = Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])
         return [*plots(log), times]
 
-    ending = run_lockstep(plant, agent, mpc, timing, task.duration, record, progress)
+    ending = run_lockstep(plant, agent, planner, timing, task.duration, record, progress)
     return finished(
         name, seed, settings, ending, mpc, log,
         metrics=lambda: {**metrics(log, ending), **estimator_metrics(log)}, plots=drawn,
         idealisations=[*idealisations, *IDEALISATIONS],
     )  # fmt: skip
+
+
+def _agent(
+    settings: RezeroSettings, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float,
+    estimator: RezeroEstimator | None, task: Task,
+) -> RezeroAgent:  # fmt: skip
+    """The controller that the settings name."""
+    if settings.controller == "mpc":
+        forecast = FallForecast(robot, task.arm)
+        return RezeroAgent(robot, mpc, torque, period, settings.drive_lag, settings.observer, estimator, forecast)
+    agent = LqrAgent(robot, mpc, torque, period, settings.drive_lag, settings.observer, estimator)
+    gains = RegulatorGains(robot, regulator_weights(robot, settings), period)
+    body = mpc.reference["body"]
+    agent.regulate(gains, body.at, settings.controller == "scheduled-lqr", settings.rival.most)
+    return agent
+
+
+def regulator_weights(robot: RobotModel, settings: RezeroSettings) -> LqrWeights:
+    """The MPC's weights, times the rival's factors, for a regulator."""
+    h, b, t, r = settings.cost.hand, settings.cost.body, settings.cost.torque, settings.rival
+    fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
+    state = robot.state.vector({
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [b.arm] * (robot.base.nq - 5),
+        "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [b.arm_rate] * (robot.base.nq - 5),
+    })  # fmt: skip
+    hand = r.hand * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
+    twist = np.array([h.twist] * 3 + [h.angular] * 3)
+    wheels = len(robot.input.groups["wheel"])
+    return LqrWeights(hand, twist, state, r.torque * np.array([t.wheel] * wheels + [t.arm] * (robot.base.nq - 5)))
 
 
 def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:

@@ -15,7 +15,7 @@ from pydantic import Field
 from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.experiments.settings import ExperimentSettings, finished
-from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
@@ -55,7 +55,9 @@ class SwerveFixedSettings(ExperimentSettings):
     up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``drive_lag`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=1000.0, yaw=100.0, arm=1.0)
+        hand=HandCost(weight=0.0, orientation=0.0),
+        state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
+        input=InputCost(base=5.0),
     )
     robot: str = "swerve-fixed-ur10"
     motions: tuple[Name, ...] = tuple(SEGMENTS)

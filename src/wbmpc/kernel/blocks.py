@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from wbmpc.kernel.dense import FMA, V
-from wbmpc.kernel.translate import LANES
+from wbmpc.kernel.ir import LANES
 
 #: Where eight vectors of a square meet: even and odd entries, then pairs, then halves.
 _MIXES = (

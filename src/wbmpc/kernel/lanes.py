@@ -16,8 +16,8 @@ from collections.abc import Collection
 
 import casadi as ca
 
+from wbmpc.kernel.ir import LANES
 from wbmpc.kernel.scalar import TWO, Emitter, OutputMap, identity_map, literal
-from wbmpc.kernel.translate import LANES
 
 #: Beyond it sine and cosine come from the C library: the reduction's products n π/2 are exact up to n = 2²⁰.
 REACH = 1e5

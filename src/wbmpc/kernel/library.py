@@ -14,7 +14,7 @@ import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache
-from wbmpc.kernel.translate import (
+from wbmpc.kernel.ir import (
     BOOL,
     DECLARATIONS,
     INTS,
@@ -24,10 +24,10 @@ from wbmpc.kernel.translate import (
     NUMS,
     VEC,
     Signature,
-    Translator,
     Type,
     llvm_type,
 )
+from wbmpc.kernel.translate import Translator
 
 _CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
 

@@ -12,7 +12,6 @@ from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver, Status
-from wbmpc.solver.certificate import not_finite
 from wbmpc.solver.solution import COLUMNS
 
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
@@ -196,8 +195,9 @@ class MPC:
         """Keep the last policy, valid for its horizon, and restart from its plan."""
         self.statistics.failures += 1
         if self._policy is None:
-            detail = not_finite(self.solver.problem, self.solver.ws)
-            raise RunAborted(f"the first solve {self.fault}" + (f" ({detail})" if detail else ""))
+            found = self.solver.certified(*self._outcome)
+            detail = f" ({found.detail})" if found.detail else ""
+            raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
         return self._policy
 

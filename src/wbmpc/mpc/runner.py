@@ -9,10 +9,12 @@ runner is shut down, and a sentence that says why.
 from __future__ import annotations
 
 import logging
+import math
 import multiprocessing
 import os
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -82,6 +84,8 @@ class Runner:
         self._stop_error: Exception | None = None
         self._halt_lock = threading.Lock()
         self._answered, self._until, self._beat = 0, 0.0, 0.0
+        #: why the last policy is kept beyond its time; empty when it is not
+        self.kept = ""
         self._current: TimedPolicy | None = None
         self._worker: Worker | None = None
         self._process: Any = None
@@ -95,7 +99,10 @@ class Runner:
         if self.remote:
             self._start_process()
         loops = self._begin()
-        self._threads = [threading.Thread(target=follow, args=(self.clock, loop), daemon=True) for loop in loops]
+        runs = [partial(follow, self.clock, loop) for loop in loops]
+        if getattr(self.clock, "in_turns", False):  # one thread: nothing depends on the machine's speed
+            runs = [partial(interleave, self.clock, loops, math.inf)]
+        self._threads = [threading.Thread(target=run, daemon=True) for run in runs]
         self._threads.append(threading.Thread(target=self._watch, daemon=True))
         for thread in self._threads:
             thread.start()
@@ -222,10 +229,20 @@ class Runner:
 
     def _check_worker(self) -> None:
         if self.board["failed"]:
-            self.error = self._worker.error if self._worker is not None else None
-            raise SafeStop(f"the MPC raised {self.board.text}")
-        if self._process is not None and self.own["ticks"] % 20 == 0 and not self._process.is_alive():
-            raise SafeStop(f"the MPC's process has ended with exit code {self._process.exitcode}")
+            if not self.kept:
+                self.error = self._worker.error if self._worker is not None else None
+            self._without_mpc(f"the MPC raised {self.board.text}")
+        elif self._process is not None and self.own["ticks"] % 20 == 0 and not self._process.is_alive():
+            self._without_mpc(f"the MPC's process has ended with exit code {self._process.exitcode}")
+
+    def _without_mpc(self, reason: str) -> None:
+        """No new policies: a stop, or with ``keep`` a robot that goes on with the last one, which is said once."""
+        if not self.settings.keep or self.plans.current is None:
+            raise SafeStop(reason)
+        if not self.kept:
+            self.kept = reason
+            self.state = f"running on the last policy since {self.clock.now():.3f} s: {reason}"
+            _LOG.error("%s", self.state)
 
     def _collect(self) -> None:
         """Queue the newest policy; the delay of the first answer to an observation counts for the latency."""
@@ -249,8 +266,8 @@ class Runner:
         self.own.count("late", int(due > policy.valid_from + 1e-6))
         self.own.sample("latency", self.clock.now() - policy.observed)
         self._current = policy
-        if before is None:
-            self.state = "running"
+        if before is None or (self.kept and not self.board["failed"]):
+            self.state, self.kept = "running", ""
 
     def _observe(self, due: float) -> None:
         """Hand over the state predicted for when the policy can be there; that time never goes back."""
@@ -275,7 +292,7 @@ class Runner:
         age = due - policy.valid_from
         if age > limit + _ROUNDING:
             failed = int(self.board["failures"])
-            raise SafeStop(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
+            self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
         return True
 
     # ------------------------------------------------------------------ stop

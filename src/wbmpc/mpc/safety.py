@@ -24,6 +24,8 @@ class RealTime:
     hangs longer than this stops the robot from another thread. Latency: the ``percentile`` of the last ``window`` delays from
     observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's
     ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
+    ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its agent goes on with
+    the last policy.
     """
 
     control_rate: float = 400.0
@@ -37,6 +39,7 @@ class RealTime:
     max_latency: float = 0.1
     offset: float | None = None
     records: int = 100_000
+    keep: bool = False
 
     def __post_init__(self) -> None:
         for name in ("control_rate", "max_observation_age", "patience", "watchdog", "max_latency", "window", "records"):

@@ -7,6 +7,9 @@ the previewed motion.
 At standstill the linearised rolling rows do not see the steering angles (their derivative is proportional to the speed):
 a sideways goal with straight wheels is an exact stationary point. So, once, when the previewed motion begins while the
 plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
+
+On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
+turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.model import RobotModel, rolling_inverse_kinematics
+from wbmpc.model import RobotModel, rolling_inverse_kinematics, wheel_velocities
 from wbmpc.model.swerve import SwerveGeometry
 from wbmpc.solver import Solver
 
@@ -35,6 +38,9 @@ def speed(twist: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(twist[..., 0], twist[..., 1]) + LEVER * np.abs(twist[..., 2]))
 
 
+#: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
+#: takes; how often [s] the plan is looked at, and how long it is left alone after it was written anew.
+ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.6, 0.9, 0.1, 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
@@ -158,6 +164,7 @@ class SteeringGuess:
         self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
         self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
         self._armed, self._done = True, False
+        self._look = -np.inf
 
     def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         base = self.robot.input["base"]
@@ -167,14 +174,45 @@ class SteeringGuess:
         elif now < SLOW:
             self._armed = True
         if not self._armed or self._done:
+            self._go_on(solver, t, x0)
             return
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
         if soon.max() < MOVING:
             return
-        self._done = True
+        self._done, self._look = True, t + WRITTEN
         self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
+
+    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
+        """Where wheels of the plan stop following the preview, as at the end of their range, write the way on anew, with a stop."""
+        if t < self._look:
+            return
+        self._look = t + LOOK
+        grid = solver.ws.grid
+        twists = self.preview(t + grid, x0[self.robot.state["base"]])
+        lost = self._lost(solver, twists, x0)
+        if lost is None:
+            return
+        plan = self.plan(t, float(grid[-1]), x0)
+        stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
+        self._look = t + WRITTEN
+        self._write(solver, twists, x0, plan, max(min(stop, lost) - 1, 0))
+
+    def _lost(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> int | None:
+        """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
+        leg, steer = self._angles(x0)
+        geometry, grid = self.robot.base.geometry, solver.ws.grid
+        ways, _ = _directions(geometry, leg, steer, twists)
+        speeds = np.array([np.hypot(*wheel_velocities(geometry, leg, v).T) for v in twists])
+        off = np.abs(_wrapped(ways - solver.ws.x[:, self.robot.state["steer"]])) > OFF
+        off &= speeds > ROLLS
+        since = np.full(off.shape[1], np.nan)
+        for k, now in enumerate(off):
+            since = np.where(now, np.where(np.isnan(since), grid[k], since), np.nan)
+            if np.any(grid[k] - since >= LOST):
+                return int(np.searchsorted(grid, np.nanmin(since)))
+        return None
 
     def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
         """Which way round the wheels go over a horizon [s] of the preview; times from ``t`` on."""
@@ -187,16 +225,18 @@ class SteeringGuess:
         state, modules = self.robot.state, self.robot.base.geometry.modules
         return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
 
-    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan) -> None:
-        """Trajectories by rolling inverse kinematics from rest, the wheels as in ``plan``."""
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0) -> None:
+        """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
         leg, steer = self._angles(x0)
         pose = x0[state["base"]].copy()
-        rolling, moving = False, np.flatnonzero(speed(twists) > MOVING)
+        if start > 0:
+            pose, steer = x[start, state["base"]].copy(), x[start, state["steer"]].copy()
+        rolling, moving = start > 0, np.flatnonzero(speed(twists) > MOVING)
         if not moving.size:
             return
-        for k, h in enumerate(np.diff(grid)):
+        for k, h in enumerate(np.diff(grid)[start:], start):
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
             wanted = twists[k] if k in moving else np.zeros(3)

@@ -34,25 +34,29 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class SmoothL1:
-    """δ² (√(1 + (r/δ)²) − 1): quadratic near zero, linear beyond ``scale`` δ (in the residual's unit).
+    """δ² (√(1 + (r/δ)²) − 1): quadratic near zero, linear beyond ``scale`` δ (in the residual's unit; one, or one per row).
 
     Limits the pull of a large error. The curvature is that of iteratively reweighted least squares, r'/r ≥ r''.
     """
 
-    scale: float
+    scale: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if not self.scale > 0.0:
+        scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
+        if not (scales and all(s > 0.0 for s in scales)):
             raise InputError(f"SmoothL1: scale must be positive, got {self.scale}")
 
+    def _root(self, r: ca.SX) -> ca.SX:
+        return ca.sqrt(1.0 + (r / ca.DM(self.scale)) ** 2)
+
     def value(self, r: ca.SX) -> ca.SX:
-        return self.scale**2 * (ca.sqrt(1.0 + (r / self.scale) ** 2) - 1.0)
+        return ca.DM(self.scale) ** 2 * (self._root(r) - 1.0)
 
     def gradient(self, r: ca.SX) -> ca.SX:
-        return r / ca.sqrt(1.0 + (r / self.scale) ** 2)
+        return r / self._root(r)
 
     def curvature(self, r: ca.SX) -> ca.SX:
-        return 1.0 / ca.sqrt(1.0 + (r / self.scale) ** 2)
+        return 1.0 / self._root(r)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import Layout, RobotModel
+from wbmpc.model.balance import load_offset
 from wbmpc.stability import GRAVITY, Support, counter_clockwise
 
 
@@ -250,6 +251,48 @@ class BallSpin:
 
     def __call__(self, s: Symbols) -> ca.SX:
         return ca.DM(self.robot.base.wheel_torque_map()[2:]) @ s.u[self.robot.input["wheel"]]
+
+
+@dataclass(frozen=True)
+class CapturePoint:
+    """Divergent component (2) [m] of a ball robot's lean: horizontal offset of the load's centre of mass from the ball plus its
+    rate over ``pole`` [1/s] (:class:`wbmpc.model.Balance`). What it has beyond the wheels' reach cannot be stopped."""
+
+    robot: RobotModel
+    pole: float
+
+    size, reference = 2, 0
+    groups = {"offset": slice(0, 2)}  # noqa: RUF012
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        n = self.robot.base.nq
+        offset = load_offset(self.robot.base, s.x[:n])
+        slope = ca.jacobian(offset, s.x[:n])
+        return offset + slope @ s.x[n : 2 * n] / self.pole
+
+
+@dataclass(frozen=True)
+class JointEffort:
+    """What drives a ball robot's arm joints (n) [N m]: torques beyond those that hold the arm at rest in its present pose,
+    contacts and estimated disturbance included. Zero in every equilibrium, so that its cost moves none."""
+
+    robot: RobotModel
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", {"arm": slice(0, self.size)})
+
+    @property
+    def size(self) -> int:
+        return len(self.robot.state.groups["arm"])
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        base, n = self.robot.base, self.robot.base.nq
+        rest = ca.SX(n, 1)
+        net = base.generalised_force(s.x[:n], s.u, s.parameters) - base.inverse_dynamics(s.x[:n], rest, rest)
+        return net[n - self.size :]
 
 
 @dataclass(frozen=True)

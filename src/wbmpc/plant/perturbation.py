@@ -27,6 +27,10 @@ class Perturbation(BaseModel):
     ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
     [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
+
+    Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
+    whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
+    whose direction is drawn.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -58,6 +62,9 @@ class Perturbation(BaseModel):
     angle_noise: float = Field(default=2e-3, ge=0)
     speed_noise: float = Field(default=0.01, ge=0)
     rate_noise: float = Field(default=0.02, ge=0)
+    payload: float = Field(default=0.0, ge=0, le=50)
+    load: float = Field(default=0.0, ge=0, le=500)
+    slope: float = Field(default=0.0, ge=0, le=0.5)
 
     @field_validator("friction", mode="before")
     @classmethod
@@ -100,13 +107,16 @@ class Perturbation(BaseModel):
             arm_lag=lag(arm),
             gyro_bias=around(self.gyro_bias, 3),
             accel_bias=around(self.accel_bias, 3),
+            # the last one: the numbers before it are those of a level floor
+            downhill=float(rng.uniform(-np.pi, np.pi)),
         )
 
 
 @dataclass(frozen=True)
 class Draw:
     """The numbers of one plant: factors by body, shifts (3) [m] of centres of mass in the body's frame, and the rest
-    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]."""
+    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``downhill`` [rad]: the
+    direction in which a slope falls."""
 
     mass: dict[str, float]
     inertia: dict[str, float]
@@ -121,6 +131,7 @@ class Draw:
     arm_lag: Array
     gyro_bias: Array
     accel_bias: Array
+    downhill: float = 0.0
 
     def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
         """Other masses, inertias and centres of mass of a specification, in place.

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.plant.burden import add_payload
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
@@ -89,6 +90,11 @@ class RezeroPlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
         p = self.perturbation = perturbation or Perturbation()
+        for name in ("payload", "load", "slope"):
+            if getattr(p, name) > 0.0:
+                raise InputError(
+                    f"plant.{name}: is for swerve robots only; a ball robot's mass at the hand is 'payload'"
+                )
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
@@ -139,7 +145,7 @@ class RezeroPlant(InWorld):
             kind, gear = mujoco.mjtTrn.mjTRN_JOINT, [1.0, 0, 0, 0, 0, 0]
             self._motor(spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k])
         if payload > 0.0:
-            self._add_payload(spec, payload)
+            add_payload(spec, self.description.arm.tool, payload)
         if edit is not None:
             edit(spec)
 
@@ -151,18 +157,6 @@ class RezeroPlant(InWorld):
         actuator.gear = gear
         if np.isfinite(limit):
             actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
-
-    def _add_payload(self, spec: mujoco.MjSpec, mass: float) -> None:
-        """A ball of 5 cm radius at the tool."""
-        tool = self.description.arm.tool
-        site = next((s for s in spec.sites if s.name == tool), None)
-        parent, pos = (spec.body(tool), np.zeros(3)) if site is None else (site.parent, site.pos)
-        body = parent.add_body(name="payload", pos=pos)
-        body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, [0, 0, 0], [mass * 0.4 * 0.05**2] * 3
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], mass=0, contype=0, conaffinity=0,
-            rgba=[0.9, 0.6, 0.1, 1],
-        )  # fmt: skip
 
     def _place(self, state: Array, torque: ArrayLike | None) -> None:
         d, n, r = self.data, self._arm_q.size, self.base.ball_radius

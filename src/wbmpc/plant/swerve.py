@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.brakes import Brakes
+from wbmpc.plant.burden import PAYLOAD, add_load, add_payload, incline
 from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
@@ -126,6 +127,12 @@ class SwervePlant(InWorld):
             gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
             self._servo(spec, name, gain, effort, draw.arm_lag[k])
         self._add_imu(spec)
+        if p.payload > 0.0:
+            add_payload(spec, self.description.arm.tool, p.payload)
+        if p.load > 0.0:
+            add_load(spec, self.base.body, p.load)
+        if p.slope > 0.0:
+            incline(spec, p.slope, draw.downhill)
         if edit is not None:
             edit(spec)
 
@@ -162,6 +169,7 @@ class SwervePlant(InWorld):
         self._imu = {n: slice(int(m.sensor(n).adr[0]), int(m.sensor(n).adr[0]) + 3) for n in ("gyro", "accel")}
         self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in names["wheel"]], dtype=int)
         self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
+        self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
         # soft settings would let a closed brake creep
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
@@ -224,8 +232,14 @@ class SwervePlant(InWorld):
         self.model.dof_frictionloss[self._v["leg"]] = self.brakes.advance(self.timestep)
 
     def _arm_weight(self) -> None:
-        dofs = self._v["arm"]
-        self.data.qfrc_applied[dofs] = self.data.qfrc_bias[dofs]
+        """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
+        d, m, dofs = self.data, self.model, self._v["arm"]
+        weight = d.qfrc_bias[dofs]
+        if self._payload is not None:
+            jacobian = np.zeros((3, m.nv))
+            mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
+            weight = weight + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
+        d.qfrc_applied[dofs] = weight
 
     def step(self, command: SwerveCommand, steps: int = 1) -> None:
         """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""

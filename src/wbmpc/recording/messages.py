@@ -1,7 +1,8 @@
 """ROS 2 messages as bytes and back, without ROS: the definitions that recordings use, and their CDR encoding.
 
 A message is a dictionary by field. A type that holds nothing but float64 (Pose, Vector3, Wrench …) is one flat vector of
-its numbers in the order of its definition: a Pose is x, y, z, qx, qy, qz, qw.
+its numbers in the order of its definition: a Pose is x, y, z, qx, qy, qz, qw. The bus (``wbmpc.ros2``) encodes with this
+module too, by ROS 2's own definitions, and may leave fields out.
 
 Sources: the interfaces of ROS 2 (common_interfaces, geometry2); OMG DDS-XTypes 1.3, section 7.4.1 (plain CDR, little
 endian; every primitive is aligned to its size, counted from the end of the 4-byte header).
@@ -10,7 +11,7 @@ endian; every primitive is aligned to its size, counted from the end of the 4-by
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -48,7 +49,11 @@ DEFINITIONS: dict[str, str] = {
     "nav_msgs/Path": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
 }
-_PRIMITIVES = {"int32": "i", "uint32": "I", "float64": "d"}
+_PRIMITIVES = {
+    "bool": "?", "octet": "B", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
+    "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+_SIZES = {kind: struct.calcsize(code) for kind, code in _PRIMITIVES.items()}
 _HEADER = b"\x00\x01\x00\x00"
 
 
@@ -59,6 +64,10 @@ class Field:
     name: str
     kind: str
     array: int | None
+
+
+#: Fields of a type by its name.
+Lookup = Callable[[str], tuple[Field, ...]]
 
 
 @cache
@@ -110,61 +119,97 @@ def schema(kind: str) -> str:
 
 
 # ---------------------------------------------------------------------- to bytes
-def encode(kind: str, message: Message) -> bytes:
-    """CDR bytes of a message. Raises :class:`InputError` naming a field that is missing or has the wrong length."""
+def encode(
+    kind: str, message: Message, look: Lookup = fields, missing: Mapping[str, Mapping[str, Any]] | None = None
+) -> bytes:
+    """CDR bytes of a message. Raises :class:`InputError` naming a field that is missing, unknown or has the wrong length.
+
+    ``look``: fields of types by name. ``missing``: fields may be left out; they are zero or empty, or what this says by type.
+    """
     out = bytearray()
-    _write(out, kind, message, kind)
+    _Writer(out, look, missing).write(kind, message, kind)
     return _HEADER + bytes(out)
 
 
-def _align(out: bytearray, size: int) -> None:
-    out.extend(b"\0" * (-len(out) % size))
+class _Writer:
+    """Appends to ``out``."""
 
+    def __init__(self, out: bytearray, look: Lookup, missing: Mapping[str, Mapping[str, Any]] | None) -> None:
+        self.out, self.look, self.missing = out, look, missing
 
-def _write(out: bytearray, kind: str, message: Message, where: str) -> None:
-    names = numbers(kind)
-    if names:
-        _write_numbers(out, message, len(names), where)
-        return
-    for field in fields(kind):
-        place = f"{where}.{field.name}"
-        if not isinstance(message, Mapping) or field.name not in message:
-            raise InputError(f"message: {place} is missing")
-        value = message[field.name]
+    def write(self, kind: str, message: Any, where: str) -> None:
+        if not isinstance(message, Mapping):
+            count = len(numbers(kind)) if self.look is fields else 0
+            if not count:
+                raise InputError(f"message: {where} is missing")
+            self._numbers(message, count, where)
+            return
+        left = len(message)
+        for field in self.look(kind):
+            place = f"{where}.{field.name}"
+            if field.name in message:
+                left -= 1
+                self._field(field, message[field.name], place)
+            elif self.missing is None:
+                raise InputError(f"message: {place} is missing")
+            else:
+                self._field(field, self.missing.get(kind, {}).get(field.name), place)
+        if left:
+            known = [f.name for f in self.look(kind)]
+            raise unknown_name(f"field of {kind}", next(k for k in message if k not in known), known)
+
+    def _field(self, field: Field, value: Any, place: str) -> None:
         if field.array is None:
-            _write_value(out, field.kind, value, place)
-            continue
+            self._value(field.kind, value, place)
+            return
+        if value is None:
+            value = [None] * field.array
         if field.array == 0:
-            _write_value(out, "uint32", len(value), place)
+            self._value("uint32", len(value), place)
         elif len(value) != field.array:
             raise InputError(f"message: {place} needs {field.array} values, got {len(value)}")
-        if field.kind == "float64":
-            _write_numbers(out, value, len(value), place)
-        else:
-            for one in value:
-                _write_value(out, field.kind, one, place)
+        if field.kind in _PRIMITIVES:
+            self._array(field.kind, value, place)
+            return
+        for one in value:
+            self._value(field.kind, one, place)
 
-
-def _write_numbers(out: bytearray, values: Any, count: int, where: str) -> None:
-    array = np.asarray(values, "<f8")
-    if array.size != count:
-        raise InputError(f"message: {where} needs {count} numbers, got {array.size}")
-    if count:
-        _align(out, 8)
-        out.extend(array.tobytes())
-
-
-def _write_value(out: bytearray, kind: str, value: Any, where: str) -> None:
-    if kind == "string":
-        text = value.encode() + b"\0"
-        _align(out, 4)
-        out.extend(struct.pack("<I", len(text)) + text)
-    elif kind in _PRIMITIVES:
+    def _array(self, kind: str, values: Any, place: str) -> None:
+        if len(values) == 0:
+            return
+        if values[0] is None:
+            values = np.zeros(len(values))
         code = _PRIMITIVES[kind]
-        _align(out, struct.calcsize(code))
-        out.extend(struct.pack(f"<{code}", value))
-    else:
-        _write(out, kind, value, where)
+        array = np.asarray(values, f"<{code}" if code != "?" else "?")
+        if array.ndim != 1:
+            raise InputError(f"message: {place} needs plain {kind} numbers, got shape {array.shape}")
+        self._align(array.itemsize)
+        self.out.extend(array.tobytes())
+
+    def _numbers(self, values: Any, count: int, where: str) -> None:
+        array = np.asarray(values, "<f8")
+        if array.size != count:
+            raise InputError(f"message: {where} needs {count} numbers, got {array.size}")
+        self._align(8)
+        self.out.extend(array.tobytes())
+
+    def _value(self, kind: str, value: Any, where: str) -> None:
+        if kind == "string":
+            text = (value or "").encode() + b"\0"
+            self._align(4)
+            self.out.extend(struct.pack("<I", len(text)) + text)
+        elif kind in _PRIMITIVES:
+            code = _PRIMITIVES[kind]
+            self._align(_SIZES[kind])
+            try:
+                self.out.extend(struct.pack(f"<{code}", 0 if value is None else value))
+            except struct.error as error:
+                raise InputError(f"message: {where} cannot be {value!r} ({error})") from error
+        else:
+            self.write(kind, {} if value is None else value, where)
+
+    def _align(self, size: int) -> None:
+        self.out.extend(b"\0" * (-len(self.out) % size))
 
 
 # ---------------------------------------------------------------------- from bytes

@@ -46,12 +46,12 @@ class Observer:
     def see(self) -> Moment:
         """The present moment."""
         plant, agent = self.running.plant, self.running.agent
-        truth = plant.truth()  # brings positions up to date
+        frames = plant.world.frames(height=0.0)  # brings positions up to date
         bodies = self.reader.poses(plant.data)
         base = bodies[self.scene.index]
         belief = getattr(agent, "base_pose", None)
         estimated = base if belief is None else belief()
-        hand = np.concatenate([truth.tool + self.lift, lie.rotation_to_quaternion(truth.tool_rotation)])
+        hand = np.concatenate([frames["tool"], lie.rotation_to_quaternion(frames["tool_rotation"])])
         return Moment(bodies, base, hand, estimated, lie.pose_compose(base, lie.pose_inverse(estimated)))
 
     def hand_goal(self, t: float) -> Array | None:

@@ -6,7 +6,8 @@ said is under ``/measured``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
+from wbmpc.recording.template import Template
 from wbmpc.recording.writer import McapFile, stamp
 from wbmpc.robots.urdf import to_urdf
 
@@ -27,6 +29,8 @@ MAP, ODOM = "map", "odom"
 PAUSE = 1.0
 
 Array = np.ndarray
+#: A pose (7) that changes nothing; where a pose's numbers are in ROS's order.
+NOWHERE, _ROS_ORDER = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([0, 1, 2, 4, 5, 6, 3])
 
 
 class Recorder:
@@ -39,6 +43,7 @@ class Recorder:
         self.path, self.about = path, about
         self.file: McapFile | None = None
         self._start = self._last = 0.0
+        self._templates: dict[Any, Template] = {}
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
@@ -46,8 +51,13 @@ class Recorder:
         self.running, self._solves, self._mode = running, 0, ""
         self._odometry: tuple[float, Array] | None = None
         self._observer = Observer(running)
+        scene = self._observer.scene
+        self._moving = [i for i, b in enumerate(scene.bodies) if b.moves and i != scene.index]
+        parents = np.array(self._observer.reader.parents)[self._moving]
+        self._parents = np.where(parents < 0, len(scene.bodies), parents)  # the row after the bodies is the world
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
+        self._templates.clear()
         if self.file is not None:
             self._start = self._last + PAUSE
             return
@@ -93,26 +103,41 @@ class Recorder:
         assert self.file is not None
         self.file.put(topic, kind, self._last, message, latched=latched)
 
+    def _fill(self, topic: str, kind: str, key: Any, values: Array, make: Callable[[], Message]) -> None:
+        """Write a message of which only time and float64 change while ``key`` is the same; ``make``: one like it."""
+        assert self.file is not None
+        template = self._templates.get((topic, key))
+        if template is None:
+            template = self._templates[topic, key] = Template(kind, make())
+        now = stamp(self._last)
+        self.file.put_bytes(topic, kind, self._last, template(now["sec"], now["nanosec"], values))
+
     def _header(self, frame: str) -> dict[str, Any]:
         return {"stamp": stamp(self._last), "frame_id": frame}
 
     def _pose(self, topic: str, frame: str, pose: Array) -> None:
-        self._put(topic, "geometry_msgs/PoseStamped", {"header": self._header(frame), "pose": ros_pose(pose)})
+        values = ros_pose(pose)
+        make = lambda: {"header": self._header(frame), "pose": values}
+        self._fill(topic, "geometry_msgs/PoseStamped", frame, values, make)
+
+    def _number(self, topic: str, value: float) -> None:
+        self._fill(topic, "std_msgs/Float64", None, np.array([value]), lambda: [value])
 
     def _numbers(self, prefix: str, parts: Any) -> None:
         """Every field of a command or measurement that holds an array, on a topic of its own."""
         for name, values in vars(parts).items() if parts is not None else ():
             if isinstance(values, np.ndarray) and values.size:
-                layout = {"dim": [{"label": name, "size": values.size, "stride": values.size}], "data_offset": 0}
-                self._put(f"{prefix}/{name}", "std_msgs/Float64MultiArray", {"layout": layout, "data": values.ravel()})
+                make = partial(_array_message, name, values)
+                self._fill(f"{prefix}/{name}", "std_msgs/Float64MultiArray", values.size, values, make)
 
     def _states(self, moment: Moment) -> None:
         reader = self._observer.reader
-        joints = reader.joint_states(self.running.plant.data)
-        self._put("/joint_states", "sensor_msgs/JointState", {
+        joints = reader.joint_states(self.running.plant.data).T
+        make = lambda: {
             "header": self._header(MAP), "name": reader.joint_names,
-            "position": joints[:, 0], "velocity": joints[:, 1], "effort": joints[:, 2],
-        })  # fmt: skip
+            "position": joints[0], "velocity": joints[1], "effort": joints[2],
+        }  # fmt: skip
+        self._fill("/joint_states", "sensor_msgs/JointState", None, joints, make)
         self._odometry_message(moment.estimated)
         self._pose("/hand/pose", MAP, moment.hand)
         in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.hand))
@@ -129,10 +154,12 @@ class Recorder:
             twist = np.concatenate([moved[:3], lie.quaternion_log(moved[3:])]) / (self._last - self._odometry[0])
         self._odometry = (self._last, pose.copy())
         unknown = np.zeros(36)
-        self._put("/odom", "nav_msgs/Odometry", {
+        values = np.concatenate([ros_pose(pose), unknown, twist, unknown])
+        make = lambda: {
             "header": self._header(ODOM), "child_frame_id": self._observer.scene.robot,
             "pose": {"pose": ros_pose(pose), "covariance": unknown}, "twist": {"twist": twist, "covariance": unknown},
-        })  # fmt: skip
+        }  # fmt: skip
+        self._fill("/odom", "nav_msgs/Odometry", None, values, make)
 
     def _transform(self, parent: str, child: str, pose: Array) -> dict[str, Any]:
         return {"header": self._header(parent), "child_frame_id": child, "transform": ros_pose(pose)}
@@ -151,19 +178,29 @@ class Recorder:
 
     def _links(self, moment: Moment) -> None:
         """All frames that move, and one frame with the axes of ``map`` at each contact, for its force."""
-        scene = self._observer.scene
-        transforms = [
-            self._transform(MAP, ODOM, moment.drift),
-            self._transform(ODOM, scene.robot, moment.estimated),
-            *(self._link(moment.bodies, i) for i, b in enumerate(scene.bodies) if b.moves and i != scene.index),
-        ]
-        for contact in self._observer.reader.contacts(self.running.plant.data):
-            frame = f"contact_{contact.body}"
-            transforms.append(self._transform(MAP, frame, np.array([*contact.point, 1.0, 0, 0, 0])))
-            self._put(f"/contact/{contact.body}", "geometry_msgs/WrenchStamped", {
-                "header": self._header(frame), "wrench": np.concatenate([contact.force, np.zeros(3)]),
-            })  # fmt: skip
-        self._put("/tf", "tf2_msgs/TFMessage", {"transforms": transforms})
+        scene, contacts = self._observer.scene, self._observer.reader.contacts(self.running.plant.data)
+        frames = [f"contact_{c.body}" for c in contacts]
+        places = [np.array([*c.point, *NOWHERE[3:]]) for c in contacts]
+        world = np.vstack([moment.bodies, NOWHERE])
+        links = lie.poses_between(world[self._parents], moment.bodies[self._moving])
+        poses = np.vstack([moment.drift, moment.estimated, links, *places])
+        for frame, contact in zip(frames, contacts, strict=True):
+            wrench = np.concatenate([contact.force, np.zeros(3)])
+            make = partial(self._wrench_message, frame, wrench)
+            self._fill(f"/contact/{contact.body}", "geometry_msgs/WrenchStamped", None, wrench, make)
+
+        def message() -> Message:
+            bodies = [scene.bodies[i] for i in self._moving]
+            above = [scene.bodies[i].name if i < len(scene.bodies) else MAP for i in self._parents]
+            parents = [MAP, ODOM, *above, *(MAP for _ in frames)]
+            children = [ODOM, scene.robot, *(b.name for b in bodies), *frames]
+            rows = zip(parents, children, poses, strict=True)
+            return {"transforms": [self._transform(parent, child, pose) for parent, child, pose in rows]}
+
+        self._fill("/tf", "tf2_msgs/TFMessage", tuple(frames), ros_pose(poses), message)
+
+    def _wrench_message(self, frame: str, wrench: Array) -> Message:
+        return {"header": self._header(frame), "wrench": wrench}
 
     def _solver(self) -> None:
         mpc = self.running.mpc
@@ -171,9 +208,9 @@ class Recorder:
             return
         self._solves = mpc.statistics.solves
         for name, value in mpc.figures.items():
-            self._put(f"/mpc/{name}", "std_msgs/Float64", [value])
+            self._number(f"/mpc/{name}", value)
         for name in ("failures", "no_step"):
-            self._put(f"/mpc/{name}", "std_msgs/Float64", [float(getattr(mpc.statistics, name))])
+            self._number(f"/mpc/{name}", float(getattr(mpc.statistics, name)))
 
     def _plans(self, plans: Plans) -> None:
         if self.running.mpc is None:
@@ -184,11 +221,19 @@ class Recorder:
             self._mode = mode
             self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
         for topic, path in zip(("/plan", "/plan/hand"), self._observer.plan(plans), strict=True):
-            poses = [{"header": self._header(ODOM), "pose": ros_pose(pose)} for pose in path]
-            if poses:
-                self._put(topic, "nav_msgs/Path", {"header": self._header(ODOM), "poses": poses})
+            if len(path):
+                self._fill(topic, "nav_msgs/Path", len(path), ros_pose(path), partial(self._path_message, path))
+
+    def _path_message(self, path: Array) -> Message:
+        poses = [{"header": self._header(ODOM), "pose": ros_pose(pose)} for pose in path]
+        return {"header": self._header(ODOM), "poses": poses}
+
+
+def _array_message(name: str, values: Array) -> Message:
+    layout = {"dim": [{"label": name, "size": values.size, "stride": values.size}], "data_offset": 0}
+    return {"layout": layout, "data": values.ravel()}
 
 
 def ros_pose(pose: Array) -> Array:
-    """Position and quaternion (x, y, z, w) of a pose with this library's quaternion (w, x, y, z)."""
-    return np.asarray(pose)[[0, 1, 2, 4, 5, 6, 3]]
+    """Position and quaternion (x, y, z, w) of poses (…, 7) with this library's quaternion (w, x, y, z)."""
+    return np.asarray(pose)[..., _ROS_ORDER]

@@ -41,15 +41,19 @@ class McapFile:
         self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
         self._schemas: dict[str, int] = {}
-        self._channels: dict[str, tuple[int, str]] = {}
+        self._channels: dict[str, int] = {}
 
     def put(self, topic: str, kind: str, t: float, message: Message, *, latched: bool = False) -> None:
         """Append a message of type ``kind`` (``geometry_msgs/Pose``) at time ``t`` [s]."""
-        if topic not in self._channels:
-            self._channels[topic] = (self._channel(topic, kind, latched), kind)
-        channel, _ = self._channels[topic]
+        self.put_bytes(topic, kind, t, encode(kind, message), latched=latched)
+
+    def put_bytes(self, topic: str, kind: str, t: float, data: bytes, *, latched: bool = False) -> None:
+        """The same of a message that is encoded already."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._channel(topic, kind, latched)
         at = nanoseconds(t)
-        self._writer.add_message(channel, at, encode(kind, message), at)
+        self._writer.add_message(channel, at, data, at)
         self._file.flush()
 
     def _channel(self, topic: str, kind: str, latched: bool) -> int:

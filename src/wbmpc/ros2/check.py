@@ -13,14 +13,13 @@ from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
 _LEAST_RATE, _WITHIN_WATCHDOG = 100.0, 2.0
 #: Discovery takes this long [s] before what is not there counts as missing.
 _DISCOVERY = 1.0
-COMMANDS = "std_msgs/msg/Float64MultiArray"
 
 
 @dataclass(frozen=True)
@@ -74,9 +73,10 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     time.sleep(max(listen, _DISCOVERY))
     found: list[Finding] = []
     for topic, (kind, _) in wanted.items():
-        found += _source(node, topic, kind, ears[topic], settings, needed=topic != topics.imu)
+        needed = topic != topics.imu or robot.description.base.type == "ball"
+        found += _source(node, topic, kind, ears[topic], settings, needed)
     for controller in settings.command_topics(robot).values():
-        found += _sink(node, controller.topic, needed="brake" not in controller.topic)
+        found += _sink(node, controller, needed="brake" not in controller.topic)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
     poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
     found += _several_types(node, topics.pose, poses, True)
@@ -119,14 +119,15 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
     return found or [Finding(OK, topic, f"{kind}, {ear.rate:.0f} Hz, longest gap {1e3 * ear.gap:.0f} ms")]
 
 
-def _sink(node: Node, topic: str, needed: bool) -> list[Finding]:
+def _sink(node: Node, controller: Controller, needed: bool) -> list[Finding]:
+    topic = controller.topic
     subscribers = [e for e in node.subscribers(topic) if not e.own]
     rivals = [e for e in node.publishers(topic) if not e.own]
     if rivals:
         return [Finding(ERROR, topic, "somebody else publishes on it: the controller will not start")]
     if not subscribers:
         return [Finding(ERROR if needed else WARNING, topic, "nobody listens: is the controller active?")]
-    wrong = _wrong_types(topic, subscribers, (COMMANDS,))
+    wrong = _wrong_types(topic, subscribers, (controller.type,))
     if wrong:
         return wrong
     faults = [Finding(ERROR, topic, e.qos.refuses(DEFAULT)) for e in subscribers if e.qos.refuses(DEFAULT)]

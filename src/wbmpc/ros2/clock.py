@@ -13,13 +13,18 @@ _REORDERED = 0.02
 
 class BusClock:
     """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
-    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`."""
+    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`.
 
-    def __init__(self) -> None:
+    ``delay`` [s]: a solve takes this much of the bus's time, and controller and MPC run in turns (``in_turns``), so that nothing
+    depends on the machine's speed, provided that the bus waits for the commands. None: a solve takes the time that it takes.
+    """
+
+    def __init__(self, delay: float | None = None) -> None:
+        self.delay, self.in_turns = delay, delay is not None
         self.origin, self.heard = 0.0, None  # type: float, float | None
         self._time, self.went_back = 0.0, False
         self._changed = threading.Condition()
-        self._released = 0
+        self._released = False
 
     def set(self, time_of_bus: float) -> None:
         """The bus's time [s] is now this. Time that goes back is a simulator that was started anew."""
@@ -36,24 +41,23 @@ class BusClock:
 
     def restart(self) -> None:
         """Now is 0."""
-        self.origin, self.went_back = self._time, False
+        self.origin, self.went_back, self._released = self._time, False, False
 
     def now(self) -> float:
         """Time [s]."""
         return self._time - self.origin
 
     def wait(self, until: float) -> None:
-        """Return when it is ``until`` [s], or at :meth:`release`."""
+        """Return when it is ``until`` [s], or from :meth:`release` on."""
         with self._changed:
-            before = self._released
-            self._changed.wait_for(lambda: self._released != before or self.now() >= until - _ROUNDING)
+            self._changed.wait_for(lambda: self._released or self.now() >= until - _ROUNDING)
 
     def release(self) -> None:
-        """Whoever waits now waits no more: time may never come that far."""
+        """Nobody waits any more until :meth:`restart`: time may never come that far."""
         with self._changed:
-            self._released += 1
+            self._released = True
             self._changed.notify_all()
 
     def computing(self) -> float:
-        """0: solves take their time."""
-        return 0.0
+        """The modelled duration of a solve [s]."""
+        return self.delay or 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import time
 from collections.abc import Callable
@@ -9,102 +10,43 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.control import SwerveAgent
 from wbmpc.errors import InputError
-from wbmpc.experiments.swerve_problem import swerve_mpc
 from wbmpc.model import RobotModel
-from wbmpc.mpc import RealTime, Runner, SteeringGuess, WallClock
+from wbmpc.mpc import RealTime, Runner, WallClock
 from wbmpc.mpc.safety import SafeStop
-from wbmpc.ocp import Reference
-from wbmpc.plant import SwerveMeasurement
+from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import nearest_turn, seconds
-from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.inbox import Inbox, PoseSource
+from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.goals import Task
+from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
+from wbmpc.ros2.legs import Legs
+from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.robot import BusRobot
-from wbmpc.ros2.settings import RosSettings, need_swerve
+from wbmpc.ros2.sending import trajectory_senders
+from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
+from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
-from wbmpc.solver import Solver
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
 LOOK, LOOK_AT_GRAPH = 0.02, 0.5
-#: Largest age [s] of another localisation's pose.
-POSE_AGE = 0.5
+#: Brakes are told this long before they are to act [s]: the control thread is never between two entries.
+AHEAD = 0.02
+#: How often young garbage is collected [s]: it takes some 10 µs then, and cycles are rare.
+COLLECT = 1.0
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
 
-class References:
-    """A guess for the MPC that first puts new references into force: in its own thread, between two solves."""
-
-    def __init__(self, robot: RobotModel) -> None:
-        self._steering = SteeringGuess(robot, self._preview)
-        self._pending: dict[str, Reference] | None = None
-        self._twists: Reference | None = None
-        self._base = robot.input["base"]
-
-    def set(self, references: dict[str, Reference]) -> None:
-        """In force from the next solve on."""
-        self._pending = references
-
-    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            for name, reference in pending.items():
-                solver.set_reference(name, reference)
-            self._twists = pending["input"]
-        self._steering(solver, t, x0)
-
-    def _preview(self, times: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        assert self._twists is not None
-        twists = self._twists
-        columns = [np.interp(times, twists.times, v) for v in twists.values[:, self._base].T]
-        return np.stack(columns, axis=1)
-
-
-class BusAgent(SwerveAgent):
-    """A swerve robot's agent whose odometry another localisation may correct."""
-
-    source: PoseSource | None = None
-    #: the newest measurement with the pose that belongs to it, for other threads
-    seen: tuple[SwerveMeasurement, np.ndarray] | None = None
-    _used = -np.inf
-
-    def measure(self, measurement: SwerveMeasurement) -> None:
-        """Take in the encoders of this tick, and a new pose if there is one."""
-        super().measure(measurement)
-        source = self.source
-        if source is not None:
-            age = source.now() - source.at
-            if age > POSE_AGE:
-                topic = source.settings.topics.pose
-                raise SafeStop(f"the pose on {topic} is {age:.2f} s old, the limit is {POSE_AGE:g} s")
-            self.correct()
-        self.seen = measurement, self.odometry.pose
-
-    def stand(self, m: SwerveMeasurement) -> None:
-        """Follow the wheels, and the gyro's bias, while nobody commands them."""
-        if self.measured is not None and m.time <= self.measured.time:
-            return
-        super().measure(m)
-        self.correct()
-        self.seen = m, self.odometry.pose
-
-    def snapshot(self) -> tuple[float, np.ndarray]:
-        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread."""
-        assert self.seen is not None
-        m, pose = self.seen
-        parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
-        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
-
-    def correct(self) -> None:
-        """The newest pose of the other localisation is the odometry's, yaw not wrapped."""
-        source = self.source
-        if source is not None and source.pose is not None and source.at > self._used:
-            self._used, (x, y, yaw) = source.at, source.pose
-            self.odometry.place([x, y, nearest_turn(yaw, self.odometry.pose[2])])
+def pilot_of(robot: RobotModel, settings: RosSettings, period: float) -> Pilot:
+    """For the robot's kind of base."""
+    pilot: Any = (
+        BallPilot(robot, settings, period)
+        if isinstance(settings, BallSettings)
+        else SwervePilot(robot, settings, period)
+    )
+    return pilot  # type: ignore[no-any-return]
 
 
 class ControlNode:
@@ -114,37 +56,51 @@ class ControlNode:
     """
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
-        need_swerve(robot)
+        settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
-        self.clock: WallClock | BusClock = BusClock() if settings.use_sim_time else WallClock()
-        self.references = References(robot)
-        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.references)
         self.period = 1.0 / settings.rates.control
+        self.clock: WallClock | BusClock = WallClock()
+        if settings.lockstep:  # the MPC begins a period after its observation
+            self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
+        elif settings.use_sim_time:
+            self.clock = BusClock()
+        self.pilot = pilot_of(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
-        self.source = PoseSource(node, settings, steady)
-        self.body = BusRobot(node, robot, settings, self.clock)
-        self.agent = self._new_agent(np.zeros(3))
-        robot.pose(robot.home)  # builds the function: not in a tick
-        self.planner = Planner(robot, settings.speeds)
-        self.inbox = Inbox(node, self.planner, settings, self._origin, steady)
+        self.source = PoseSource(node, settings, steady, self.now)
+        if settings.topics.pose:
+            self.pilot.fix = self._fix
+        self.body = BusRobot(node, self.pilot, settings, self.clock)
+        self.legs = Legs(node, robot, settings, self._not_for_legs) if self.pilot.brakes is not None else None
+        self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.runner: Runner | None = None
-        self._rival, self._said = "", ""
+        self._rival, self._said, self._held = "", "", ""
         self._task: Task | None = None
         self._looked_at_graph = -np.inf
         if isinstance(self.clock, BusClock):
             clock = self.clock
             take = lambda message: clock.set(seconds(message.clock))
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
+        self.trajectories = trajectory_senders(node, robot, settings)
+        self.wrench = np.zeros(6)
         self.teller = Teller(node, self)
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
-        """Until ``ended()``; then the robot is brought to rest."""
+        """Until ``ended()``; then the robot is brought to rest. Garbage is collected when it suits, and young only."""
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        collected = time.monotonic()
         try:
             while not ended():
                 self.step()
+                if time.monotonic() - collected > COLLECT:
+                    gc.collect(0)
+                    collected = time.monotonic()
                 time.sleep(LOOK)
         finally:
+            gc.enable()
+            gc.unfreeze()
             self.close()
 
     def step(self) -> None:
@@ -154,6 +110,8 @@ class ControlNode:
         if not self.running:
             self._stand()
         self._take_up()
+        self._move_legs()
+        self._lead()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
@@ -162,6 +120,8 @@ class ControlNode:
     def close(self) -> None:
         """Bring the robot to rest and end."""
         moved = self.running
+        if moved:
+            self._stay()
         self._end_runner()
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
@@ -187,9 +147,22 @@ class ControlNode:
         return self.runner is not None and not self.runner.stopped
 
     @property
+    def ill(self) -> bool:
+        """Whether it runs, but not as it should."""
+        kept = self.runner is not None and bool(self.runner.kept)
+        return self.running and (kept or bool(self._held) or bool(self.body.fault))
+
+    @property
     def state(self) -> str:
         """What the node does, as a sentence."""
         if self.runner is not None:
+            trouble = self._held or (self.body.fault if self.pilot.keeps else "")
+            if self.running and trouble:
+                return (
+                    f"{self.runner.state}: holds its place: {trouble}"
+                    if self._held
+                    else f"{self.runner.state}: {trouble}"
+                )
             if self.running and self._task is not None:
                 return f"{self.runner.state}: {self._task.said}"
             return self.runner.state
@@ -216,52 +189,93 @@ class ControlNode:
         """The bus's time [s] at which the plan's is 0."""
         return self.now() - (self.clock.now() if self.running else 0.0)
 
-    # ------------------------------------------------------------------ before a goal
-    def _new_agent(self, pose: np.ndarray) -> BusAgent:
-        settings = self.settings
-        use_gyro = settings.use_gyro and self.body.has_imu
-        agent = BusAgent(self.robot, pose, self.period, lag=settings.drive_lag, use_gyro=use_gyro)
-        agent.source = self.source if self.settings.topics.pose else None
-        return agent
+    def _fix(self) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance."""
+        taken = self.source.take()
+        return None if taken is None else (self.clock.now() - taken[0], *taken[1:])
 
+    # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
-        """Follow the wheels while nobody commands them."""
+        """Follow the sensors while nobody commands the drives."""
         if self.waits_for():
             return
         try:
-            m = self.body.read()
+            measurement = self.body.read()
         except (SafeStop, InputError):
             return
-        self.agent.use_gyro = self.settings.use_gyro and self.body.has_imu
-        self.agent.stand(m)
+        self.pilot.stand(measurement)
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
         """All goals that wait, in the order in which they came."""
         while (request := self.inbox.take()) is not None:
-            why = "" if self.running else self.waits_for()
-            if why or self.agent.seen is None:
-                self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
+            seen = self.pilot.snapshot()
+            why = (self._held if self.running else self.waits_for()) or (
+                "" if seen is not None else "there is no state yet"
+            )
+            if why:
+                self.inbox.refuse(f"a goal is refused: {why}")
                 continue
-            x, t = self.agent.snapshot()[1], self.clock.now() if self.running else 0.0
+            assert seen is not None
+            x, t = seen[1], self.clock.now() if self.running else 0.0
             try:
                 task = request(x, t)
-                references = task.references(self.robot, x)
             except InputError as error:
                 self.inbox.refuse(f"a goal is refused: {error}")
                 continue
-            self.inbox.running, self._task = task, task
-            self.references.set(references)
             if not self.running:
-                self._start(x)
+                self._start(x, task)
+            else:
+                self._put(task, x)
 
-    def _start(self, x: np.ndarray) -> None:
+    def _not_for_legs(self) -> str:
+        """Why legs cannot be moved now; empty if they can."""
+        return "" if self.running else self.waits_for()
+
+    def _move_legs(self) -> None:
+        """Orders to legs and brakes; the first one starts a robot that stands, and it stays where it is."""
+        legs, pilot = self.legs, self.pilot
+        if legs is None or not (legs.waiting or self.running):
+            return
+        seen = pilot.snapshot()
+        if seen is None:
+            return
+        x = seen[1]
+        if not self.running:
+            self._start(x, pilot.planner.hold(x, 0.0))
+        assert pilot.brakes is not None
+        leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
+        if legs.apply(pilot.brakes, t, leg):
+            assert legs.angles is not None
+            pilot.swing(legs.angles)
+            assert self._task is not None
+            self._put(self._task, x)
+        legs.watch(pilot.brakes, t, leg)
+
+    def _lead(self) -> None:
+        """Trajectories to those who follow them, and the wrench to who counts with it."""
+        wrench = self.inbox.wrench()
+        if np.any(wrench != self.wrench):
+            self.wrench = wrench
+            self.pilot.push(wrench)
+        runner = self.runner
+        policy = runner.plans.current if runner is not None and self.running else None
+        if policy is None:
+            return
+        t = self.clock.now()
+        for sender in self.trajectories:
+            if t >= sender.due:
+                sender.send(policy, t, self.now())
+
+    def _put(self, task: Task, x: np.ndarray) -> None:
+        self.inbox.running, self._task = task, task
+        self.pilot.follow(task, x)
+
+    def _start(self, x: np.ndarray, task: Task) -> None:
         self._end_runner()
-        settings, old = self.settings, self.agent
-        self.agent = self._new_agent(old.odometry.pose)
-        self.agent.seen, self.agent.odometry = old.seen, old.odometry
-        self.agent.odometry.restart_clock()  # the runner's clock starts at 0
-        self.mpc.reset(x)
+        settings, pilot = self.settings, self.pilot
+        pilot.begin(x)
+        self._put(task, x)
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
@@ -269,16 +283,24 @@ class ControlNode:
             max_observation_age=watchdog,
             watchdog=watchdog,
             records=_RECORDS,
+            keep=pilot.keeps,
         )
-        self.runner = Runner(self.body, self.agent, self.mpc, times, self.clock)
+        self.runner = Runner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
         self.body.arm()
+        for sender in self.trajectories:
+            sender.due = -np.inf
+        self._held = ""
         self.runner.start()
 
     # ------------------------------------------------------------------ watching
     def _watch(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self.body.disarm()
+            if self.inbox.running is not None:
+                self._stay()
             self.inbox.running = None
+            if self.legs is not None:
+                self.legs.stop()
         clock, limit = self.clock, self.settings.safety.clock
         if isinstance(clock, BusClock) and clock.heard is not None:
             silent = time.monotonic() - clock.heard
@@ -298,7 +320,28 @@ class ControlNode:
         rivals = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
         self._rival = f"somebody else publishes on {rivals[0]}" if rivals else ""
         if rivals and self.running:
-            self._halt(self._rival)
+            self._quit(self._rival)
+        elif self._held and not rivals:
+            self._held = ""
+
+    def _quit(self, sentence: str) -> None:
+        """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
+        if not self.pilot.keeps:
+            self._halt(sentence)
+        elif not self._held:
+            self._held = sentence
+            _LOG.error("holds its place: %s", sentence)
+            seen = self.pilot.snapshot()
+            assert seen is not None
+            self._put(self.pilot.planner.hold(seen[1], self.clock.now()), seen[1])
+
+    def _stay(self) -> None:
+        """Who follows trajectories stays where the robot is: a stop, once."""
+        seen = self.pilot.snapshot()
+        for sender in self.trajectories:
+            sender.due = -np.inf
+            if seen is not None:
+                sender.hold(seen[1], self.now())
 
     def _halt(self, sentence: str) -> None:
         """Stop; with the bus's clock at rest the runner's loop does not ramp down, so it is done from here."""
@@ -309,6 +352,7 @@ class ControlNode:
     def figures(self) -> dict[str, Any]:
         """For diagnostics."""
         values: dict[str, Any] = {"backend": self.node.backend, "age of the joint states [ms]": _ms(self.body.age())}
+        values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
         if self.inbox.refused:
             values["refused"] = self.inbox.refused
         if self.runner is None:
@@ -316,9 +360,12 @@ class ControlNode:
         r = self.runner.report()
         return {
             **values,
+            "commands sent": self.body.sent,
+            "began at [s]": f"{self.stamp_of(0.0):.4f}",
             "task": self._task.said if self._task is not None else "",
             "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
             "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
+            "constraint violation": f"{self.pilot.mpc.figures['violation']:.2e}",
             "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
             "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),

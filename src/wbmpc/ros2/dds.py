@@ -159,7 +159,7 @@ class DdsNode:
                     except Exception as error:
                         _LOG.error("%s: %s: %s", name, type(error).__name__, error)
                         continue
-                reply = self.types.encode(answered, self.types.make(answered, values))
+                reply = self.types.encode(answered, values)
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))
 
         self._own(self._writers, writer)
@@ -179,7 +179,7 @@ class DdsNode:
         self._own(self._writers, writer)
         self._own(self._readers, reader)
         head = writer.guid.bytes[:8] + struct.pack("<q", 1)
-        body = self.types.encode(asked, self.types.make(asked, values))
+        body = self.types.encode(asked, values)
         end = time.monotonic() + timeout
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
@@ -229,7 +229,7 @@ class DdsNode:
                 "node_namespace": "/", "node_name": self.name,
                 "reader_gid_seq": [gid(r) for r in self._readers], "writer_gid_seq": [gid(w) for w in self._writers],
             }  # fmt: skip
-            message = self.types.make(_INFO, {"gid": gid(self._participant), "node_entities_info_seq": [node]})
+            message = {"gid": gid(self._participant), "node_entities_info_seq": [node]}
             self._info.write(self._info.topic.data_type(self.types.encode(_INFO, message)))
 
     def close(self) -> None:
@@ -298,7 +298,7 @@ class DdsPublisher:
 
     def publish(self, values: Mapping[str, Any]) -> None:
         """Send a message."""
-        self.send(self._types.encode(self._kind, self._types.make(self._kind, values)))
+        self.send(self._types.encode(self._kind, values))
 
     def send(self, data: bytes) -> None:
         """Send a message that is CDR already, for example from a recording."""

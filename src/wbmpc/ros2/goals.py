@@ -1,4 +1,4 @@
-"""From goals, paths and speeds to references over time for base and hand of a swerve robot.
+"""From goals, paths and speeds to tracks over time for base and hand of a robot that stands on the floor.
 
 All in the planner's world frame; times are the plan's [s]. A goal without times is approached along a straight line with
 a cosine's profile. Who goes where: a base that is sent carries the hand along; a hand that is sent far takes the base along.
@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
-from wbmpc.ocp import Reference
+from wbmpc.model.ball import BallBase
 from wbmpc.ros2.convert import nearest_turn, planar
 from wbmpc.ros2.settings import Speeds
 
@@ -65,26 +65,18 @@ class Task:
     carried: bool
     said: str
 
-    def references(self, robot: RobotModel, x: Array) -> dict[str, Reference]:
-        """For the terms ``hand``, ``state`` and ``input``; legs stay as in the state ``x`` (nx), the arm likes its home."""
-        states = np.tile(robot.home, (self.base.times.size, 1))
-        states[:, robot.state["base"]] = self.base.poses
-        if "leg" in robot.state:
-            states[:, robot.state["leg"]] = x[robot.state["leg"]]
-        inputs = np.zeros((self.base.times.size, robot.input.size))
-        inputs[:, robot.input["base"]] = self.base.twists
-        return {
-            "hand": Reference.poses(self.hand.times, self.hand.positions, self.hand.orientations),
-            "state": Reference(self.base.times, states),
-            "input": Reference(self.base.times, inputs),
-        }
-
 
 class Planner:
-    """Makes tasks that begin at a state ``x`` (nx) and time ``t`` [s]."""
+    """Makes tasks that begin at a state ``x`` (nx) and time ``t`` [s].
+
+    ``lift`` [m]: height of the model's origin above the floor, that is of a ball robot's ball; heights on the bus are above the
+    floor, those of tasks above the origin. ``base_height`` [m] of the base's frame above the floor.
+    """
 
     def __init__(self, robot: RobotModel, speeds: Speeds) -> None:
         self.robot, self.speeds = robot, speeds
+        self.lift = robot.base.radius if isinstance(robot.base, BallBase) else 0.0
+        self.base_height = self.lift if isinstance(robot.base, BallBase) else robot.base.height
         self.shoulder, self.reach = _arm(robot)
 
     # ------------------------------------------------------------------ tasks
@@ -142,7 +134,7 @@ class Planner:
 
     # ------------------------------------------------------------------ parts
     def _base(self, x: Array) -> Array:
-        return np.array(x[self.robot.state["base"]])
+        return np.array(x[self.robot.state["base"]][:3])
 
     def _arc(self, x: Array, twist: Array, lengths: Array) -> Array:
         """Poses (n, 3) after a body twist (3) has acted for ``lengths`` (n) [s]."""
@@ -202,9 +194,10 @@ class Planner:
         over = np.abs(positions[:, 2] - self.shoulder)
         k = int(np.argmax(over))
         if over[k] > self.reach:
-            low, high = self.shoulder - self.reach, self.shoulder + self.reach
+            low, high = self.lift + self.shoulder - self.reach, self.lift + self.shoulder + self.reach
+            height = self.lift + positions[k, 2]
             raise InputError(
-                f"the hand's goal is out of reach: height {positions[k, 2]:.2f} m, possible {max(low, 0.0):.2f} to {high:.2f} m"
+                f"the hand's goal is out of reach: height {height:.2f} m, possible {max(low, 0.0):.2f} to {high:.2f} m"
             )
 
 
@@ -246,7 +239,7 @@ def _profile(shortest: float) -> Array:
 
 
 def _arm(robot: RobotModel) -> tuple[float, float]:
-    """Height [m] of the shoulder over the floor and length [m] of the stretched arm."""
+    """Height [m] of the shoulder over the model's origin and length [m] of the stretched arm."""
     tree, joints = robot.tree, robot.description.arm.joints
     first = tree.joint(joints[0])
     frame = tree.frames[robot.tool]
@@ -254,4 +247,5 @@ def _arm(robot: RobotModel) -> tuple[float, float]:
     while link != first:
         length += float(np.linalg.norm(tree.links[link].position))
         link = tree.links[link].parent
-    return float(robot.base.height + tree.zero_poses()[first][0][2]), length
+    height = 0.0 if isinstance(robot.base, BallBase) else robot.base.height
+    return float(height + tree.zero_poses()[first][0][2]), length

@@ -12,6 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
@@ -24,6 +25,8 @@ Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
 _MOST_POINTS = 20_000
+#: Largest time [s] without a pose of another localisation.
+POSE_AGE = 0.5
 _TWISTS: dict[str, Callable[[Any], Any]] = {
     "geometry_msgs/msg/Twist": lambda message: message,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
@@ -47,12 +50,14 @@ class Inbox:
         self._twist, self._twist_at = np.zeros(3), -np.inf
         self._moving = False
         self._twist_kind = ""
+        self._wrench, self._wrench_at = np.zeros(6), -np.inf
         topics = settings.topics
         for topic, kind, take in (
             (topics.goal_pose, "geometry_msgs/msg/PoseStamped", self._goal_pose),
             (topics.hand_goal, "geometry_msgs/msg/PoseStamped", self._hand_goal),
             (topics.base_path, "nav_msgs/msg/Path", self._base_path),
             (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
+            (topics.wrench, "geometry_msgs/msg/WrenchStamped", self._take_wrench),
         ):
             if topic:
                 node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
@@ -64,6 +69,20 @@ class Inbox:
             self._slow_down()
         with self._lock:
             return self._requests.pop(next(iter(self._requests))) if self._requests else None
+
+    def wrench(self) -> Array:
+        """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
+        return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
+
+    def _take_wrench(self, message: Any) -> None:
+        if message.header.frame_id != self.settings.frames.world:
+            raise InputError(
+                f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
+            )
+        force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
+        if self.planner.lift and np.any(torque):
+            raise InputError("the wrench has a torque, of which this robot's plan knows nothing: forces only")
+        self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def refuse(self, sentence: str) -> None:
         """Say once why a goal is not taken."""
@@ -134,7 +153,10 @@ class Inbox:
 
     def _speed(self, twist: Any) -> None:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
-        limits = self.planner.robot.limits.input_upper[self.planner.robot.input["base"]]
+        robot, speeds = self.planner.robot, self.planner.speeds
+        limits = np.array([speeds.base, speeds.base, speeds.turn])
+        if "base" in robot.input:
+            limits = robot.limits.input_upper[robot.input["base"]]
         wanted = np.clip(np.array([linear[0], linear[1], angular[2]]), -limits, limits)
         self._twist_at = self.now()
         if np.any(wanted):
@@ -167,11 +189,13 @@ class Inbox:
         return times - self.origin()
 
     def _in_world(self, frame: str, x: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
+        """A pose of the bus (heights above the floor) in the planner's world. The base's frame counts without its lean."""
+        down = np.array([0.0, 0.0, self.planner.lift])
         if frame == self.settings.frames.world:
-            return position, orientation
-        robot = self.planner.robot
-        p, q = upright(x[robot.state["base"]], robot.base.height)
-        return p + lie.quaternion_to_rotation(q) @ position, np.asarray(lie.quaternion_multiply(q, orientation))
+            return position - down, orientation
+        p, q = upright(x[self.planner.robot.state["base"]], self.planner.base_height)
+        moved = p + lie.quaternion_to_rotation(q) @ position - down
+        return moved, np.asarray(lie.quaternion_multiply(q, orientation))
 
     def _all_in_world(self, frame: str, x: Array, positions: Array, turned: Array) -> tuple[Array, Array]:
         pairs = [self._in_world(frame, x, p, q) for p, q in zip(positions, turned, strict=True)]
@@ -179,12 +203,15 @@ class Inbox:
 
 
 class PoseSource:
-    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame); ``at`` [s] of ``now()``."""
+    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame).
 
-    def __init__(self, node: Node, settings: RosSettings, now: Time) -> None:
-        self.node, self.settings, self.now = node, settings, now
-        self.pose: Array | None = None
+    ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
+    """
+
+    def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
+        self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
         self.at = -np.inf
+        self._fix: tuple[float, Array, Array] | None = None
         self._listening = False
 
     def look(self) -> None:
@@ -196,13 +223,30 @@ class PoseSource:
                 self._listening = True
                 self.node.subscribe(topic, kind, self._take, SENSOR)
 
+    def take(self) -> tuple[float, Array, Array] | None:
+        """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once. Raises
+        :class:`SafeStop` if nothing has come for :data:`POSE_AGE`."""
+        silent = self.now() - self.at
+        if silent > POSE_AGE:
+            topic = self.settings.topics.pose
+            raise SafeStop(f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s")
+        fix, self._fix = self._fix, None
+        return None if fix is None else (max(self.stamp() - fix[0], 0.0), *fix[1:])
+
     def _take(self, message: Any) -> None:
         topic, world = self.settings.topics.pose, self.settings.frames.world
         if message.header.frame_id != world:
             raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
+        covariance = np.asarray(message.pose.covariance, float).reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
         try:
             pose = planar(*read_pose(message.pose.pose, topic))
         except NotFinite as error:
             _LOG.error("%s", error)
             return
-        self.pose, self.at = pose, self.now()
+        if not np.isfinite(covariance).all():
+            _LOG.error("%s: a number of the covariance is not finite", topic)
+            return
+        now, stamped = self.stamp(), seconds(message.header.stamp)
+        # a stamp of another machine's clock, or none, says nothing: the pose is then of now
+        self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance
+        self.at = self.now()

@@ -1,4 +1,4 @@
-"""Joint states of a bus: matched by name, checked, as what a swerve robot's agent measures."""
+"""Joint states of a bus: matched by name, checked, sorted by groups; and what the inertial unit says."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.model import RobotModel
 from wbmpc.ros2.convert import read_vector, seconds
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import RosSettings, joint_groups
 
-GROUPS = ("leg", "steer", "wheel", "arm")
 #: A joint may move this often its speed limit, and by this [rad] besides, between two messages.
 _SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
+#: Of wheels on a ball [rad/s]: 3 m/s of the ball, for its description limits torques only.
+_BALL_WHEELS = 50.0
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,11 @@ class JointReader:
     """JointState messages to samples; what is wrong with a message is an :class:`InputError`."""
 
     def __init__(self, robot: RobotModel, settings: RosSettings) -> None:
-        self.groups = {g: [settings.bus_name(n) for n in robot.state.groups.get(g, ())] for g in GROUPS}
+        groups = joint_groups(robot)
+        self.groups = {g: [settings.bus_name(n) for n in names] for g, names in groups.items()}
         self.ignored = set(settings.ignore)
         self.names = [n for part in self.groups.values() for n in part]
-        limits = robot.limits.input_upper
-        speeds = [limits[robot.input[g]] for g in GROUPS if g in robot.input]
-        self._speed = np.concatenate(speeds)
+        self._speed = np.concatenate([_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
         self._last: tuple[float, np.ndarray] | None = None
 
@@ -102,3 +102,12 @@ class Inertial:
 def read_imu(message: Any) -> Inertial:
     """An Imu message; :class:`NotFinite` if a number is not finite."""
     return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))
+
+
+def _speeds(robot: RobotModel, group: str) -> np.ndarray:
+    """Speed limits [rad/s] of a group's joints."""
+    if robot.description.base.type != "ball":
+        return robot.limits.input_upper[robot.input[group]]
+    if group == "wheel":
+        return np.full(len(robot.input.groups["wheel"]), _BALL_WHEELS)
+    return robot.limits.state_upper[robot.state["arm_velocity"]]

@@ -1,4 +1,4 @@
-"""ROS 2 messages without ROS: definitions, CDR and type hashes from rosbags; messages are made from nested mappings."""
+"""ROS 2 messages without ROS: definitions, type hashes and reading from rosbags; written by the recordings' encoder."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import unknown_name
+from wbmpc.recording.messages import Field, encode
 
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
 _RESULT = "bool success\nstring message\n"
-#: Services have no definitions in rosbags.
+#: Services have no definitions in rosbags. SetLegs is of the package that docs/ros2.md shows.
 SERVICES = {
+    "wbmpc_msgs/srv/SetLegs": ("string configuration\nstring[] leg\nfloat64[] angle\nbool[] brake_open\n", _RESULT),
     "std_srvs/srv/Trigger": (_EMPTY, _RESULT),
     "std_srvs/srv/SetBool": ("bool data\n", _RESULT),
 }
 #: What is not zero or empty when it is not given.
 DEFAULTS: dict[str, dict[str, Any]] = {"geometry_msgs/msg/Quaternion": {"w": 1.0}}
-_NUMBERS = {"octet": "uint8", "byte": "uint8", "char": "uint8"}
 
 
 @cache
@@ -34,6 +34,7 @@ class Types:
     """All message types of a ROS 2 ``distribution`` and the services of :data:`SERVICES`."""
 
     def __init__(self, distribution: str) -> None:
+        self._known: dict[str, tuple[Field, ...]] = {}
         self.store = get_typestore(getattr(Stores, f"ROS2_{distribution.upper()}"))
         for name, parts in SERVICES.items():
             for half, text in zip((request(name), response(name)), parts, strict=True):
@@ -47,40 +48,19 @@ class Types:
             known = sorted(self.store.fielddefs)
             raise unknown_name("message type", kind, [k for k in known if k.split("/")[0] == package] or known)
 
-    def make(self, kind: str, values: Mapping[str, Any] | None = None) -> Any:
-        """A message from a nested mapping; what is not given is zero or empty, or as in :data:`DEFAULTS`.
+    def encode(self, kind: str, values: Mapping[str, Any]) -> bytes:
+        """CDR with its four bytes of header, of a nested mapping; what is not given is zero or empty, or as in
+        :data:`DEFAULTS`. Raises :class:`InputError` for a key that does not exist."""
+        self.check(kind)
+        return encode(kind, values, self._fields, DEFAULTS)
 
-        Raises :class:`InputError` for a key that does not exist.
-        """
-        fields = self.store.fielddefs[kind][1]
-        given = {**DEFAULTS.get(kind, {}), **(values or {})}
-        made = {name: self._field(form, given.pop(name, None)) for name, form in fields}
-        if given:
-            raise unknown_name(f"field of {kind}", next(iter(given)), made)
-        return self.store.types[kind](**made)
-
-    def _field(self, form: Any, value: Any) -> Any:
-        node, detail = form
-        if node == Nodetype.NAME:
-            return value if hasattr(value, "__msgtype__") else self.make(detail, value)
-        if node == Nodetype.BASE:
-            return _number(detail[0], value)
-        (inner, kind), size = detail
-        if inner == Nodetype.NAME:
-            return [
-                self._field((inner, kind), v) for v in (value if value is not None else [None] * _fixed(node, size))
-            ]
-        if kind[0] in ("string", "wstring"):
-            return list(value) if value is not None else [""] * _fixed(node, size)
-        number = _NUMBERS.get(kind[0], kind[0])
-        array = np.zeros(_fixed(node, size), number) if value is None else np.ascontiguousarray(value, number)
-        if array.ndim != 1 or (node == Nodetype.ARRAY and array.size != size):
-            raise InputError(f"message: an array of {size or 'some'} {kind[0]} is needed, got shape {array.shape}")
-        return array
-
-    def encode(self, kind: str, message: Any) -> bytes:
-        """CDR with its four bytes of header."""
-        return bytes(self.store.serialize_cdr(message, kind))
+    def _fields(self, kind: str) -> tuple[Field, ...]:
+        """ROS 2's own definition of a type."""
+        known = self._known.get(kind)
+        if known is None:
+            known = tuple(_field(name, form) for name, form in self.store.fielddefs[kind][1])
+            self._known[kind] = known
+        return known
 
     def decode(self, kind: str, data: bytes) -> Any:
         """The message of some CDR."""
@@ -102,15 +82,9 @@ def response(service: str) -> str:
     return f"{service}_Response"
 
 
-def _fixed(node: Any, size: int) -> int:
-    return int(size) if node == Nodetype.ARRAY else 0
-
-
-def _number(kind: str, value: Any) -> Any:
-    if kind in ("string", "wstring"):
-        return "" if value is None else str(value)
-    if kind == "bool":
-        return bool(value)
-    if kind.startswith("float"):
-        return 0.0 if value is None else float(value)
-    return 0 if value is None else int(value)
+def _field(name: str, form: Any) -> Field:
+    node, detail = form
+    if node in (Nodetype.NAME, Nodetype.BASE):
+        return Field(name, detail if node == Nodetype.NAME else detail[0], None)
+    (inner, kind), size = detail
+    return Field(name, kind if inner == Nodetype.NAME else kind[0], int(size) if node == Nodetype.ARRAY else 0)

@@ -1,80 +1,94 @@
-"""A swerve robot behind a bus, as the real-time runner wants it: newest checked measurement, commands, a ramp to rest."""
+"""A robot behind a bus, as the real-time runner wants it: newest checked measurement, commands, a ramp to rest."""
 
 from __future__ import annotations
 
+import logging
+import threading
 import time
 from typing import Any
 
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
 from wbmpc.mpc import WallClock
 from wbmpc.mpc.safety import SafeStop
-from wbmpc.plant import SwerveCommand, SwerveMeasurement
-from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
+from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
+from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, read_imu
-from wbmpc.ros2.settings import GROUPS, RosSettings
+from wbmpc.ros2.pilot import Groups, Pilot
+from wbmpc.ros2.sending import Sender, senders
+from wbmpc.ros2.settings import RosSettings
 
+_LOG = logging.getLogger("wbmpc")
 #: How long zeros are sent after the ramp of a stop [s].
 ZEROS = 1.0
+#: How fast the difference of two machines' clocks may grow [s/s].
+_CLOCK_DRIFT = 1e-4
 
 
 class BusRobot:
-    """See :class:`wbmpc.mpc.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed.
+    """See :class:`wbmpc.mpc.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
+    that would fall (``pilot.keeps``) goes on without that message, and ``fault`` says so until the next good one.
 
-    With simulated time a measurement is as old as its stamp; with the wall's as its arrival, if its stamp has moved on: clocks
-    of two machines may differ, and a driver that hangs repeats itself.
+    With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has
+    moved on (clocks of two machines may differ, and a driver that hangs repeats itself); intervals are those of the stamps.
     """
 
-    def __init__(self, node: Node, robot: RobotModel, settings: RosSettings, clock: WallClock | BusClock) -> None:
-        self.robot, self.settings, self.clock = robot, settings, clock
+    def __init__(self, node: Node, pilot: Pilot, settings: RosSettings, clock: WallClock | BusClock) -> None:
+        self.pilot, self.settings, self.clock = pilot, settings, clock
         self.fault = ""
-        self._reader = JointReader(robot, settings)
+        self._reader = JointReader(pilot.robot, settings)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
+        self._fresh: list[Inertial] = []  # since the joint states that were read last
+        self._read: tuple[float, Inertial] | None = None
+        self._behind = np.inf  # least time [s] from a stamp to its arrival
+        self._lock = threading.Lock()
+        self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
-        given = robot.input.groups
-        sizes = {g: len(given.get("leg" if g == "brake" else g, ())) for g in GROUPS}
-        self._zero = {g: np.zeros(n) for g, n in sizes.items()}
-        self._last = dict(self._zero)
-        self._open(node, settings)
-
-    def _open(self, node: Node, settings: RosSettings) -> None:
+        self._last = pilot.rest()
         node.subscribe(settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR)
         if settings.topics.imu:
             node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR)
-        given = self.robot.input.groups
-        names = {g: list(given.get(g, ())) for g in GROUPS} | {"brake": [f"brake/{n}" for n in given.get("leg", ())]}
-        places = {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
-        self._commands = [
-            (node.publisher(c.topic, "std_msgs/msg/Float64MultiArray", DEFAULT), [places[j] for j in c.joints])
-            for c in settings.command_topics(self.robot).values()
-        ]
+        elif pilot.needs_imu:
+            raise InputError("topics.imu: this robot needs an inertial unit")
+        self._senders: list[Sender] = senders(node, pilot.robot, settings)
 
     # ------------------------------------------------------------------ from the bus
     def _take_joints(self, message: Any) -> None:
         try:
             sample = self._reader.read(message)
         except InputError as error:
-            if not (self._armed and self.fault):
-                self.fault = str(error)
+            self._note(str(error))
             if not self._armed:
                 self._reader.forget()
             return
-        before = self._joints
+        before, arrival = self._joints, time.perf_counter()
         if before is None or sample.stamp != before[0].stamp or sample.stamp == 0.0:
-            self._joints = sample, time.perf_counter()
-        if not self._armed:
+            grown = 0.0 if before is None else _CLOCK_DRIFT * max(arrival - before[1], 0.0)
+            self._behind = min(arrival - sample.stamp, self._behind + grown)
+            self._joints = sample, arrival
+        if not self._armed or self.pilot.keeps:
             self.fault = ""
 
     def _take_imu(self, message: Any) -> None:
         try:
-            self._inertial = read_imu(message), time.perf_counter()
+            taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
-            self.fault = self.fault or str(error)
+            self._note(str(error))
+            return
+        with self._lock:
+            self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
+            self._fresh.append(taken)
+            del self._fresh[:-100]
+
+    def _note(self, fault: str) -> None:
+        if self._armed and self.pilot.keeps and not self.fault:
+            _LOG.error("%s; it does not count, the robot goes on", fault)
+        if not (self._armed and self.fault):
+            self.fault = fault
 
     @property
     def has_imu(self) -> bool:
@@ -90,6 +104,8 @@ class BusRobot:
         age = self.age()
         if age > self.settings.safety.watchdog:
             return f"the joint states on {self.settings.topics.joint_states} are {age:.1f} s old"
+        if self.pilot.needs_imu and self._inertial is None:
+            return f"nothing on {self.settings.topics.imu} yet"
         return ""
 
     def age(self) -> float:
@@ -101,9 +117,9 @@ class BusRobot:
         return time.perf_counter() - self._joints[1]
 
     def arm(self) -> None:
-        """From now on faults stop the robot; it is at rest."""
-        self.fault, self._stopping, self._armed = "", None, True
-        self._last = dict(self._zero)
+        """From now on faults count; the robot is at rest."""
+        self.fault, self._stopping, self._armed, self.sent = "", None, True, 0
+        self._last = self.pilot.rest()
 
     def disarm(self) -> None:
         """Faults are reported only, and pass with the next good message."""
@@ -111,30 +127,55 @@ class BusRobot:
         self._reader.forget()
 
     # ------------------------------------------------------------------ for the runner
-    def read(self) -> SwerveMeasurement:
+    def read(self) -> Any:
         """The newest measurement, its time on the runner's clock."""
-        if self.fault and self._armed:
+        if self.fault and self._armed and not self.pilot.keeps:
             raise SafeStop(self.fault)
-        joints, inertial = self._joints, self._inertial
+        joints = self._joints
         if joints is None:
             raise SafeStop(f"no joint states on {self.settings.topics.joint_states}")
         sample, arrival = joints
-        on_bus = isinstance(self.clock, BusClock)
-        at = (sample.stamp if on_bus else arrival) - self.clock.origin
-        if inertial is None:
-            return SwerveMeasurement(at, **sample.groups)  # type: ignore[arg-type]
-        silent = 0.0 if on_bus else time.perf_counter() - inertial[1]
-        if silent > self.settings.safety.watchdog and self._armed:
-            raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
-        return SwerveMeasurement(at, **sample.groups, gyro=inertial[0].gyro, accel=inertial[0].accel)  # type: ignore[arg-type]
+        imu = self._averaged(sample.stamp)
+        if imu is not None and self._armed:
+            silent = self._silent_imu()
+            if silent > self.settings.safety.watchdog:
+                raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
+        return self.pilot.measurement(self.clock.now(), self._when(sample, arrival) - self.clock.origin, sample, imu)
 
-    def write(self, command: SwerveCommand) -> None:
+    def _when(self, sample: JointSample, arrival: float) -> float:
+        """When joint states were read, on the clock behind the runner's."""
+        if isinstance(self.clock, BusClock):
+            return sample.stamp
+        if not self.pilot.keeps or sample.stamp == 0.0:
+            return arrival
+        return sample.stamp + self._behind - self.settings.state_age
+
+    def _averaged(self, stamp: float) -> Inertial | None:
+        """Of what came since the joint states that were read before: filters integrate it over their interval."""
+        with self._lock:
+            if self._read is not None and self._read[0] == stamp:
+                return self._read[1]
+            fresh, self._fresh = self._fresh, []
+            if not fresh:
+                return self._inertial[0] if self._inertial is not None else None
+            mean = fresh[0]
+            if len(fresh) > 1:
+                mean = Inertial(*(np.mean([getattr(i, n) for i in fresh], axis=0) for n in ("gyro", "accel")))
+            self._read = stamp, mean
+            return mean
+
+    def _silent_imu(self) -> float:
+        assert self._inertial is not None
+        now = self.clock.stamp() if isinstance(self.clock, BusClock) else time.perf_counter()
+        return now - self._inertial[1]
+
+    def write(self, command: Any) -> None:
         """Send a command to all controllers."""
-        self._last, self._stopping = {g: getattr(command, g) for g in GROUPS}, None
+        self._last, self._stopping = self.pilot.groups(command), None
         self._send(self._last)
 
     def stop(self) -> None:
-        """The last speeds, ramped down, then zero, brakes closed, then nothing: who else commands the robot is not disturbed.
+        """The last commands, ramped down, then zero, brakes closed, then nothing: who else commands the robot is not disturbed.
 
         To be called again and again.
         """
@@ -145,13 +186,16 @@ class BusRobot:
         if now - self._stopping > ramp + ZEROS:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
-        brakes = self._last["brake"] if left > 0.0 else self._zero["brake"]
-        self._send({**{g: left * v for g, v in self._last.items()}, "brake": brakes})
+        scaled = {g: left * v for g, v in self._last.items()}
+        if "brake" in scaled:
+            scaled["brake"] = self._last["brake"] if left > 0.0 else self.pilot.rest()["brake"]
+        self._send(scaled)
 
     def rest(self) -> None:
         """Zero at once."""
-        self._send(self._zero)
+        self._send(self.pilot.rest())
 
-    def _send(self, values: dict[str, np.ndarray]) -> None:
-        for publisher, places in self._commands:
-            publisher.publish({"data": [values[g][i] for g, i in places]})
+    def _send(self, values: Groups) -> None:
+        self.sent += 1
+        for sender in self._senders:
+            sender.send(values)

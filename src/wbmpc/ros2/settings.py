@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_steps import RezeroStepsSettings
 from wbmpc.experiments.settings import MpcSettings, Settings
 from wbmpc.experiments.swerve_problem import SwerveCost
 from wbmpc.model import RobotModel
 
-#: Groups of a swerve robot's drives; each has a controller unless the file says otherwise.
+#: Groups of drives; each that a robot has gets a controller unless the file says otherwise.
 GROUPS = ("wheel", "steer", "arm", "brake")
+#: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
+NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 
 
 class Topics(Settings):
     """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
 
-    ``pose``: another localisation's pose of the base in the world frame, in place of the wheels' odometry.
+    ``pose``: another localisation's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
+    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the hand is to exert.
     """
 
     joint_states: str = "/joint_states"
@@ -32,10 +37,16 @@ class Topics(Settings):
     base_path: str = "/base_path"
     hand_path: str = "/hand_path"
     cmd_vel: str = "/cmd_vel"
+    wrench: str = "/wrench"
+    legs: str = "/legs"
+    brakes: str = "/brakes"
+    leg_configuration: str = "/leg_configuration"
+    set_legs: str = "/set_legs"
     odom: str = "/odom"
     hand_pose: str = "/hand_pose"
     plan: str = "/plan"
     hand_plan: str = "/hand_plan"
+    footprint: str = "/footprint"
     diagnostics: str = "/diagnostics"
 
     @field_validator("joint_states")
@@ -60,6 +71,7 @@ class Rates(Settings):
     odom: float = Field(50.0, gt=0, le=1000)
     plan: float = Field(2.0, gt=0, le=100)
     diagnostics: float = Field(1.0, gt=0, le=100)
+    trajectory: float = Field(20.0, gt=0, le=200)
 
 
 class Speeds(Settings):
@@ -81,21 +93,33 @@ class Safety(Settings):
 
 
 class Controller(Settings):
-    """A controller of ros2_control: ``topic`` of its commands (Float64MultiArray), our ``joints`` in its order."""
+    """A controller of ros2_control: ``topic`` of its commands, our ``joints`` in its order.
+
+    ``takes``: ``numbers`` (Float64MultiArray: speeds, for a ball robot efforts) or ``trajectory`` (JointTrajectory).
+    """
 
     topic: str
     joints: tuple[str, ...]
+    takes: Literal["numbers", "trajectory"] = "numbers"
+
+    @property
+    def type(self) -> str:
+        """Of its messages."""
+        return TRAJECTORY if self.takes == "trajectory" else NUMBERS
 
 
 class RosSettings(Settings):
     """``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours.
 
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
-    out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says.
+    out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
+    the modelled ``mpc.delay`` of that time, however fast the machine is. ``drive_lag`` [s] of the drives; ``state_age`` [s]:
+    by the wall's clock, how old joint states are when they come (ball robots).
     """
 
     node: str = "wbmpc"
     use_sim_time: bool = False
+    lockstep: bool = False
     topics: Topics = Topics()
     frames: Frames = Frames()
     rates: Rates = Rates()
@@ -107,6 +131,7 @@ class RosSettings(Settings):
     mpc: MpcSettings = MpcSettings()
     cost: SwerveCost = SwerveCost()
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    state_age: float = Field(0.005, ge=0, le=0.05)
     use_gyro: bool = True
 
     def bus_name(self, joint: str) -> str:
@@ -131,6 +156,10 @@ class RosSettings(Settings):
                 where = f"key 'controllers.{name}.joints'"
                 if joint not in known:
                     raise unknown_name("joint", joint, known, where=where)
+                if controller.takes == "trajectory" and joint not in drives["arm"]:
+                    raise InputError(
+                        f"{where}: '{joint}' cannot be led by a trajectory; valid: {', '.join(drives['arm'])}"
+                    )
                 if joint in seen:
                     raise InputError(f"{where}: joint '{joint}' is commanded by '{seen[joint]}' too")
                 seen[joint] = name
@@ -140,17 +169,34 @@ class RosSettings(Settings):
         return self.controllers
 
 
-def need_swerve(robot: RobotModel) -> None:
-    """Raise :class:`InputError` for robots that this room cannot drive yet: a ball robot has no estimator of its own."""
+class BallSettings(RosSettings):
+    """A ball robot's: torques, its own problem; weights of `rezero-steps`. ``observer``: of constant disturbances."""
+
+    mpc: MpcSettings = RezeroStepsSettings().mpc
+    cost: RezeroCost = RezeroCost()  # type: ignore[assignment]
+    observer: bool = True
+
+
+def settings_of(robot: RobotModel) -> type[RosSettings]:
+    """The settings for a kind of base. Raises :class:`InputError` for robots that this room cannot drive."""
     kind = robot.description.base.type
-    if kind != "swerve":
-        raise InputError(f"ros2: '{robot.description.name}' has a base of type '{kind}'; valid: swerve")
+    known: dict[str, type[RosSettings]] = {"swerve": RosSettings, "ball": BallSettings}
+    if kind not in known:
+        raise InputError(f"ros2: '{robot.description.name}' has a base of type '{kind}'; valid: {', '.join(known)}")
+    return known[kind]
+
+
+def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
+    """Our names of the joints in /joint_states by group: all that have an encoder."""
+    groups = {g: robot.state.groups.get(g, ()) for g in ("leg", "steer", "wheel", "arm")}
+    return groups | {"wheel": groups["wheel"] or robot.input.groups["wheel"]}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     """The settings of a YAML file, defaults without one. Raises :class:`InputError` naming file and key."""
+    kind = settings_of(robot)
     if path is None:
-        return RosSettings()
+        return kind()
     if not path.is_file():
         raise InputError(f"--config: there is no file '{path}'")
     try:
@@ -158,30 +204,30 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise InputError(f"{path}: a mapping of keys is needed; valid: {', '.join(RosSettings.model_fields)}")
+        raise InputError(f"{path}: a mapping of keys is needed; valid: {', '.join(kind.model_fields)}")
     try:
-        settings = RosSettings.model_validate(data)
+        settings = kind.model_validate(data)
         _check_joints(settings, robot)
         settings.command_topics(robot)
     except ValidationError as error:
         unknown = [f["loc"] for f in error.errors(include_url=False) if f["type"] == "extra_forbidden"]
         if unknown:
-            raise unknown_name("key", ".".join(map(str, unknown[0])), _siblings(unknown[0]), str(path)) from error
+            raise unknown_name("key", ".".join(map(str, unknown[0])), _siblings(kind, unknown[0]), str(path)) from error
         raise InputError(f"{path}: {describe(error)}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return settings
 
 
-def _siblings(place: tuple[Any, ...]) -> list[str]:
+def _siblings(kind: type[RosSettings], place: tuple[Any, ...]) -> list[str]:
     """Valid keys beside a wrong one."""
     prefix = ".".join(map(str, place[:-1]))
-    inside = [k for k in keys(RosSettings) if k.startswith(f"{prefix}.")] if prefix else []
-    return sorted({".".join(k.split(".")[: len(place)]) for k in inside}) or list(RosSettings.model_fields)
+    inside = [k for k in keys(kind) if k.startswith(f"{prefix}.")] if prefix else []
+    return sorted({".".join(k.split(".")[: len(place)]) for k in inside}) or list(kind.model_fields)
 
 
 def _check_joints(settings: RosSettings, robot: RobotModel) -> None:
-    known = robot.description.joints()
+    known = [n for names in joint_groups(robot).values() for n in names]
     for name in settings.joints:
         if name not in known:
             raise unknown_name("joint (key 'joints')", name, known)

@@ -1,4 +1,4 @@
-"""The robot's side of the bus, simulated: publishes what a swerve robot's drivers would, follows what they would follow."""
+"""The robot's side of the bus, simulated: publishes what a robot's drivers would, follows what they would follow."""
 
 from __future__ import annotations
 
@@ -11,23 +11,29 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
-from wbmpc.plant import SwerveCommand, SwervePlant
 from wbmpc.plant.perturbation import Perturbation
+from wbmpc.plant.scene import SceneReader
+from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
-from wbmpc.ros2.convert import header, pose, stamp, upright, vector
-from wbmpc.ros2.settings import GROUPS, RosSettings
+from wbmpc.ros2.convert import header, pose, stamp, vector
+from wbmpc.ros2.plants import plant_of
+from wbmpc.ros2.sending import places_of
+from wbmpc.ros2.settings import RosSettings, joint_groups
 
 _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.
 COMMAND_TIMEOUT = 0.1
 #: In lockstep: how long an answer is waited for, and after what time the question is asked again [s of the wall].
 PATIENCE, AGAIN = 1.0, 0.05
+#: A trajectory answers for so long [s].
+AGAIN_LED = 0.2
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
 BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
 LATE = 0.05
-TRUTH_ODOM, TRUTH_HAND = "/ground_truth/odom", "/ground_truth/hand"
+TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
 
 
 class SimNode:
@@ -35,6 +41,7 @@ class SimNode:
 
     ``lockstep``: after the first commands a period is simulated only when all commands to its beginning have come, so that
     nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often it was too slow.
+    A robot that cannot stand by itself is held until the first commands come; only its time goes on.
     """
 
     def __init__(
@@ -50,43 +57,45 @@ class SimNode:
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
-        self.plant = SwervePlant(robot.description, robot.state.split(robot.home), perturbation, seed)
+        self.side = plant_of(robot, settings, perturbation, seed)
+        self.plant = self.side.plant
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep
         self.lockstep, self.factor, self.behind, self.ticks = lockstep, factor, 0, 0
         self.sim_time = settings.use_sim_time or lockstep
-        self._groups = {g: np.zeros(len(names)) for g, names in self._drives().items()}
+        self._groups = self.side.rest()
         self._changed = threading.Condition()
         self._controllers = settings.command_topics(robot)
         self._count = dict.fromkeys(self._controllers, 0)
         self._heard = dict.fromkeys(self._controllers, -np.inf)
         self._silent, self._lost = True, False
+        self._stood = 0.0  # how long the robot was held [s]
         self._open()
 
-    def _drives(self) -> dict[str, list[str]]:
-        given = self.robot.input.groups
-        drives = {g: list(given.get("leg" if g == "brake" else g, ())) for g in GROUPS}
-        drives["brake"] = [f"brake/{n}" for n in drives["brake"]]
-        return drives
-
     def _open(self) -> None:
-        topics, names = self.settings.topics, self._drives()
-        places = {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
+        topics, frames, places = self.settings.topics, self.settings.frames, places_of(self.robot)
         sensors = Qos(depth=5)  # reliable, as the joint_state_broadcaster's
         self._joints = self.node.publisher(topics.joint_states, "sensor_msgs/msg/JointState", sensors)
         self._imu = self.node.publisher(topics.imu or "/imu", "sensor_msgs/msg/Imu", sensors)
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
         self._hand = self.node.publisher(TRUTH_HAND, "geometry_msgs/msg/PoseStamped")
+        self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.name), {}  # type: ignore[var-annotated]
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
-        imu = {"header": header(self.now(), self.settings.frames.base), "child_frame_id": "imu"}
+        mount = {"translation": vector(self.side.imu_at)}
+        imu = {"header": header(self.now(), frames.base), "child_frame_id": "imu", "transform": mount}
         fixed.publish({"transforms": [imu]})
+        described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
+        described.publish({"data": to_urdf(self.robot.description)})
         for name, controller in self._controllers.items():
             wanted = [places[j] for j in controller.joints]
             take = lambda message, n=name, w=wanted: self._take(n, w, message)
-            self.node.subscribe(controller.topic, "std_msgs/msg/Float64MultiArray", take, DEFAULT)
-        state = self.robot.state.groups
-        self._names = [self.settings.bus_name(n) for g in ("leg", "steer", "wheel", "arm") for n in state.get(g, ())]
+            if controller.takes == "trajectory":
+                take = lambda message, n=name, w=wanted: self._take_trajectory(n, w, message)
+            self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
+        self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
+        self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
+        self._names = [n for names in self._order.values() for n in names]
 
     def _take(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         values = np.asarray(message.data, float)
@@ -96,20 +105,39 @@ class SimNode:
         with self._changed:
             for (group, i), value in zip(places, values, strict=True):
                 self._groups[group][i] = value
-            self._count[name] += 1
-            self._heard[name], self._lost = self.plant.time, False
-            self._changed.notify_all()
+            self._answered(name)
+
+    def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
+        """As a joint_trajectory_controller does: the drives follow the points' positions and velocities."""
+        try:
+            led = self.side.lead(self._bus_names[name], places, message, self.now())
+        except InputError as error:
+            _LOG.error("%s: %s", self._controllers[name].topic, error)
+            return
+        with self._changed:
+            self.side.led[name] = led
+            self._answered(name)
+
+    def _answered(self, name: str) -> None:
+        self._count[name] += 1
+        self._heard[name], self._lost = self.time, False
+        self._changed.notify_all()
 
     # ------------------------------------------------------------------ time
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._stood + float(self.plant.time)
+
     def now(self) -> float:
         """Stamp [s] of what is published now."""
-        return BEGIN + self.plant.time if self.sim_time else time.time()
+        return BEGIN + self.time if self.sim_time else time.time()
 
     def spin(self, ended: Callable[[], bool], seconds: float = np.inf) -> str:
         """Run until ``ended()``, for ``seconds`` of simulated time or until the robot falls; returns why it ended."""
         due = time.perf_counter()
         while not ended():
-            if self.plant.time >= seconds:
+            if self.time >= seconds:
                 return f"{seconds:g} s are over"
             before = dict(self._count)
             self.publish()
@@ -117,13 +145,20 @@ class SimNode:
                 self._await(before)
             else:
                 due = self._pace(due)
-            self.plant.step(self._command(), self.steps)
+            self._advance()
             self.ticks += 1
             if self.plant.diverged:
                 return "the simulation diverged"
             if self.plant.fell:
-                return f"the robot fell at {self.plant.time:.2f} s"
+                return f"the robot fell at {self.time:.2f} s"
         return "ended"
+
+    def _advance(self) -> None:
+        command = self._command()
+        if self.side.held and not any(self._count.values()):
+            self._stood += self.period
+        else:
+            self.plant.step(command, self.steps)
 
     def _pace(self, due: float) -> float:
         """Wait for the next period's wall time; returns the one after it."""
@@ -142,7 +177,9 @@ class SimNode:
         Who does not answer at all is not waited for again until it does.
         """
         end = time.monotonic() + PATIENCE
-        answered = lambda: all(self._count[n] > before[n] for n in before)
+        recent = lambda n: self.time - self._heard[n] < AGAIN_LED
+        led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
+        answered = lambda: all(recent(n) if n in led else self._count[n] > before[n] for n in before)
         while not answered() and time.monotonic() < end:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)
@@ -151,37 +188,51 @@ class SimNode:
         self._lost = not answered()
 
     # ------------------------------------------------------------------ messages
-    def _command(self) -> SwerveCommand:
+    def _command(self) -> Any:
         with self._changed:
-            now = self.plant.time
-            late = [n for n, heard in self._heard.items() if now - heard > COMMAND_TIMEOUT]
+            now = self.time
+            # a trajectory is followed to its end; who sends numbers has to go on
+            late = [
+                n for n, heard in self._heard.items()
+                if now - heard > COMMAND_TIMEOUT and not (n in self.side.led and np.isfinite(heard))
+            ]  # fmt: skip
             if late and not self._silent:
                 _LOG.error("no commands on %s: the robot stops", self._controllers[late[0]].topic)
             self._silent = bool(late)
-            if late:
-                return SwerveCommand.stop(len(self._groups["wheel"]), len(self._groups["arm"]))
-            return SwerveCommand(**{g: v.copy() for g, v in self._groups.items()})
+            groups = {g: v.copy() for g, v in (self.side.rest() if late else self._groups).items()}
+            if not late:
+                self.side.track(groups, self.now())
+            return self.side.command(groups)
 
     def publish(self) -> None:
         """Sensors, then the clock: who hears the clock has the sensors."""
-        m, at = self.plant.measure(), self.now()
-        positions = np.concatenate([m.leg, m.steer, m.wheel, m.arm])
+        reading, at = self.side.read(), self.now()
+        sampled = at - reading.age
         imu = {
-            "header": header(at, "imu"), "orientation_covariance": [-1.0] + [0.0] * 8,
-            "angular_velocity": vector(m.gyro), "linear_acceleration": vector(m.accel),
+            "header": header(sampled, "imu"), "orientation_covariance": [-1.0] + [0.0] * 8,
+            "angular_velocity": vector(reading.gyro), "linear_acceleration": vector(reading.accel),
         }  # fmt: skip
         self._imu.publish(imu)
-        self._joints.publish({"header": header(at, ""), "name": self._names, "position": positions})
+        positions = np.concatenate([reading.joints[g] for g in self._order])
+        self._joints.publish({"header": header(sampled, ""), "name": self._names, "position": positions})
         if self.ticks % 8 == 0:
             self._publish_truth(at)
-        self._clock.publish({"clock": stamp(BEGIN + self.plant.time)})
+        self._clock.publish({"clock": stamp(BEGIN + self.time)})
 
     def _publish_truth(self, at: float) -> None:
         truth, world = self.plant.truth(), self.settings.frames.world
-        position, turned = upright(truth.pose, self.robot.base.height)
+        position, turned = self.side.base(truth)
         self._odom.publish(
             {"header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)}}
         )
+        hand = truth.tool + [0.0, 0.0, self.side.lift]
         self._hand.publish(
-            {"header": header(at, world), "pose": pose(truth.tool, lie.rotation_to_quaternion(truth.tool_rotation))}
+            {"header": header(at, world), "pose": pose(hand, lie.rotation_to_quaternion(truth.tool_rotation))}
         )
+        for contact in self._reader.contacts(self.plant.data):
+            if contact.body not in self._forces:
+                topic = f"{CONTACT}/{contact.body}"
+                self._forces[contact.body] = self.node.publisher(topic, "geometry_msgs/msg/WrenchStamped")
+            self._forces[contact.body].publish(
+                {"header": header(at, world), "wrench": {"force": vector(contact.force)}}
+            )

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc.mpc import Policy
 from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
+from wbmpc.ros2.markers import Footprint
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
 
-#: Standard deviations of the odometry that are told: position [m], yaw [rad], speeds [m/s, rad/s]; unknown for the rest.
-_POSE, _TWIST, _UNKNOWN = (0.02, 0.02, 0.01), (0.01, 0.01, 0.01), 1e6
 WELL, WARNING, ERROR = 0, 1, 2
 #: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
 EVERY = 2
@@ -28,11 +28,13 @@ class Teller:
         topics = controller.settings.topics
         kinds = {
             "odom": "nav_msgs/msg/Odometry", "hand_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
-            "hand_plan": "nav_msgs/msg/Path", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+            "hand_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
+            "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         }  # fmt: skip
         names = {key: getattr(topics, key) for key in kinds}
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
+        self.footprint = Footprint(controller.robot, controller.settings.frames.world)
         rates = controller.settings.rates
         self._due = {
             "odom": [0.0, 1.0 / rates.odom],
@@ -56,47 +58,58 @@ class Teller:
 
     def _odometry(self) -> None:
         c = self.controller
-        if c.agent.seen is None:
+        seen, e = c.pilot.snapshot(), c.pilot.estimate()
+        if seen is None or e is None:
             return
-        (t, x), frames = c.agent.snapshot(), c.settings.frames
+        (t, x), frames = seen, c.settings.frames
         now = c.stamp_of(t)
-        base = x[c.robot.state["base"]]
-        position, turned = upright(base, c.robot.base.height)
-        covariance = np.diag([_POSE[0] ** 2, _POSE[1] ** 2, *[_UNKNOWN] * 3, _POSE[2] ** 2]).ravel()
-        speeds = np.diag([_TWIST[0] ** 2, _TWIST[1] ** 2, *[_UNKNOWN] * 3, _TWIST[2] ** 2]).ravel()
-        twist = c.agent.odometry.twist if c.running else np.zeros(3)
+        twist = e.twist if c.running else np.zeros(6)
         self._send("odom", {
             "header": header(now, frames.world), "child_frame_id": frames.base,
-            "pose": {"pose": pose(position, turned), "covariance": covariance},
+            "pose": {"pose": pose(e.position, e.orientation), "covariance": e.covariance.ravel()},
             "twist": {
-                "twist": {"linear": vector(np.array([*twist[:2], 0.0])), "angular": vector(np.array([0.0, 0.0, twist[2]]))},
-                "covariance": speeds,
+                "twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])},
+                "covariance": e.twist_covariance.ravel(),
             },
         })  # fmt: skip
-        transform = {"translation": vector(position), "rotation": quaternion(turned)}
+        transform = {"translation": vector(e.position), "rotation": quaternion(e.orientation)}
         self._send("tf", {
             "transforms": [{"header": header(now, frames.world), "child_frame_id": frames.base, "transform": transform}]
         })  # fmt: skip
-        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*c.robot.pose(x))})
+        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
+
+    def _hand(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the hand above the floor."""
+        position, turned = self.controller.robot.pose(x)
+        return position + [0.0, 0.0, self.controller.pilot.planner.lift], turned
 
     def _plans(self) -> None:
         c = self.controller
         policy = c.runner.plans.current if c.runner is not None and c.running else None
+        self._stand(policy)
         if policy is None:
             return
-        now, world = c.now(), c.settings.frames.world
+        now, world, planner = c.now(), c.settings.frames.world, c.pilot.planner
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
-        base = [upright(p, c.robot.base.height) for p in policy.x[nodes, c.robot.state["base"]]]
-        hand = [c.robot.pose(x) for x in policy.x[nodes]]
+        base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
+        hand = [self._hand(x) for x in policy.x[nodes]]
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
 
+    def _stand(self, policy: Policy | None) -> None:
+        """How the robot stands, with the inputs of the plan and the world's answer to what the hand exerts."""
+        c = self.controller
+        seen = c.pilot.snapshot()
+        if seen is not None and "footprint" in self._to:
+            u = None if policy is None else policy.u[0]
+            self._send("footprint", {"markers": self.footprint.markers(c.now(), seen[1], u, -c.wrench, policy)})
+
     def _diagnostics(self) -> None:
         c = self.controller
         stopped = c.runner is not None and c.runner.stopped
-        level = ERROR if stopped else WELL if c.running else WARNING
+        level = ERROR if stopped or c.ill else WELL if c.running else WARNING
         if level == WELL and c.inbox.refused:
             level = WARNING
         entries = [status(level, f"{c.settings.node}: controller", c.state, c.robot.description.name, c.figures())]

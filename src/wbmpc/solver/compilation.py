@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.kernel.library import Library
-from wbmpc.kernel.translate import (
+from wbmpc.kernel.ir import (
     BOOL,
     INT,
     INT2,
@@ -21,6 +20,7 @@ from wbmpc.kernel.translate import (
     VEC,
     PointerCall,
 )
+from wbmpc.kernel.library import Library
 
 LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, LANES, NONE, NUM, NUM2, NUM4, NUM6, NUMS, compiled
 from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
     DU,
@@ -236,65 +236,96 @@ def next_mu(mu, last, error, complementarity):  # type: ignore[no-untyped-def]
     return mu
 
 
-@compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
-def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
-    """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
-    penalty, first, last_kkt, shift, certify = 0.0, 1.0, np.inf, 0.0, s[CERTIFY] > 0.0
-    rows, state, limit = row_count(o) > 0, o[STATE], int(s[ITERATIONS])
+@compiled(NONE, NUMS, INTS, NUMS, NUMS)
+def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
+    """What a solve starts from: its state, slacks and multipliers, for single shooting a motion."""
+    state, rows = o[STATE], row_count(o) > 0
     m[state + MU], m[state + FILTERED], m[state + SHIFT] = s[MU_START], 0.0, 0.0
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
-    m[state + RHO], m[state + THETA], last_residual = 1.0, 1.0, np.inf
+    m[state + RHO], m[state + THETA] = 1.0, 1.0
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     if s[SINGLE] > 0.0:
         roll_out(m, o, x0)
         if rows:
             start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
-    it = 0
+
+
+@compiled(NUM6, NUMS, INTS, NUMS, NUMS, NUMS, INT)
+def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
+    """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log."""
+    state, certify = o[STATE], s[CERTIFY] > 0.0
+    cost, gaps, equalities, violation = backward(m, o, certify)
+    for i in range(o[NX]):
+        gaps += abs(x0[i] - m[o[X] + i])
+    violation += gaps + equalities
+    largest, slope = forward(m, o, x0)
+    if row_count(o) > 0:
+        rows_step(m, o, s[TAU])
+    kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
+    log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + ROW_COST], violation, kkt, largest
+    log[row + 4], log[row + 5], log[row + 6], log[row + 7] = 0.0, gaps, equalities, m[state + RESIDUAL]
+    log[row + 8], log[row + 9] = m[state + PRODUCT], m[state + MU]
+    log[row + 10], log[row + 11] = m[state + SHIFT], m[state + DUAL]
+    return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
+
+
+@compiled(BOOL, NUMS, INTS, NUMS)
+def make_convex(m, o, s):  # type: ignore[no-untyped-def]
+    """Fewer second derivatives, then a larger shift, for a subproblem that is not convex; whether there is one to try."""
+    state = o[STATE]
+    if o[EXACT] > 0 and m[state + THETA] > 0.0:
+        m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
+        return True
+    m[state + SHIFT] = max(10.0 * m[state + SHIFT], 1e-6)
+    return m[state + SHIFT] <= s[LARGEST_SHIFT]
+
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM)
+def settle_rows(m, o, s, alpha, kkt, violation, last_residual):  # type: ignore[no-untyped-def]
+    """Slacks and multipliers after a step of ``alpha``; μ and ρ for the next one.
+
+    Returns the residual to compare the next one with, and 1 when the problem is another one now (μ or ρ has changed).
+    """
+    state, certify = o[STATE], s[CERTIFY] > 0.0
+    mu, residual, product, changed = m[state + MU], m[state + RESIDUAL], m[state + PRODUCT], 0.0
+    # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
+    solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
+    take_rows(m, o, alpha, m[state + DUAL], solved)
+    feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
+    error = 0.0 if feasible else max(violation, residual)
+    after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
+    if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
+        after = min(s[MU_START], 10.0 * mu)
+    if certify and (solved or alpha > 0.9):
+        if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
+            m[state + RHO], changed = min(4.0 * m[state + RHO], 1e6), 1.0
+        last_residual = residual
+    if after != mu:
+        m[state + MU], m[state + FILTERED], changed = after, 0.0, 1.0
+    return last_residual, changed
+
+
+@compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
+def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
+    """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
+    penalty, first, last_kkt, last_residual, certify = 0.0, 1.0, np.inf, np.inf, s[CERTIFY] > 0.0
+    rows, state, limit, it = row_count(o) > 0, o[STATE], int(s[ITERATIONS]), 0
+    begin(m, o, x0, s)
     while it < limit:
         row = it * LOG_COLUMNS
-        m[state + SHIFT] = shift
-        cost, gaps, equalities, violation = backward(m, o, certify)
-        for i in range(o[NX]):
-            gaps += abs(x0[i] - m[o[X] + i])
-        violation += gaps + equalities
-        largest, slope = forward(m, o, x0)
-        if rows:
-            rows_step(m, o, s[TAU])
-        slope += m[state + ROW_SLOPE]
-        dual, product, residual = m[state + DUAL], m[state + PRODUCT], m[state + RESIDUAL]
-        kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
-        log[row + 0], log[row + 1], log[row + 2], log[row + 3], log[row + 4] = (
-            cost - m[state + ROW_COST],
-            violation,
-            kkt,
-            largest,
-            0.0,
-        )
-        log[row + 5], log[row + 6], log[row + 7], log[row + 8], log[row + 9] = (
-            gaps,
-            equalities,
-            residual,
-            product,
-            m[state + MU],
-        )
-        log[row + 10], log[row + 11] = shift, dual
+        cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
         it += 1
         if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
-            if it < limit and np.isfinite(cost) and np.isfinite(violation) and s[LARGEST_SHIFT] > 0.0:
-                # the subproblem is not convex: fewer second derivatives, then a larger shift
-                if o[EXACT] > 0 and m[state + THETA] > 0.0:
-                    m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
-                    continue
-                shift = max(10.0 * shift, 1e-6)
-                if shift <= s[LARGEST_SHIFT]:
-                    continue
+            known = np.isfinite(cost) and np.isfinite(violation)
+            if it < limit and known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
+                continue
             return NOT_FINITE, it
         if abs(cost) > HUGE or largest > HUGE:
             return DIVERGED, it
-        feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
-        mu = m[state + MU]
+        mu, product = m[state + MU], m[state + PRODUCT]
+        feasible = violation <= s[FEASIBILITY] and m[state + RESIDUAL] <= s[FEASIBILITY]
         if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu:
             if mu <= s[MU_END] or not rows:
                 return CONVERGED, it
@@ -308,27 +339,21 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
+        shift = m[state + SHIFT]
         if alpha == 0.0:
-            shift = max(10.0 * shift, 1e-4)
-            if shift > s[LARGEST_SHIFT]:
+            m[state + SHIFT] = max(10.0 * shift, 1e-4)
+            if m[state + SHIFT] > s[LARGEST_SHIFT]:
                 return NO_STEP, it
             continue
-        shift, m[state + THETA] = 0.2 * shift if shift > 1e-6 else 0.0, min(1.0, 2.0 * m[state + THETA] + 0.01)
+        m[state + SHIFT], m[state + THETA] = (
+            0.2 * shift if shift > 1e-6 else 0.0,
+            min(1.0, 2.0 * m[state + THETA] + 0.01),
+        )
         take(m, o)
         if rows:
-            # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
-            solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
-            take_rows(m, o, alpha, dual, solved)
-            error = (0.0 if feasible else max(violation, residual)) if certify else 0.0
-            after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
-            if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
-                after = min(s[MU_START], 10.0 * mu)
-            if certify and (solved or alpha > 0.9):
-                if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
-                    m[state + RHO], last_kkt = min(4.0 * m[state + RHO], 1e6), np.inf
-                last_residual = residual
-            if after != mu:
-                m[state + MU], m[state + FILTERED], last_kkt = after, 0.0, np.inf
+            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual)
+            if changed > 0.0:
+                last_kkt = np.inf
         log[row + 4] = alpha
         o[POLICY] = 1
         if it == limit and alpha < 0.9 and limit < int(s[ITERATIONS]) + int(s[EXTRA]):

@@ -10,6 +10,11 @@ import numpy as np
 from wbmpc.errors import InputError, unknown_name
 
 
+def _count(value: object, least: int) -> bool:
+    """Whether this is a whole number of at least ``least``."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= least)
+
+
 @dataclass(frozen=True)
 class InteriorPoint:
     """How hard inequalities are treated.
@@ -36,6 +41,10 @@ class InteriorPoint:
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise InputError(f"interior point: {name} must be positive, got {value}")
+        if not _count(self.extra_when_cut, 0):
+            raise InputError(
+                f"interior point: extra_when_cut must be a whole number, at least 0, got {self.extra_when_cut}"
+            )
         if not 0.0 < self.tau < 1.0:
             raise InputError(f"interior point: tau must be between 0 and 1, got {self.tau}")
 
@@ -83,8 +92,8 @@ class SQP:
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        if self.iterations < 1:
-            raise InputError(f"{name}: iterations must be at least 1, got {self.iterations}")
+        if not _count(self.iterations, 1):
+            raise InputError(f"{name}: iterations must be a whole number, at least 1, got {self.iterations}")
         if self.backend not in ("compiled", "interpreted"):
             raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
         if self.line_search not in ("merit", "filter"):
@@ -94,6 +103,10 @@ class SQP:
         for key in ("tolerance", "feasibility", "smallest_step"):
             if not getattr(self, key) > 0.0:
                 raise InputError(f"{name}: {key} must be positive, got {getattr(self, key)}")
+        if not self.smallest_step <= 1.0:
+            raise InputError(f"{name}: smallest_step must be at most 1, got {self.smallest_step}")
+        if not self.largest_shift >= 0.0:
+            raise InputError(f"{name}: largest_shift must not be negative, got {self.largest_shift}")
 
     @classmethod
     def real_time(cls, iterations: int = 1, **more: object) -> SQP:

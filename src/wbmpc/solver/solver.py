@@ -15,7 +15,7 @@ from wbmpc.errors import InputError, SolveFailed, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
-from wbmpc.solver.certificate import Checks, not_finite
+from wbmpc.solver.certificate import Checks, largest_gap, largest_term, not_finite, unseen_inputs
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -32,6 +32,7 @@ class Solver:
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        self._given_grid = self.ocp.grid
         if isinstance(self.settings, SLQ):
             self.ocp = self.ocp.refined(self.settings.step)
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
@@ -109,8 +110,17 @@ class Solver:
         self.ws.w[part] = vector
 
     def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
-        """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out."""
+        """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
+
+        Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
+        linear between its nodes, inputs hold over its intervals.
+        """
         given = {"x": np.asarray(x, float), "u": np.zeros(self.problem.nu) if u is None else np.asarray(u, float)}
+        own, fine = self._given_grid, self.ocp.grid
+        if own.size < fine.size and given["x"].shape == (own.size, self.problem.nx):
+            given["x"] = np.stack([np.interp(fine, own, column) for column in given["x"].T], axis=1)
+        if own.size < fine.size and given["u"].shape == (own.size - 1, self.problem.nu):
+            given["u"] = given["u"][np.searchsorted(own, fine[:-1] + 1e-9) - 1]
         for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
             if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
                 raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
@@ -171,13 +181,9 @@ class Solver:
 
         With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
         """
-        x0 = np.ascontiguousarray(x0, float)
-        nx = self.problem.nx
-        if x0.shape != (nx,):
-            raise InputError(f"initial state: {nx} numbers are needed, got shape {x0.shape}")
-        if not np.isfinite(x0).all():
-            bad = self.ocp.dynamics.state.names[int(np.argmax(~np.isfinite(x0)))]
-            raise InputError(f"initial state: '{bad}' is not finite")
+        x0 = self._start_state(x0)
+        if not np.isfinite(t0):
+            raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
         start = time.perf_counter()
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
@@ -188,11 +194,32 @@ class Solver:
             raise SolveFailed(str(solution))
         return solution
 
+    def _start_state(self, x0: np.ndarray) -> np.ndarray:
+        """``x0`` as (nx) finite numbers."""
+        nx = self.problem.nx
+        try:
+            x0 = np.ascontiguousarray(x0, float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"initial state: {nx} numbers are needed ({error})") from error
+        if x0.shape != (nx,):
+            raise InputError(f"initial state: {nx} numbers are needed, got shape {x0.shape}")
+        if not np.isfinite(x0).all():
+            bad = self.ocp.dynamics.state.names[int(np.argmax(~np.isfinite(x0)))]
+            raise InputError(f"initial state: '{bad}' is not finite")
+        return x0
+
+    def certified(self, status: int, count: int, elapsed: float) -> Solution:
+        """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
+        return self._certified(self.solution(status, count, elapsed))
+
     def _certified(self, solution: Solution) -> Solution:
         """The solution with its violations by name, and the status that these show."""
         ws, status, detail = self.ws, solution.status, ""
         if status is Status.NOT_FINITE:
-            detail = not_finite(self.problem, ws)
+            solution, detail = replace(solution, kkt=np.nan), not_finite(self.problem, ws)
+            free = unseen_inputs(self.problem)
+            if free:
+                detail = f"{detail or 'the step'}; no term looks at input '{free[0]}'"
             if detail or solution.violation < self.settings.feasibility:
                 return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
             status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
@@ -201,13 +228,18 @@ class Solver:
         if status is Status.DIVERGED:
             k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
             name = self.ocp.dynamics.state.names[i]
-            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}, cost {solution.cost:.3g}"
+            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}"
+            term = largest_term(self.problem, ws)
+            detail += f", largest term: {term}" if term else ""
+            detail += f", last step {solution.log[-1, COLUMNS['step']]:.3g}"
         elif status is not Status.CONVERGED and solution.log[-1, COLUMNS["violation"]] > self.settings.feasibility:
-            detail = (
-                f"largest violation: {worst}" if worst is not None and worst.value > 0.0 else "gaps of the dynamics"
-            )
-            if self._stuck(solution):
-                status = Status.INFEASIBLE
+            gap, where = largest_gap(self.problem, ws)
+            missed = worst is not None and worst.value > self.settings.feasibility
+            if missed or gap > self.settings.feasibility:
+                detail = f"largest violation: {worst}" if missed else where
+                status = Status.INFEASIBLE if self._stuck(solution) else status
+            else:
+                detail = "the last step met the constraints, but nothing has settled"
         elif status is Status.CONVERGED:
             hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
             most = max(hard, key=lambda v: v.value, default=None)

@@ -14,7 +14,7 @@ from wbmpc.kernel import Kernel
 from wbmpc.kernel.compiled import ADDRESSES as FUNCTIONS
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.dense import pad
-from wbmpc.kernel.translate import LANES
+from wbmpc.kernel.ir import LANES
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import BoxRow, Kind, Row
 

@@ -1,0 +1,267 @@
+"""The swerve experiments over seeds and under burdens that the controller does not know of: masses, a slope, delays.
+
+Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
+was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.configuration import configure
+from wbmpc.experiments import REGISTRY
+from wbmpc.report import versions, write_run
+from wbmpc.reproduce import Job, parse_seeds, run_all
+
+#: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
+CONDITIONS: dict[str, tuple[str, ...]] = {
+    "protocol": (),
+    "hand 5 kg": ("plant.payload=5",),
+    "hand 10 kg": ("plant.payload=10",),
+    "body 75 kg": ("plant.load=75",),
+    "body 150 kg": ("plant.load=150",),
+    "slope 3 deg": ("plant.slope=0.05236",),
+    "delay 5 ms": ("mpc.delay=0.005",),
+    "delay 25 ms": ("mpc.delay=0.025",),
+    "all at once": ("plant.payload=10", "plant.load=150", "plant.slope=0.05236", "mpc.delay=0.025"),
+}
+#: Figures that are shown beside all with a goal: (metric, factor, unit).
+SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
+    "swerve-track": (
+        ("hand_error_mean_odometry", 1e3, "mm"),
+        ("hand_error_mean_world", 1e3, "mm"),
+        ("odometry_drift_ratio", 100.0, "%"),
+    ),
+    "swerve-unified": (("hand_error_rms", 1e3, "mm"), ("hand_error_rms_world", 1e3, "mm")),
+    "swerve-fixed": (
+        ("tracking_error_rms_mpc", 1e3, "mm"),
+        ("tracking_error_rms_ik", 1e3, "mm"),
+        ("wheel_slip_max_mpc", 1.0, "m/s"),
+    ),
+    "swerve-drive": (
+        ("base_position_error_rms", 1e3, "mm"),
+        ("baseline_position_error_rms", 1e3, "mm"),
+        ("leg_angle_error_rms", 180.0 / np.pi, "deg"),
+    ),
+}
+#: Those that have no MPC, or none whose delay could be set, run under the protocol only.
+PROTOCOL_ONLY = ("swerve-brakes", "swerve-wobble", "swerve-calibrate", "swerve-plaster")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One experiment under one condition over all seeds that are finished."""
+
+    experiment: str
+    condition: str
+    runs: tuple[dict[str, Any], ...]
+
+    @property
+    def completed(self) -> int:
+        return sum(bool(r["completed"]) for r in self.runs)
+
+    def statistics(self) -> dict[str, dict[str, Any]]:
+        """By metric: median, 5 %, 95 %, worst (largest) and goal. A figure that is not finite counts as infinite."""
+        out = {}
+        for name in dict.fromkeys(n for r in self.runs for n in r["metrics"]):
+            having = [r for r in self.runs if name in r["metrics"]]
+            values = [r["metrics"][name]["value"] for r in having]
+            known = np.array([np.inf if v is None else float(v) for v in values])
+            # in order, not between values: a mean with infinity is not a figure
+            low, middle, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.5, 0.95))
+            goal = having[0]["targets"].get(name, {}).get("goal")
+            unit = having[0]["metrics"][name]["unit"]
+            out[name] = {
+                "unit": unit,
+                "median": middle,
+                "p5": low,
+                "p95": high,
+                "worst": float(known.max()),
+                "goal": goal,
+            }
+        return out
+
+
+def place(out: Path, condition: str, name: str, seed: int) -> Path:
+    """The directory of a run."""
+    return out / condition.replace(" ", "-") / name / f"seed{seed}"
+
+
+def jobs(out: Path, conditions: Iterable[str], names: Iterable[str], seeds: Iterable[int]) -> dict[Job, str]:
+    """All runs with their conditions, seed by seed."""
+    names, conditions = list(names), list(conditions)
+    return {
+        Job(name, seed, place(out, condition, name, seed)): condition
+        for seed in seeds
+        for condition in conditions
+        for name in names
+        if condition == "protocol" or name not in PROTOCOL_ONLY
+    }
+
+
+def one(name: str, seed: int, directory: Path, settings: list[str]) -> int:
+    """What the process of a run does."""
+    experiment = REGISTRY[name]
+    result = experiment.run(configure(experiment.config_type, settings, name), seed, None)
+    write_run(result, directory)
+    (directory / "log.npz").unlink()
+    return 0 if result.completed else 1
+
+
+def cells(found: dict[Job, str]) -> list[Cell]:
+    """What is finished, by experiment and condition."""
+    runs: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for job, condition in found.items():
+        if job.done:
+            runs.setdefault((job.name, condition), []).append(json.loads((job.directory / "metrics.json").read_text()))
+    return [Cell(name, condition, tuple(r)) for (name, condition), r in sorted(runs.items(), key=_order)]
+
+
+def _order(item: tuple[tuple[str, str], Any]) -> tuple[str, int]:
+    (name, condition), _ = item
+    return name, list(CONDITIONS).index(condition)
+
+
+def _text(value: float, factor: float = 1.0) -> str:
+    return "∞" if not np.isfinite(value) else f"{factor * value:.3g}"
+
+
+def markdown(found: list[Cell]) -> str:
+    """A table for each experiment: conditions down, figures across; then all figures with goals under the protocol."""
+    parts = []
+    for name in dict.fromkeys(c.experiment for c in found):
+        mine = [c for c in found if c.experiment == name]
+        shown = SHOWN.get(name)
+        if shown and len(mine) > 1:
+            heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
+            lines = [_row(["condition", "seeds", "completed", *heads]), _row(["---"] * (3 + len(heads)))]
+            for cell in mine:
+                s = cell.statistics()
+                figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
+                lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
+            parts.append(f"### `{name}`\n" + "\n".join(lines))
+        protocol = next((c for c in mine if c.condition == "protocol"), None)
+        if protocol is not None:
+            parts.append(f"#### `{name}`, protocol, {len(protocol.runs)} seeds\n" + _protocol(protocol))
+    return "\n\n".join(parts) + "\n"
+
+
+def _row(fields: Iterable[str]) -> str:
+    return "| " + " | ".join(fields) + " |"
+
+
+def _figure(s: dict[str, Any], factor: float) -> str:
+    """Median (95 %, worst); bold where the 95 % value misses the goal."""
+    text = f"{_text(s['median'], factor)} ({_text(s['p95'], factor)}, {_text(s['worst'], factor)})"
+    return f"**{text}**" if s["goal"] is not None and s["p95"] > s["goal"] else text
+
+
+def _protocol(cell: Cell) -> str:
+    lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst", "goal", "reached"]), _row(["---"] * 8)]
+    for name, s in cell.statistics().items():
+        reached = "" if s["goal"] is None else ("yes" if s["p95"] <= s["goal"] else "no")
+        goal = "" if s["goal"] is None else f"{s['goal']:.3g}"
+        figures = [_text(s[k]) for k in ("median", "p5", "p95", "worst")]
+        lines.append(_row([name, s["unit"], *figures, goal, reached]))
+    return "\n".join(lines)
+
+
+def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
+    """table.json, table.md and, where matplotlib is installed, robustness.png."""
+    out.mkdir(parents=True, exist_ok=True)
+    rows = [
+        {
+            "experiment": c.experiment,
+            "condition": c.condition,
+            "settings": list(CONDITIONS[c.condition]),
+            "seeds": [r["seed"] for r in c.runs],
+            "completed": c.completed,
+            "reasons": [r["reason"] for r in c.runs if r["reason"]],
+            "metrics": c.statistics(),
+        }
+        for c in found
+    ]
+    lost = [{"run": str(j.directory.relative_to(out)), "reason": reason} for j, reason in failed.items()]
+    data = json.loads(
+        json.dumps({"cells": rows, "failed": lost, "versions": versions()}), parse_constant=lambda _: None
+    )
+    (out / "table.json").write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
+    (out / "table.md").write_text(markdown(found))
+    try:
+        figure(found, out / "robustness.png")
+    except ImportError:
+        print("matplotlib is not installed: no figure")
+
+
+def figure(found: list[Cell], path: Path) -> None:
+    """First figure of each experiment: every run a point, conditions along the axis, the goal dashed."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    names = [n for n in SHOWN if any(c.experiment == n for c in found)]
+    if not names:
+        return
+    conditions = list(CONDITIONS)
+    drawing, axes = plt.subplots(
+        len(names), figsize=(10, 2.4 * len(names)), sharex=True, squeeze=False, layout="constrained"
+    )
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        metric, factor, unit = SHOWN[name][0]
+        for cell in (c for c in found if c.experiment == name):
+            values = [r["metrics"].get(metric, {}).get("value") for r in cell.runs]
+            values = [factor * v for v in values if v is not None]
+            at = conditions.index(cell.condition) + np.linspace(-0.25, 0.25, max(len(values), 2))[: len(values)]
+            axis.plot(at, values, ".", color="#1f5fa8")
+            goal = cell.statistics().get(metric, {}).get("goal")
+            if goal is not None and cell.condition == "protocol":
+                axis.axhline(factor * goal, color="0.3", linestyle="--", linewidth=1)
+        axis.set_ylabel(f"{name}\n{metric} [{unit}]", fontsize=7)
+        axis.set_ylim(bottom=0.0)
+        axis.grid(axis="y", alpha=0.3)
+    axes[-1, 0].set_xticks(range(len(conditions)), conditions, fontsize=8)
+    drawing.savefig(path, dpi=100)
+    plt.close(drawing)
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["--one"]:
+        name, seed, directory, *settings = sys.argv[2:]
+        sys.exit(one(name, int(seed), Path(directory), settings))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
+    parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=list(CONDITIONS), metavar="NAME")
+    parser.add_argument(
+        "--only", nargs="*", default=list(SHOWN), choices=[n for n in REGISTRY if n.startswith("swerve")]
+    )
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
+    parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
+    given = parser.parse_args()
+    found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
+
+    def make(job: Job) -> list[str]:
+        settings = CONDITIONS[found[job]]
+        return [sys.executable, __file__, "--one", job.name, str(job.seed), str(job.directory), *settings]
+
+    failed: dict[Job, str] = {}
+    if not given.report:
+        failed = run_all(list(found), given.workers, lambda _, note: print(note, flush=True), make)
+    write(cells(found), failed, given.out)
+    for job, reason in failed.items():
+        print(f"{job.directory}: {reason}")
+    print((given.out / "table.md").read_text())
+
+
+if __name__ == "__main__":
+    main()

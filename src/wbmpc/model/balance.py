@@ -1,0 +1,89 @@
+"""How a ball robot falls, and how far it may lean: its unstable pole, and the leans that its wheels can still stop.
+
+With the arm held, a lean goes as ẋ = A x + B τ with one unstable pole ω for each horizontal axis. Its divergent component
+ξ = offset + rate / ω (capture point: Pratt et al. 2006; Takenaka et al. 2009) obeys ξ̇ = ω ξ + b τ: it can be stopped only as
+long as ω |ξ| is smaller than the largest b τ within the torque limits. The ball's speed is not in it: no speed fells the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+
+from wbmpc.model.ball import BallBase
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.symbolic import constant
+
+Array = NDArray[np.float64]
+#: The base's coordinates (x, y, yaw, pitch, roll); the arm's come after them.
+BASE = 5
+
+
+def load_offset(base: BallBase, q: ca.SX) -> ca.SX:
+    """Horizontal offset (2) [m] of the centre of mass of all that stands on the ball, from the ball's centre."""
+    chain, first, mass = base.chain(q), ca.SX(3, 1), 0.0
+    ball = chain.link_pose(1).position
+    for i, link in enumerate(base.tree.links):
+        if i > 1 and link.mass > 0.0:
+            pose = chain.link_pose(i)
+            first += link.mass * (pose.position + pose.rotation @ constant(link.com) - ball)
+            mass += link.mass
+    return first[:2] / mass
+
+
+@dataclass(frozen=True)
+class Balance:
+    """``pole`` [1/s]: how fast a lean grows, the mean of both axes. ``reach`` (n) [m]: the largest divergent component that the
+    wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium)."""
+
+    pole: float
+    reach: Array
+
+    @classmethod
+    def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
+        """About the equilibrium for arm angles [rad]."""
+        base = robot._ball()
+        x, u = robot.equilibrium(arm)
+        a, b, offset = _linear(robot, base, x, u)
+        # rows of the left eigenvectors, scaled to offset + rate / pole
+        poles, left = np.linalg.eig(a.T)
+        unstable = np.argsort(-poles.real)[:2]
+        pole = float(poles.real[unstable].mean())
+        chosen = left.real[:, unstable]
+        scale = offset @ np.linalg.inv(
+            chosen[3:BASE]
+        )  # (2, 2): divergent component of the angles to that of the offset
+        effect = scale @ chosen.T @ b / pole
+        limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
+        most = robot.description.limits.spin_effort
+        angles = 2.0 * np.pi * np.arange(directions) / directions
+        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
+        return cls(pole, np.array(reach))
+
+
+def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array]:
+    """A (10, 10) and B (10, wheels) of the base with the arm held, and the offset's slope (2, 2) by (pitch, roll)."""
+    q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
+    given = ca.SX.sym("u", u.size)
+    more = ca.SX.zeros(robot.input.size - u.size)
+    force = base.generalised_force(q, ca.vertcat(given, more), ca.SX.zeros(robot.parameters.size))
+    force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
+    parts = [ca.jacobian(force, q), ca.jacobian(force, given), ca.jacobian(load_offset(base, q), q)]
+    slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
+    n, wheels = base.nq, len(base.input["wheel"])
+    by_q, by_u, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
+    mass = np.linalg.inv(robot.mass_matrix(x[:n])[:BASE, :BASE])
+    a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
+    b = np.vstack([np.zeros((BASE, wheels)), mass @ by_u[:BASE, :wheels]])
+    return a, b, offset[:, 3:BASE]
+
+
+def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:
+    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
+    rows, bounds = (None, None) if not np.isfinite(most) else (np.vstack([spin, -spin]), [most, most])
+    found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
+    return float(-found.fun)

@@ -1,0 +1,213 @@
+"""A ball robot on a bus: torques out, its state from encoders and the inertial unit; it never stops balancing if it can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.control import BrakeControl, RezeroAgent
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation import RezeroEstimator
+from wbmpc.experiments.rezero_problem import rezero_mpc
+from wbmpc.model import RobotModel
+from wbmpc.mpc import Plans, Policy
+from wbmpc.ocp import Reference
+from wbmpc.plant import RezeroCommand, RezeroMeasurement
+from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.pilot import Estimate, Groups, Pending
+from wbmpc.ros2.settings import BallSettings
+
+Array = np.ndarray
+#: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
+HOLD_AFTER = 0.3
+
+
+@dataclass(frozen=True)
+class BallMessage:
+    """What the sensors said at ``time`` [s] of the runner's clock, seen ``now``; gyro and accelerometer are averages since the
+    message before."""
+
+    time: float
+    now: float
+    wheel: Array
+    arm: Array
+    gyro: Array
+    accel: Array
+
+
+class BusBallAgent(RezeroAgent):
+    """A ball robot's agent for messages that come when they like, and for policies that have no successor."""
+
+    #: the newest measurement, for other threads
+    seen: RezeroMeasurement | None = None
+    _sampled: float | None = None
+    _held: tuple[Policy, Plans] | None = None
+
+    def measure(self, message: BallMessage) -> None:  # type: ignore[override]
+        """A new message moves estimator and observer by its own interval; an old one is only older."""
+        assert self.estimator is not None
+        age = max(message.now - message.time, 0.0)
+        interval = None if self._sampled is None else message.time - self._sampled
+        if interval is not None and interval <= 1e-6:
+            assert self.seen is not None
+            self.measured = self.seen = RezeroMeasurement(message.now, self.seen.state, age)
+            return
+        self._sampled = message.time
+        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        self.measured = self.seen = RezeroMeasurement(message.now, state, age)
+        if self.observer is not None:
+            past = self._torques[-1 - self._late()]
+            self.disturbance = self.observer.update(message.now, state, past, interval or self.period)
+            if not np.isfinite(self.disturbance).all():
+                raise NotFinite("the estimated disturbance is not finite")
+            self.mpc.solver.set_parameters({"disturbance": self.disturbance})
+
+    def _late(self) -> int:
+        return min(super()._late(), len(self._torques) - 1)
+
+    def command(self, t: float, plans: Plans) -> RezeroCommand:
+        """Torques of the policy, or of the hold that it has become."""
+        policy = plans.current
+        assert policy is not None
+        if t > float(policy.times[0]) + HOLD_AFTER:
+            if self._held is None or self._held[0] is not policy:
+                self._held = policy, Plans()
+                self._held[1].current = held(policy, self.robot, t)
+            plans = self._held[1]
+        return super().command(t, plans)
+
+
+def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
+    """Rest, for ever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
+    looks farthest ahead (the last ones end with the horizon)."""
+    planned = policy.state(t)
+    rest, torque = robot.equilibrium(planned[robot.state["arm"]])
+    rest = rest.copy()
+    rest[:3] = planned[:3]
+    u = np.zeros(policy.u.shape[1])
+    u[: torque.size] = torque
+    return Policy(np.array([t, t + 1e6]), np.stack([rest, rest]), u[None], policy.gain[:1])
+
+
+class BallPilot:
+    """See :class:`wbmpc.ros2.pilot.Pilot`. The agent's model is an MPC of its own: a solver's memory has one owner."""
+
+    keeps = needs_imu = True
+    fix = None
+
+    def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
+        if settings.topics.pose:
+            raise InputError("topics.pose: a ball robot's estimator takes no poses of others; leave it empty")
+        self.robot, self.settings, self.period = robot, settings, period
+        self.planner = Planner(robot, settings.speeds)
+        self.pending = Pending()
+        self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
+        self.mpc.guess = self.pending
+        self.brakes: BrakeControl | None = None
+        self.legs: Array | None = None
+        self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
+        self._place = np.zeros(3)  # where the robot is put on the floor: x, y, yaw
+        self._standing: tuple[float, Array] | None = None
+        parameters = self._model.solver.problem.constant.slices["parameters"]
+        self.parameters: Callable[[], Array] = lambda: self._model.solver.ws.w[parameters]
+        self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+        robot.pose(robot.home)  # builds the functions: not in a tick
+        robot.mass_matrix(robot.home[: robot.base.nq])
+        self._model.solver.simulate(robot.home, self._torque, period)
+        self.agent: BusBallAgent = self._new_agent(robot.home)
+
+    def _new_agent(self, x: Array) -> BusBallAgent:
+        s = self.settings
+        estimator = RezeroEstimator(self.robot, x)
+        return BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
+
+    # ------------------------------------------------------------------ commands
+    def rest(self) -> Groups:
+        """No torque."""
+        return self._rest
+
+    def groups(self, command: RezeroCommand) -> Groups:
+        """A command by groups."""
+        n = self._rest["wheel"].size
+        return {"wheel": command.torque[:n], "arm": command.torque[n:]}
+
+    # ------------------------------------------------------------------ states
+    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> BallMessage:
+        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
+        assert imu is not None
+        return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
+
+    def stand(self, m: BallMessage) -> None:
+        """Somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is."""
+        before = self._standing
+        if before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
+            self._standing = m.time, before[1]
+            return
+        x = self.robot.equilibrium(m.arm)[0].copy()
+        x[:3] = self._place
+        self._standing = m.time, x
+
+    def snapshot(self) -> tuple[float, Array] | None:
+        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
+        seen = self.agent.seen
+        if seen is not None:
+            return seen.time - seen.age, seen.state
+        return self._standing
+
+    def begin(self, x: Array) -> None:
+        """A new run: the robot stands upright and at rest, where it was last."""
+        rest, self._torque = self.robot.equilibrium(x[self.robot.state["arm"]])
+        self._place = x[:3].copy()
+        start = rest.copy()
+        start[:3] = self._place
+        self.agent = self._new_agent(start)
+        self._standing = 0.0, start
+        self.mpc.reset(start, self._torque)
+
+    def swing(self, legs: Array) -> None:
+        """This robot has no legs."""
+
+    def push(self, wrench: Array) -> None:
+        """The hand is to exert the force of a wrench (6): the plan counts with the world's answer."""
+        self._model.solver.set_parameters({"force": -wrench[:3]})
+
+    # ------------------------------------------------------------------ tasks
+    def follow(self, task: Task, x: Array) -> None:
+        """References for the hand and for the body at rest; the ball goes where the hand needs it."""
+        robot, base = self.robot, task.base
+        states = np.tile(robot.home, (base.times.size, 1))
+        states[:, :3] = base.poses
+        hand = task.hand
+        self.pending.set({
+            "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": Reference(base.times, states),
+            "twist": Reference.constant(np.zeros(6)), "torque": Reference.constant(self._torque),
+        })  # fmt: skip
+
+    # ------------------------------------------------------------------ what is told
+    def estimate(self) -> Estimate | None:
+        """The base's frame is the ball's centre; pose and twist of the filter."""
+        seen = self.snapshot()
+        if seen is None:
+            return None
+        x, nq = seen[1], self.robot.base.nq
+        rotation = lie.euler_zyx_to_rotation(*x[2:5])
+        estimator = self.agent.estimator
+        assert estimator is not None
+        p = estimator.filter.covariance
+        position, velocity, attitude, bias = (slice(k, k + 3) for k in (0, 3, 6, 9))
+        covariance, speeds = np.zeros((6, 6)), np.zeros((6, 6))
+        covariance[:3, :3] = p[position, position]
+        covariance[3:, 3:] = rotation @ p[attitude, attitude] @ rotation.T  # about the world's axes
+        covariance[:3, 3:] = p[position, attitude] @ rotation.T
+        covariance[3:, :3] = covariance[:3, 3:].T
+        speeds[:3, :3] = rotation.T @ p[velocity, velocity] @ rotation
+        speeds[3:, 3:] = p[bias, bias]
+        linear = rotation.T @ np.array([x[nq], x[nq + 1], 0.0])
+        return Estimate(
+            np.array([x[0], x[1], self.planner.lift]), lie.rotation_to_quaternion(rotation),
+            np.concatenate([linear, estimator.filter.rate]), covariance, speeds,
+        )  # fmt: skip

@@ -1,0 +1,79 @@
+"""The study over burdens. Truth: files of runs written by hand, their order statistics."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import robustness
+
+from wbmpc.configuration import configure
+from wbmpc.experiments import REGISTRY
+from wbmpc.experiments.swerve_unified import SwerveUnifiedSettings
+
+METRIC = "hand_error_rms"
+
+
+def finish(job: robustness.Job, value: float | None, completed: bool = True) -> None:
+    job.directory.mkdir(parents=True)
+    run = {
+        "seed": job.seed,
+        "completed": completed,
+        "reason": "" if completed else "the robot fell at 3.00 s",
+        "metrics": {METRIC: {"value": value, "unit": "m"}},
+        "targets": {METRIC: {"paper": None, "goal": 0.005}},
+    }
+    (job.directory / "metrics.json").write_text(json.dumps(run))
+    job.mark.touch()
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> dict[robustness.Job, str]:
+    found = robustness.jobs(tmp_path, ["protocol", "slope 3 deg"], ["swerve-unified"], range(200, 220))
+    for k, (job, condition) in enumerate(found.items()):
+        if condition == "protocol":
+            finish(job, 1e-4 * (k // 2 + 1))
+        elif job.seed < 203:
+            finish(job, None if job.seed == 201 else 0.002, completed=job.seed != 201)
+    return found
+
+
+def test_figures_are_order_statistics_of_what_is_finished(study: dict[robustness.Job, str]) -> None:
+    protocol, slope = robustness.cells(study)
+    s = protocol.statistics()[METRIC]
+    assert len(protocol.runs) == 20 and protocol.completed == 20
+    assert s["worst"] == pytest.approx(2.0e-3) and s["p95"] == pytest.approx(1.9e-3, abs=1.01e-4)
+    assert s["median"] == pytest.approx(1.05e-3, abs=0.51e-4) and s["goal"] == 0.005
+    assert len(slope.runs) == 3 and slope.completed == 2
+    # a run without the figure is as bad as can be
+    assert slope.statistics()[METRIC]["worst"] == float("inf") and slope.statistics()[METRIC]["median"] == 0.002
+
+
+def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: Path) -> None:
+    robustness.write(robustness.cells(study), {}, tmp_path)
+    lines = (tmp_path / "table.md").read_text().splitlines()
+    (row,) = [line for line in lines if line.startswith("| slope 3 deg")]
+    assert row.split("|")[2:4] == [" 3 ", " 2 "] and "**2 (∞, ∞)**" in row
+    data = json.loads((tmp_path / "table.json").read_text())
+    assert data["cells"][1]["metrics"][METRIC]["worst"] is None
+    assert data["cells"][1]["reasons"] == ["the robot fell at 3.00 s"]
+    assert (tmp_path / "robustness.png").stat().st_size > 1000 or "matplotlib" not in sys.modules
+
+
+@pytest.mark.parametrize("name", robustness.SHOWN)
+def test_every_condition_is_a_setting_of_every_experiment(name: str) -> None:
+    for settings in robustness.CONDITIONS.values():
+        configure(REGISTRY[name].config_type, settings, name)
+
+
+def test_conditions_mean_what_they_are_called() -> None:
+    given = {c: configure(SwerveUnifiedSettings, s, "") for c, s in robustness.CONDITIONS.items()}
+    assert (given["hand 10 kg"].plant.payload, given["body 150 kg"].plant.load) == (10.0, 150.0)
+    assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
+    assert (given["delay 5 ms"].mpc.delay, given["delay 25 ms"].mpc.delay) == (0.005, 0.025)
+    assert given["protocol"] == SwerveUnifiedSettings()

@@ -1,0 +1,70 @@
+"""Open legs that hold nothing. Truth: the wheels' velocities (rigid-body motion): what no wheel sees is not held."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.control import BrakeControl
+from wbmpc.control.brakes import FLOATING, floating
+from wbmpc.errors import InputError
+from wbmpc.experiments.mission import Mission, Reconfiguration
+from wbmpc.model import wheel_velocities
+from wbmpc.stability import leg_angles
+
+SWERVE = robot("swerve-ur10")
+G, OPEN = SWERVE.base.geometry, np.ones(4)
+
+
+def least_seen(leg: np.ndarray, motion: np.ndarray) -> float:
+    """Largest wheel speed [m/s] that is left of a motion when every leg swings as it can to cancel it."""
+    none = wheel_velocities(G, leg, motion, np.zeros(4))
+    one = wheel_velocities(G, leg, np.zeros(3), np.ones(4))
+    swing = -np.sum(none * one, axis=1) / np.sum(one * one, axis=1)
+    return float(np.hypot(*wheel_velocities(G, leg, motion, swing).T).max())
+
+
+def test_h_floats_sideways_and_x_and_a_do_not() -> None:
+    held, motion = floating(G, leg_angles(SWERVE, "H"), OPEN)
+    assert held < 1e-12 and abs(motion[1]) > 0.99 * np.linalg.norm(motion)
+    assert least_seen(leg_angles(SWERVE, "H"), motion) < 1e-12
+    for name in "XA":
+        legs = leg_angles(SWERVE, name)
+        held, motion = floating(G, legs, OPEN)
+        assert held > FLOATING and least_seen(legs, motion) > 0.01
+
+
+def test_legs_that_meet_in_a_point_float_about_it() -> None:
+    """All legs radial: what they cancel is a turn about the middle."""
+    legs = np.arctan2(G.hinge[:, 1], G.hinge[:, 0]) - G.leg_heading
+    held, motion = floating(G, legs, OPEN)
+    assert held < 1e-12 and abs(motion[2]) > 0.99 * np.linalg.norm(motion)
+    assert least_seen(legs, motion) < 1e-12
+
+
+def test_one_closed_brake_holds() -> None:
+    held, _ = floating(G, np.zeros(4), [1, 1, 0, 1])
+    assert held > FLOATING
+
+
+def test_opening_in_h_is_refused_unless_the_legs_move() -> None:
+    brakes = BrakeControl(SWERVE)
+    with pytest.raises(InputError, match=r"nothing would hold the base against sideways .* valid: a closed brake"):
+        brakes.set(1.0, OPEN, leg=np.zeros(4))
+    assert not brakes.commanded(2.0).any()
+    brakes.set(1.0, OPEN, leg=leg_angles(SWERVE, "A"))
+    assert brakes.commanded(2.0).all()
+
+
+def test_a_mission_may_pass_h_but_not_stay_there() -> None:
+    h, x = leg_angles(SWERVE, "H"), leg_angles(SWERVE, "X")
+    quick = Mission((), h, (Reconfiguration(5.3, x), Reconfiguration(12.0, h)), ((5.0, 1.0), (16.5, 0.0)))
+    quick.apply(BrakeControl(SWERVE))
+    late = Mission((), h, (Reconfiguration(7.0, x),), ((5.0, 1.0), (12.0, 0.0)))
+    with pytest.raises(InputError, match=r"mission: from 5.00 s on the brakes are open .* sideways"):
+        late.apply(BrakeControl(SWERVE))
+    stays = Mission((), x, (Reconfiguration(2.0, h),), ((1.0, 1.0),))
+    with pytest.raises(InputError, match="legs that move on"):
+        stays.apply(BrakeControl(SWERVE))
+    Mission((), h, (), ()).apply(BrakeControl(SWERVE))  # closed brakes may stay

@@ -1,0 +1,102 @@
+"""Leaning of the ball robot. Truth: the planar pendulum on a ball by hand, with masses and inertia that MuJoCo sums up;
+MuJoCo's centres of mass and the torques that hold its arm."""
+
+from __future__ import annotations
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.model.balance import Balance
+from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
+from wbmpc.robots import load_spec
+
+ROBOT = robot("rezero")
+RADIUS, WHEEL_RADIUS, BALL_MASS, BALL_INERTIA = 0.125, 0.064, 2.65, 0.0166
+
+
+def in_mujoco(state: np.ndarray) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """MuJoCo's robot without floor, its base free, in a state (16) of the minimal model; forward kinematics done."""
+    spec = load_spec(ROBOT.description)
+    spec.body("base").add_freejoint()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    yaw, pitch, roll = state[2:5]
+    turn = np.zeros(4)
+    mujoco.mju_euler2Quat(turn, np.array([yaw, pitch, roll]), "zyx")
+    data.qpos[:7] = [*state[:2], 0.0, *turn]
+    data.qpos[7 + 4 :] = state[5:8]
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def load_offset(state: np.ndarray) -> np.ndarray:
+    """Centre of mass (3) [m] of all but the ball, from the ball's centre."""
+    model, data = in_mujoco(state)
+    first = model.body("base").subtreemass * data.body("base").subtree_com - BALL_MASS * data.body("ball").xipos
+    return first / (model.body("base").subtreemass - BALL_MASS) - data.body("ball").xipos
+
+
+def evaluated(residual, state: np.ndarray, u: np.ndarray, w: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    x, v, p = (ca.SX.sym(n, size) for n, size in (("x", 16), ("u", 6), ("w", ROBOT.parameters.size)))
+    none = ca.SX(0, 1)
+    value = residual(Symbols(x, v, p, none, none, x, v))
+    return np.array(ca.Function("r", [x, v, p], [value])(state, u, w)).ravel()
+
+
+def test_pole_and_reach_of_a_planar_pendulum() -> None:
+    """Arm straight up: nearly symmetric. (M11, M12; M12, M22) (ẍ, θ̈) = (T / r, m g h θ − T)."""
+    model, data = in_mujoco(np.zeros(16))
+    offset = load_offset(np.zeros(16))
+    mass, height = model.body("base").subtreemass[0] - BALL_MASS, offset[2]
+    inertia = 0.0  # about the load's centre of mass, y axis
+    for b in range(1, model.nbody):
+        if model.body(b).name != "ball":
+            turn = data.body(b).ximat.reshape(3, 3)
+            arm = data.body(b).xipos - data.body("ball").xipos - offset
+            inertia += (turn @ np.diag(model.body(b).inertia) @ turn.T)[1, 1]
+            inertia += model.body(b).mass[0] * (arm @ arm - arm[1] ** 2)
+    m11, m12, m22 = BALL_MASS + BALL_INERTIA / RADIUS**2 + mass, mass * height, inertia + mass * height**2
+    pole = np.sqrt(m11 * mass * 9.81 * height / (m11 * m22 - m12**2))
+    found = Balance.of(ROBOT, np.zeros(3), directions=4)
+    assert found.pole == pytest.approx(pole, rel=0.02)
+    # along x two wheels at 4 N m against each other, without spin: a torque about y of
+    torque = 2.0 * 4.0 * np.sin(np.deg2rad(120)) * np.cos(np.pi / 4) * RADIUS / WHEEL_RADIUS
+    lean = torque * (m12 / RADIUS + m11) / (m11 * mass * 9.81 * height)
+    assert found.reach[0] == pytest.approx(height * lean, rel=0.03)
+    assert found.reach[0] == pytest.approx(found.reach[2], rel=1e-6)
+
+
+def test_reach_grows_with_the_torque_and_ends_at_the_spin_friction() -> None:
+    description = ROBOT.description
+    limits = description.limits.model_copy(update={"spin_effort": np.inf})
+    free = type(ROBOT)(description.model_copy(update={"limits": limits}))
+    some, more = Balance.of(ROBOT, np.zeros(3)).reach, Balance.of(free, np.zeros(3)).reach
+    assert np.all(more >= some - 1e-12) and more.max() > 1.05 * some.max()
+    weak = type(ROBOT)(description.model_copy(update={"limits": limits.model_copy(update={"wheel_effort": 2.0})}))
+    np.testing.assert_allclose(Balance.of(weak, np.zeros(3)).reach, 0.5 * more, rtol=1e-9)
+
+
+def test_capture_point_is_the_offset_and_its_rate() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        x = np.concatenate([rng.uniform(-0.5, 0.5, 8), rng.uniform(-1.0, 1.0, 8)])
+        later, before = (np.concatenate([x[:8] + h * x[8:], x[8:]]) for h in (1e-6, -1e-6))
+        rate = (load_offset(later) - load_offset(before)) / 2e-6
+        want = (load_offset(x) + rate / 4.7)[:2]
+        found = evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
+        np.testing.assert_allclose(found, want, atol=1e-8)
+
+
+def test_effort_is_what_exceeds_the_holding_torque() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        x = np.concatenate([rng.uniform(-0.5, 0.5, 8), np.zeros(8)])
+        model, data = in_mujoco(x)
+        hold = data.qfrc_bias[[model.joint(n).dofadr[0] for n in ROBOT.state.groups["arm"]]]
+        extra, wheels, disturbance = rng.normal(size=3), rng.normal(size=3), rng.normal(size=8)
+        w = ROBOT.parameters.vector({"disturbance": disturbance})
+        u = np.concatenate([wheels, hold + extra - disturbance[5:]])
+        np.testing.assert_allclose(evaluated(JointEffort(ROBOT), x, u, w), extra, atol=1e-8)

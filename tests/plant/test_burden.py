@@ -1,0 +1,85 @@
+"""Masses at the hand and on the body, a sloping floor. Truth: statics by hand; the arm's lever by the planner's kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot
+from wbmpc.plant import Perturbation, RezeroPlant, SwerveCommand, SwervePlant
+from wbmpc.robots import load_description
+
+ROBOT = load_robot("swerve-ur10")
+G = 9.81
+
+
+def plant(**settings: float) -> SwervePlant:
+    return SwervePlant(ROBOT.description, None, Perturbation.none(**settings), 3)
+
+
+def rest(p: SwervePlant, seconds: float) -> None:
+    for _ in range(round(seconds / 0.0025)):
+        p.step(SwerveCommand.stop(), 5)
+
+
+@pytest.mark.parametrize(("settings", "added"), [({}, 0.0), ({"payload": 10.0}, 10.0), ({"load": 150.0}, 150.0)])
+def test_the_ground_carries_what_the_robot_carries(settings: dict[str, float], added: float) -> None:
+    p = plant(**settings)
+    rest(p, 0.5)
+    assert p.truth().wheel_force.sum() / G == pytest.approx(100.87 + added, abs=0.05)
+
+
+def test_a_payload_pulls_the_arm_down_because_nobody_feeds_its_weight_forward() -> None:
+    mass, p = 8.0, plant(payload=8.0)
+    rest(p, 0.3)
+    x, name, h = p.truth().state, ROBOT.input.groups["arm"][1], 1e-6
+    moved = x.copy()
+    moved[ROBOT.state["arm"].start + 1] += h
+    lever = (ROBOT.pose(moved)[0] - ROBOT.pose(x)[0])[2] / h
+    gain = 12.0 * ROBOT.description.limits.effort[name]
+    speed = p.truth().joint_speeds[name]
+    # a servo of that gain, beside 1 N m s/rad of damping, with the weight's torque on it
+    assert abs(lever) > 0.3
+    assert speed == pytest.approx(-mass * G * lever / (gain + 1.0), rel=0.02)
+    q = plant()
+    rest(q, 0.3)
+    assert abs(q.truth().joint_speeds[name]) < 1e-3 * abs(speed)
+
+
+def test_a_load_lies_in_the_middle_of_the_body_and_turns_with_it() -> None:
+    light, heavy = plant(), plant(load=150.0)
+    for p in (light, heavy):
+        rest(p, 0.5)
+    more = heavy.truth().wheel_force - light.truth().wheel_force
+    # the tyres sink in, and an unsymmetrical load would show as different shares
+    assert more == pytest.approx(np.full(4, 150.0 * G / 4), rel=0.05)
+    box = heavy.model.body("load").id
+    assert heavy.model.body_inertia[box] == pytest.approx(
+        [150 / 12 * (0.5**2 + 0.2**2), 150 / 12 * (0.6**2 + 0.2**2), 150 / 12 * (0.6**2 + 0.5**2)]
+    )
+
+
+def test_on_a_slope_weight_pulls_downhill_and_the_robot_stands() -> None:
+    slope, p = np.radians(3.0), plant(slope=float(np.radians(3.0)))
+    start = p.truth().pose
+    rest(p, 0.5)
+    truth = p.truth()
+    assert truth.wheel_force.sum() / G == pytest.approx(100.87 * np.cos(slope), abs=0.05)
+    assert np.abs(truth.pose - start).max() < 2e-3 and truth.tilt < 1e-3
+    up = p.measure().accel
+    assert np.linalg.norm(up) == pytest.approx(G, rel=1e-3)
+    assert np.arccos(up[2] / np.linalg.norm(up)) == pytest.approx(slope, abs=2e-3)
+    # what it shows is the reaction: uphill
+    assert np.arctan2(-up[1], -up[0]) == pytest.approx(p.draw.downhill, abs=0.1)
+
+
+def test_every_seed_slopes_another_way() -> None:
+    ways = [Perturbation().draw(np.random.default_rng(k), [], 4, 6).downhill for k in range(100)]
+    assert min(ways) < -2.8 and max(ways) > 2.8
+
+
+@pytest.mark.parametrize("name", ["payload", "load", "slope"])
+def test_a_ball_robot_refuses_them(name: str) -> None:
+    with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only"):
+        RezeroPlant(load_description("rezero"), perturbation=Perturbation.none(**{name: 0.1}))

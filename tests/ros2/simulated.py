@@ -1,0 +1,107 @@
+"""A controller's node and a simulated robot's in one process, in lockstep: nothing depends on the machine's speed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from wbmpc.model import RobotModel
+from wbmpc.plant import Truth
+from wbmpc.ros2 import Network, open_node
+from wbmpc.ros2.control import ControlNode
+from wbmpc.ros2.settings import settings_of
+from wbmpc.ros2.sim import SimNode
+
+
+class Simulated:
+    """``change``: what becomes of a JointState before it is sent (None: lost); ``said``: diagnostics that came."""
+
+    def __init__(self, robot: RobotModel, network: Network, seed: int = 3, **settings: Any) -> None:
+        given = {"use_sim_time": True, "lockstep": True, **settings}
+        self.settings = settings_of(robot).model_validate(given)
+        self.node = open_node("wbmpc", "dds", network)
+        self.control = ControlNode(self.node, robot, self.settings)
+        self.other: Any = open_node("robot", "dds", network)
+        self.said: list[Any] = []
+        self.other.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
+        self.sim = SimNode(self.other, robot, self.settings, seed, lockstep=True, factor=20.0)
+        self.change: Callable[[dict[str, Any]], Mapping[str, Any] | None] = lambda message: message
+        send = self.sim._joints.publish
+        self.sim._joints = self  # type: ignore[assignment]
+        self._send, self.why = send, ""
+        self._physics = threading.Lock()
+        for name in ("_advance", "publish"):
+            setattr(self.sim, name, self._locked(getattr(self.sim, name)))
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def publish(self, message: dict[str, Any]) -> None:
+        """In place of the publisher of joint states."""
+        changed = self.change(message)
+        if changed is not None:
+            self._send(changed)
+
+    def _locked(self, call: Callable[[], None]) -> Callable[[], None]:
+        def locked() -> None:
+            with self._physics:
+                call()
+
+        return locked
+
+    def truth(self) -> Truth:
+        """What really is, between two steps of the physics."""
+        with self._physics:
+            return self.sim.plant.truth()
+
+    def _spin(self) -> None:
+        self.why = self.sim.spin(self._end.is_set)
+
+    def until(self, condition: Callable[[], object], seconds: float = 20.0) -> bool:
+        """Step the controller's node until a condition comes true; whether it did within ``seconds`` of the wall's time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.control.step()
+            if condition():
+                return True
+            time.sleep(0.005)
+        return False
+
+    def run(self, seconds: float) -> None:
+        """Let simulated time pass; fails if it does not."""
+        end = self.sim.time + seconds
+        assert self.until(lambda: self.sim.time >= end or self.why, 30.0 + 10.0 * seconds), self.control.state
+
+    def ready(self) -> None:
+        """Until a goal can be given."""
+        assert self.until(lambda: self.control.state == "waiting for a goal"), self.control.state
+
+    def send(self, topic: str, kind: str, values: Mapping[str, Any]) -> None:
+        """A message from somebody on the bus."""
+        publisher = self.other.publisher(topic, kind)
+        assert self.until(lambda: publisher._writer.get_matched_subscriptions())
+        publisher.publish(values)
+        time.sleep(0.05)
+
+    def hand(self, dx: float = 0.0, dz: float = 0.0) -> None:
+        """A goal for the hand, from where it is."""
+        position, turned = self.control.robot.pose(self.control.pilot.snapshot()[1])  # type: ignore[index]
+        position = position + [dx, 0.0, dz + self.control.pilot.planner.lift]
+        pose = {"position": dict(zip("xyz", position)), "orientation": dict(zip("wxyz", turned))}
+        self.send("/hand_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": pose})
+
+    def messages(self, level: int) -> list[str]:
+        """What diagnostics of a level said."""
+        return [s.message for m in self.said for s in m.status if s.level == level]
+
+    def close(self) -> None:
+        """End both; once."""
+        if self._end.is_set():
+            return
+        self._end.set()
+        self.control.close()
+        self._thread.join(10.0)
+        self.node.close()
+        self.other.close()

@@ -1,0 +1,134 @@
+"""Legs and brakes from the bus. Truth: Table I's configurations, MuJoCo's legs and brakes, hand-written CDR of a service."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, private, wait_until
+
+from wbmpc.model import load_robot
+from wbmpc.ros2 import DEFAULT, Network
+from wbmpc.stability import leg_angles
+
+pytestmark = needs_dds
+if not MISSING:
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.idl import types as idl_types
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from simulated import Simulated
+
+    from wbmpc.ros2.dds import carrier
+    from wbmpc.ros2.legs import SET_LEGS
+    from wbmpc.ros2.messages import request, response, types
+
+ROBOT = load_robot("swerve-ur10")
+DOMAIN = 49
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": str(DOMAIN)})
+LEGS = ROBOT.state.groups["leg"]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Any]:
+    s = Simulated(ROBOT, NETWORK)
+    s.ready()
+    yield s
+    s.close()
+
+
+def angles(s: Any) -> np.ndarray:
+    """The true ones [rad]."""
+    joints = s.truth().joints
+    return np.array([joints[n] for n in LEGS])
+
+
+def ask(s: Any, values: dict[str, Any]) -> Any:
+    """Call the service while the node goes on."""
+    answers: list[Any] = []
+    call = lambda: answers.append(s.other.call("/set_legs", SET_LEGS, values, 20.0))
+    thread = threading.Thread(target=call)
+    thread.start()
+    assert s.until(lambda: answers)
+    thread.join()
+    return answers[0]
+
+
+def closed(s: Any) -> bool:
+    return bool(np.all(s.sim.plant.brakes.engaged == 1.0))
+
+
+def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
+    """By topic a leg, which arrives, and a brake; by service the configuration A, to which the legs are on their way."""
+    s, home = robot, ROBOT.home[ROBOT.state["leg"]]
+    s.send("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_RF"], "position": [-0.65]})
+    assert s.until(lambda: s.sim.plant.brakes.engaged[1] == 0.0), s.control.state
+    assert np.array_equal(s.sim.plant.brakes.engaged[[0, 2, 3]], [1.0, 1.0, 1.0])
+    wanted = np.where(np.array(LEGS) == "leg_RF", -0.65, home)
+    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s), 30.0), (angles(s), s.control.state)
+    s.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
+    assert s.until(lambda: s.sim.plant.brakes.engaged[2] == 0.0)
+    np.testing.assert_array_equal(s.sim.plant.brakes.engaged, [1.0, 1.0, 0.0, 1.0])
+    s.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0] * 4})
+    assert s.until(lambda: closed(s))
+    answer = ask(s, {"configuration": "A"})
+    assert answer.success and answer.message.startswith("leg_LF to -0.498 rad, leg_RF to 0.498")
+    np.testing.assert_array_equal(s.control.legs.angles, leg_angles(ROBOT, "A"))
+    before, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
+    assert s.until(lambda: np.all((angles(s) - before) * np.sign(way) > 0.02)), angles(s)
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"configuration": "Y"}, "unknown configuration 'Y'"),
+        ({"leg": ["leg_LF"], "angle": [9.0]}, "leg_LF at 9 rad is outside its limits"),
+        ({"leg": ["hip"], "angle": [0.0]}, "unknown leg 'hip'"),
+        ({"leg": ["leg_LF"], "angle": [0.0, 1.0]}, "as many angles or brakes"),
+        ({}, "a configuration, or different legs"),
+        ({"configuration": "X", "leg": ["leg_LF"]}, "not both"),
+    ],
+)
+def test_a_bad_order_is_answered_with_a_sentence(robot: Any, values: dict[str, Any], says: str) -> None:
+    answer = ask(robot, values)
+    assert not answer.success and says in answer.message
+
+
+def test_a_bad_topic_is_told(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
+    robot.send("/leg_configuration", "std_msgs/msg/String", {"data": "Z"})
+    assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.legs.refused)
+    robot.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [2.0]})
+    assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.legs.refused)
+    assert caplog.text.count("unknown configuration 'Z'") == 1
+
+
+def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
+    """A client of another make: header of 16 bytes (client, number) before the request; the answer begins with the same."""
+    s, t = robot, types("jazzy")
+    listening = DomainParticipant(DOMAIN)
+    head: dict[str, Any] = {"client": idl_types.uint64, "number": idl_types.int64}
+    kinds = {side: carrier(t, side(SET_LEGS), head) for side in (request, response)}
+    asks = Topic(listening, "rq/set_legsRequest", kinds[request])
+    answers = Topic(listening, "rr/set_legsReply", kinds[response])
+    assert kinds[request].__idl_typename__ == "wbmpc_msgs.srv.dds_.SetLegs_Request_"  # type: ignore[attr-defined]
+    qos = s.other._qos(DEFAULT, request(SET_LEGS))
+    writer, reader = DataWriter(listening, asks, qos=qos), DataReader(listening, answers, qos=qos)
+    assert wait_until(lambda: writer.get_matched_subscriptions() and reader.get_matched_publications())
+    body = (
+        struct.pack("<Qq", 0x1122334455667788, 7)
+        + struct.pack("<I", 2)
+        + b"Q\0"
+        + b"\0\0"
+        + struct.pack("<III", 0, 0, 0)
+    )
+    writer.write(kinds[request](b"\x00\x01\x00\x00" + body))
+    got: list[bytes] = []
+    assert wait_until(lambda: got.extend(x.data for x in reader.take(N=9)) or got)
+    assert got[0][4:20] == struct.pack("<Qq", 0x1122334455667788, 7) and got[0][20] == 0  # not done: there is no Q
+    length = struct.unpack_from("<I", got[0], 24)[0]
+    assert b"unknown configuration 'Q'" in got[0][28 : 28 + length]

@@ -1,0 +1,116 @@
+"""What the controller's node tells and takes beside goals. Truth: MuJoCo's robot, its wheel loads, the stability library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, private
+
+from wbmpc.model import load_robot
+from wbmpc.ros2 import LATCHED, Network
+from wbmpc.stability import assess
+
+pytestmark = needs_dds
+if not MISSING:
+    from simulated import Simulated
+
+    from wbmpc.ros2.markers import LINE_STRIP, SPHERE
+
+ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "50"})
+ARM = ROBOT.input.groups["arm"]
+
+
+@pytest.fixture
+def made() -> Iterator[Callable[..., Any]]:
+    opened: list[Any] = []
+
+    def make(robot: Any = ROBOT, **settings: Any) -> Any:
+        opened.append(Simulated(robot, NETWORK, **settings))
+        return opened[-1]
+
+    yield make
+    for s in opened:
+        s.close()
+
+
+def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any]) -> None:
+    """The hand reaches its goal over a joint_trajectory_controller; footprint, odometry, description and sensors' frames."""
+    controllers = {g: {"topic": f"/{g}/commands", "joints": ROBOT.input.groups[g]} for g in ("wheel", "steer")} | {
+        "arm": {"topic": "/arm/joint_trajectory", "joints": ARM, "takes": "trajectory"}
+    }
+    s = made(controllers=controllers, rates={"plan": 20.0})
+    got: dict[str, Any] = {}
+    kinds = {
+        "/footprint": "visualization_msgs/msg/MarkerArray", "/odom": "nav_msgs/msg/Odometry",
+        "/contact/wheel_LF": "geometry_msgs/msg/WrenchStamped", "/arm/joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+    }  # fmt: skip
+    for topic, kind in kinds.items():
+        s.other.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m))
+    for topic, kind in {"/robot_description": "std_msgs/msg/String", "/tf_static": "tf2_msgs/msg/TFMessage"}.items():
+        s.other.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m), LATCHED)
+    s.ready()
+    goal = ROBOT.pose(ROBOT.home)[0] + [0.1, 0.0, 0.05]
+    s.hand(dx=0.1, dz=0.05)
+    away = lambda: float(np.linalg.norm(s.truth().tool - goal))
+    assert s.until(lambda: s.control.running and away() < 0.01, 40.0), (away(), s.control.state)
+    assert list(got["/arm/joint_trajectory"].joint_names) == list(ARM)
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in got["/arm/joint_trajectory"].points]
+    assert times[0] > 0.0 and times[-1] < 0.5 and np.all(np.diff(times) > 0.0)
+    # how it stands: corners and zero-moment point of the stability library at home; loads of MuJoCo's wheels
+    markers = {(m.ns, m.id): m for m in got["/footprint"].markers}
+    support, zmp = markers["support", 0], markers["zmp", 0]
+    assert (support.type, zmp.type, zmp.color.g > zmp.color.r) == (LINE_STRIP, SPHERE, True)
+    corners = np.array([[p.x, p.y] for p in support.points])
+    stance, base = assess(ROBOT, "X").stance, s.truth().pose
+    assert all(np.linalg.norm(corners - base[:2] - foot, axis=1).min() < 0.05 for foot in stance.feet)
+    at = np.array([zmp.pose.position.x, zmp.pose.position.y])
+    assert np.linalg.norm(at - base[:2] - stance.zmp) < 0.1  # the arm has moved by 0.1 m
+    assert ("predicted", 4) in markers
+    loads = got["/contact/wheel_LF"].wrench.force
+    assert 0.1 < loads.z / (9.81 * stance.mass) < 0.5
+    assert got["/robot_description"].data.startswith('<?xml version="1.0"?>\n<robot name="swerve-ur10"')
+    assert got["/tf_static"].transforms[0].child_frame_id == "imu"
+    covariance = np.array(got["/odom"].pose.covariance).reshape(6, 6)
+    planar = covariance[np.ix_([0, 1, 5], [0, 1, 5])]
+    assert np.linalg.eigvalsh(planar).min() >= 0.0 and 0.0 < np.sqrt(planar[0, 0]) < 0.05
+    assert covariance[2, 2] == covariance[3, 3] == 1e6
+
+
+def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]) -> None:
+    """6 N at the tool, without the disturbance observer: with the reference the plan counts with the world's answer."""
+    moved = []
+    for announced in (False, True):
+        s = made(BALL, observer=False, topics={"wrench": f"/wrench_{announced}"})
+        s.ready()
+        s.hand()
+        assert s.until(lambda s=s: s.control.state.startswith("running:"))
+        s.run(0.5)
+        start = s.truth().tool.copy()
+        wrench = {"header": {"frame_id": "odom"}, "wrench": {"force": {"z": 6.0}}}
+        publisher = s.other.publisher(f"/wrench_{announced}", "geometry_msgs/msg/WrenchStamped")
+        assert s.until(lambda p=publisher: p._writer.get_matched_subscriptions())
+        with s._physics:
+            s.sim.plant.push([0.0, 0.0, -6.0], body="arm_forearm_link", point=[0.0, 0.0, 0.30])
+        for _ in range(10):
+            if announced:
+                publisher.publish(wrench)
+            s.run(0.1)
+        moved.append(float(abs(s.truth().tool[2] - start[2])))
+        assert not s.why
+        s.close()
+    assert moved[1] < 0.5 * moved[0], moved
+
+
+def test_a_wrench_in_a_wrong_frame_or_with_a_torque_is_refused(made: Callable[..., Any]) -> None:
+    s = made(BALL)
+    for head, wrench, says in (
+        ("hand", {}, "the wrench is in the frame 'hand'; valid: odom"),
+        ("odom", {"torque": {"x": 1.0}}, "forces only"),
+        ("odom", {"force": {"x": float("inf")}}, "not finite"),
+    ):
+        s.send("/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": head}, "wrench": wrench})
+        assert s.until(lambda t=says: t in s.control.inbox.refused), s.control.inbox.refused
