@@ -52,10 +52,6 @@ grids: $(VENV)/.installed
 limits: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/hard_limits.py $(LIMITS_ARGS)
 
-# the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
-door: $(VENV)/.installed
-	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
-
 # the swerve robot under loads, on a slope, with other delays (hours; goes on where it stopped; ROBUSTNESS_ARGS="--seeds 200-201")
 robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py $(ROBUSTNESS_ARGS)
@@ -69,6 +65,10 @@ swerve: $(VENV)/.installed
 rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival ik $(RIVALS_ARGS)
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival four_wheel $(RIVALS_ARGS)
+
+# the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
+door: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
