@@ -44,10 +44,22 @@ def test_force_at_the_hand_is_found() -> None:
 
 
 def test_model_errors_are_zeroed_before_the_touch() -> None:
-    """Masses off by 5 % and centres of mass by 10 mm."""
-    wrong = Perturbation.none(drive_lag=0.0, mass=0.05, com=0.01)
-    for seed in (1, 2):
-        assert felt(wrong, seed)[80] == pytest.approx(FORCE, abs=0.25 * np.linalg.norm(FORCE))
+    """Two masses under known forces, a constant one that the model lacks, and later a force on a point that moves with both."""
+    mass, unknown, jacobian = np.diag([2.0, 5.0]), np.array([1.5, -0.5]), np.array([[1.0, 0.5], [0.0, 2.0]])
+    observer = MomentumObserver(lambda q: mass, lambda q, v: np.zeros(2), bandwidth=30.0)
+    touch, v, h, found = np.array([3.0, -1.0]), np.zeros(2), 0.0025, []
+    known = np.zeros(2)
+    for k in range(800):
+        observer.update(np.zeros(2), v, known, h)
+        found.append(observer.force(jacobian, np.ones(2)))
+        if k == 399:
+            observer.zero()
+        known = np.array([np.sin(0.1 * k), 0.3])
+        pushed = jacobian.T @ touch if k >= 399 else np.zeros(2)
+        v = v + h * np.linalg.solve(mass, known + unknown + pushed)
+    assert np.linalg.norm(found[399]) > 0.5
+    assert found[400] == pytest.approx(0.072 * touch, abs=0.01)  # one sample of a bandwidth of 30 /s
+    assert found[-1] == pytest.approx(touch, abs=1e-3)
 
 
 def test_bandwidth_must_be_positive() -> None:

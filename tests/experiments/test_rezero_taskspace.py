@@ -38,7 +38,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     agent = TaskSpaceAgent(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, 0.0)
     x = HOME.copy()
-    x[13:16] = [0.1, -0.2, 0.1]
+    x[13:16] = [1.0, -1.5, 1.2]
     after, turned = ROBOT.pose(x + np.r_[1e-6 * x[8:], np.zeros(8)])
     spin = np.ravel(lie.quaternion_log(lie.quaternion_multiply(turned, lie.quaternion_conjugate(quaternion)))) / 1e-6
     velocity = np.concatenate([(after - place) / 1e-6, spin])

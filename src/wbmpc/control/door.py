@@ -32,6 +32,9 @@ SOON = 0.05
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
 SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
+#: Before it has touched, the plan leans for no more than this [N]: to lean forward the ball first rolls back, and a plan
+#: that does so again and again, as if the touch were always imminent, never touches (seen at 24 N).
+ANTICIPATED = 8.0
 #: A time [s] that no run reaches.
 NEVER = 1e6
 #: A door moves when it is faster than this [rad/s], and rests below a third of it.
@@ -202,6 +205,8 @@ class DoorAgent(RezeroAgent):
         normals = np.array([self.geometry.directions(a)[1] for a in angles])
         touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
         wanted = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
+        if self.phase == "approach":
+            wanted = np.minimum(wanted, ANTICIPATED)
         mpc.set_schedule(schedule)
         mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
