@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce grids limits robustness swerve rivals lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce grids limits robustness swerve rivals door lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -65,6 +65,10 @@ swerve: $(VENV)/.installed
 rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival ik $(RIVALS_ARGS)
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival four_wheel $(RIVALS_ARGS)
+
+# the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
+door: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -1,7 +1,7 @@
 """The ball robot's MPC against its rivals: gains by the same search on tuning seeds, one table on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr|scheduled-lqr] [--seeds 200-203] [--json FILE]. Without --search: the table; runs
-that are in FILE are not repeated.
+Usage: python benchmarks/rezero_rivals.py [--search lqr|scheduled-lqr] [--seeds 200-203] [--json FILE].
+Without --search: the table; runs that are in FILE are not repeated.
 """
 
 from __future__ import annotations

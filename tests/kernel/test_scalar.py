@@ -8,7 +8,7 @@ import pytest
 
 from toys import call_lanes, call_scalar, compile_ir
 from wbmpc.errors import KernelError
-from wbmpc.kernel.lanes import REACH, emit_lanes, helpers
+from wbmpc.kernel.lanes import emit_lanes, helpers
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations
 
 TINY, HUGE = np.finfo(float).tiny, 1e300
@@ -122,12 +122,11 @@ def test_unsupported_operation_is_named(expression) -> None:  # type: ignore[no-
 
 
 @pytest.mark.parametrize("width", WIDTHS[1:])
-@pytest.mark.parametrize("scale", [1e-8, 1.0, 30.0, 1e5])
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 30.0, 1e5, 1e9])
 def test_sine_and_cosine_of_eight_angles(scale: float, width: int) -> None:
-    """Against the C library, to two units in the last place; near multiples of π/2 and up to where the reduction ends."""
+    """Against the C library, to two units in the last place; near multiples of π/2, within reach and beyond."""
     rng = np.random.default_rng(1)
     angles = np.concatenate([rng.uniform(-scale, scale, 400), np.round(rng.uniform(-scale, scale, 400)) * np.pi / 2])
-    angles = angles[np.abs(angles) <= REACH]
     x = ca.SX.sym("x")
     for function, truth in ((ca.sin(x), np.sin), (ca.cos(x), np.cos)):
         got = results(ca.Function("f", [x], [function]), [[a] for a in angles], width)

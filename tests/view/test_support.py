@@ -48,10 +48,12 @@ def test_margin() -> None:
 def test_contacts_are_drawn() -> None:
     feet = [np.array([x, y, 0.0]) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     contacts = [Contact("foot", np.array([10.0, 0, 100.0]), p) for p in feet]
-    shown = ground([*contacts, Contact("hand", np.array([0, 5.0, -20.0]), np.array([3.0, 3, 1]))])
+    hand = Contact("hand", np.array([0, 5.0, 20.0]), np.array([3.0, 3, 1]))  # held up by a door
+    shown = ground([*contacts, hand])
     assert float(shown["margin"]) == pytest.approx(1.0)
     np.testing.assert_allclose(shown["pressure"], 0.0, atol=1e-12)
-    assert np.isfinite(shown["support"]).all(axis=1).sum() == 4  # what pulls at the hand carries nothing
+    assert np.isfinite(shown["support"]).all(axis=1).sum() == 4  # what holds the hand carries no foot
     np.testing.assert_allclose(shown["forces"][0], [feet[0], feet[0] + [0.02, 0, 0.2]])
+    np.testing.assert_allclose(shown["forces"][4], [hand.point, hand.point + [0, 0.1, 0.4]])  # drawn ten times as large
     none = ground([])
     assert np.isnan(none["support"]).all() and float(none["margin"]) == 0.0

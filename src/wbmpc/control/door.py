@@ -146,7 +146,7 @@ class DoorAgent(RezeroAgent):
     def _identify(self, hand: Array) -> None:
         """The door's impedance, while it moves and is pushed."""
         angle, rate = float(self.door[0]), float(self.door[1])
-        if not self.moving or rate < SLIDING:
+        if self.phase != "push" or not self.moving or rate < SLIDING:
             self.filter.rest(angle, max(rate, 0.0))
             return
         push = float(-self.geometry.directions(angle)[1] @ self.force)

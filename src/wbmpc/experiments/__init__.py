@@ -13,6 +13,7 @@ from wbmpc.experiments import (
     rezero_door,
     rezero_push,
     rezero_steps,
+    rezero_taskspace,
     rezero_wholebody,
     swerve_brakes,
     swerve_calibrate,
@@ -56,6 +57,7 @@ REGISTRY: dict[str, Experiment] = {
         _of(rezero_steps, rezero_steps.RezeroStepsSettings),
         _of(rezero_circle, rezero_circle.RezeroCircleSettings),
         _of(rezero_door, rezero_door.RezeroDoorSettings),
+        _of(rezero_taskspace, rezero_taskspace.RezeroTaskspaceSettings),
         _of(rezero_wholebody, rezero_wholebody.RezeroWholebodySettings),
         Experiment(
             rezero_push.BALL,

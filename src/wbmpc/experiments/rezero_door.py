@@ -205,17 +205,20 @@ def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
 
 def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
-    the time in contact, mean lean [rad], largest angle of the door [rad], whether it fell."""
+    the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
+    sensor [N], whether it fell."""
     log, wanted = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
     counted = force[use]
+    without_sensor = np.sum(log.array("force_sensorless") * log.array("normal"), axis=1)[use] - counted
     return {
         "force_error_ratio": float(np.sqrt(np.mean((counted - wanted) ** 2)) / wanted) if counted.size else np.inf,
         "touch_peak": float(force[(t >= touch) & (t < touch + TOUCH)].max(initial=0.0)),
         "contact_share": float(np.mean(counted > 0.0)) if counted.size else 0.0,
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
         "door_angle_max": float(log.array("door")[:, 0].max()),
+        "force_estimate_error_rms": float(np.sqrt(np.mean(without_sensor**2))) if counted.size else np.inf,
         "fell": float(trial.ending.fell),
     }
 
@@ -267,6 +270,7 @@ def metrics(figures: dict[str, dict[str, float]], names: Sequence[str]) -> dict[
         out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
     most = lambda key: max(f[key] for f in figures.values())
     out["touch_peak"] = Metric(most("touch_peak"), "N")
+    out["force_estimate_error_rms"] = Metric(most("force_estimate_error_rms"), "N")
     out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
     out["fell"] = Metric(most("fell"), "1", goal=0.0)
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.solver.barriers import barrier_value
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, LANES, NONE, NUM, NUM2, NUM4, NUM6, NUMS, compiled
 from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
@@ -44,7 +45,7 @@ from wbmpc.solver.places import (
     X,
 )  # fmt: skip
 from wbmpc.solver.riccati import backward, forward, kkt_residual
-from wbmpc.solver.rows import barrier_value, end_values, rows_merit, rows_step, start_rows, take_rows
+from wbmpc.solver.rows import end_values, rows_merit, rows_step, start_rows, take_rows
 from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
@@ -133,8 +134,7 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
             h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
             take_rows_of_lane(m, o, k - first)
             row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
-            cost += h * (barrier_value(m, o, 0, o[PATH_BOXES], x, u) + row_cost)
-            violation += h * row_violation
+            cost, violation = cost + h * row_cost, violation + h * row_violation
     last, small = o[XT] + n * nx, o[SMALL]
     stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
     cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.solver.barriers import BARRIER, CHAIN_C, CHAIN_W, COUNTED, INTERVAL, LANE_COST, barrier_lanes
 from wbmpc.solver.compilation import INT, INTS, LANES, NONE, NUM, NUM2, NUMS, call2, call4, call5, compiled
 from wbmpc.solver.places import (
     AB,
@@ -55,9 +56,6 @@ from wbmpc.solver.places import (
     W,
 )  # fmt: skip
 from wbmpc.solver.stages import interval, jump_sensitivity, jumps_after
-
-#: Vectors of ``lane_small``: length of the interval [s], 1 where the lane counts, what the chain rule takes (c, w), cost.
-INTERVAL, COUNTED, CHAIN_C, CHAIN_W, LANE_COST = (8 * i for i in range(5))
 
 
 @compiled(NONE, INTS, INT, INT, INT, INT, INT, INT)
@@ -264,12 +262,16 @@ def gaps(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
 
 @compiled(NUM2, NUMS, INTS)
 def cost_and_equalities(m, o):  # type: ignore[no-untyped-def]
-    """Path cost times h, and Σ |equality row|, of a block that is loaded."""
+    """Path cost and barriers times h, and Σ |equality row|, of a block that is loaded."""
     small, values = o[LANE_SMALL], o[LANE_VALUES]
     counted = m[small + COUNTED : small + COUNTED + LANES] > 0.0
     stage_lanes(o, LANES_COST, o[LANE_X], o[LANE_U], small + LANE_COST, values, values)
     h = m[small + INTERVAL : small + INTERVAL + LANES]
-    cost = np.where(counted, h * m[small + LANE_COST : small + LANE_COST + LANES], 0.0)
+    cost = m[small + LANE_COST : small + LANE_COST + LANES] + 0.0
+    if o[PATH_BOXES] > 0:
+        barrier_lanes(m, o, False)
+        cost = cost + m[small + BARRIER : small + BARRIER + LANES]
+    cost = np.where(counted, h * cost, 0.0)
     violation = np.full(LANES, 0.0)
     if o[NG] > 0:
         stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)

@@ -26,6 +26,7 @@ PULLED, ROW_TRIAL, LANES_OUT = (_place[n] for n in ("pulled", "row_trial", "lane
 NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
 LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_place[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
 LANE_F, LANE_J1, LANE_J2, LANE_S1, LANE_S2 = (_place[f"lane_{n}"] for n in ("f", "j1", "j2", "s1", "s2"))
+LANE_BARRIER = _place["lane_barrier"]
 LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
     _place[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")
 )

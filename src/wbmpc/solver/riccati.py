@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from wbmpc.solver.barriers import (
+    BARRIER,
+    INTERVAL,
+    LANE_COST,
+    add_barrier,
+    add_barrier_of_lane,
+    barrier_lanes,
+    barrier_value,
+)
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM2, NUM4, NUMS, call7, compiled
 from wbmpc.solver.exact import exact_end, exact_node
 from wbmpc.solver.lanes import (
-    INTERVAL,
-    LANE_COST,
     linearise_dynamics,
     load_block,
     single_lane,
@@ -66,7 +73,7 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import add_barrier, add_rows_product, barrier_value, linearise_rows
+from wbmpc.solver.rows import add_rows_product, linearise_rows
 from wbmpc.solver.stages import stage_end
 
 
@@ -84,6 +91,8 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
     unpack(o, UNPACK_MATRIX, o[LANE_MATRIX], matrix, size, count)
+    if o[PATH_BOXES] > 0:
+        barrier_lanes(m, o, True)
     if o[NG] > 0:
         stage_lanes(o, LANES_EQUALITY_J, x, u, o[LANE_E], o[LANE_E], o[LANE_E])
         unpack(o, UNPACK_EQUALITIES, o[LANE_E], o[E], equality_size(o), count)
@@ -109,8 +118,10 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
     matrix, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[G] + k * lz
     ab, rows = o[AB] + k * (nx + 1) * lz + nx, o[E] + lane * equality_size(o)
     h, gap, violation = m[small + INTERVAL + lane], 0.0, 0.0
-    cost = m[small + LANE_COST + lane] + h * barrier_value(m, o, 0, o[PATH_BOXES], x, u)
-    add_barrier(m, o, 0, o[PATH_BOXES], x, u, h, matrix, lz)
+    cost = m[small + LANE_COST + lane]
+    if o[PATH_BOXES] > 0:
+        cost += h * m[small + BARRIER + lane]
+        add_barrier_of_lane(m, o, lane, matrix, lz)
     for i in range(nx):
         m[gradient + i] = m[matrix + nx * lz + i]
         gap += abs(m[ab + i * lz])

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.ocp.rows import Kind
+from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import (
     BOOL,
     INT,
@@ -38,7 +39,6 @@ from wbmpc.solver.lanes import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
-    BOXES,
     COUNTS,
     COUNTS_FIRST,
     DU,
@@ -50,7 +50,6 @@ from wbmpc.solver.places import (
     END_ROW_VALUES,
     END_ROWS_J,
     GRID,
-    INDEX,
     KIND,
     LANES_OUT,
     LEFT,
@@ -99,50 +98,6 @@ from wbmpc.solver.places import (
 from wbmpc.solver.stages import row_index, stage_end
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
-
-
-@compiled(NUM, NUMS, INTS, INT, INT, INT, INT)
-def barrier_value(m, o, start, count, x, u):  # type: ignore[no-untyped-def]
-    """Σ barrier(h) of boxes ``start`` … ; logarithms of products of h with the same μ."""
-    total, product, mu, first = 0.0, 1.0, 0.0, o[NX] + 1
-    for r in range(start, start + count):
-        i, b = o[INDEX + r], o[BOXES] + 4 * r
-        value = m[x + i] if i < first else m[u + i - first]
-        h, delta = m[b] * value + m[b + 1], m[b + 3]
-        if h > delta:
-            if m[b + 2] != mu or product > 1e100 or product < 1e-100:
-                total -= mu * np.log(product)
-                product, mu = 1.0, m[b + 2]
-            product *= h
-        else:
-            q = (h - 2.0 * delta) / delta
-            total += m[b + 2] * (0.5 * (q * q - 1.0) - np.log(delta))
-    return total - mu * np.log(product)
-
-
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, NUM)
-def add_square(m, o, matrix, ld, i, curve, slope):  # type: ignore[no-untyped-def]
-    """Curvature and slope of one variable onto a matrix of the extended node vector."""
-    constant = o[NX]
-    m[matrix + i * ld + i] += curve
-    m[matrix + i * ld + constant] += slope
-    if i < constant:
-        m[matrix + constant * ld + i] += slope
-
-
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, INT, INT)
-def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no-untyped-def]
-    """Gradient and curvature of the boxes, times ``scale``, onto a matrix of the extended node vector."""
-    constant = o[NX]
-    for r in range(start, start + count):
-        i, b = o[INDEX + r], o[BOXES] + 4 * r
-        sign, mu, delta = m[b], m[b + 2], m[b + 3]
-        h = sign * (m[x + i] if i < constant else m[u + i - constant - 1]) + m[b + 1]
-        if h > delta:
-            slope, curve = -mu / h, mu / (h * h)
-        else:
-            slope, curve = mu * (h - 2.0 * delta) / (delta * delta), mu / (delta * delta)
-        add_square(m, o, matrix, ld, i, scale * curve * sign * sign, scale * slope * sign)
 
 
 # ---------------------------------------------------------------------- tables

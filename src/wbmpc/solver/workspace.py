@@ -119,7 +119,7 @@ BLOCKS = (
     "lane_next",
     "lane_u",
     "lane_p",
-    "lane_small",  # (6, 8): interval, 1 for lanes that count, weights of a Runge-Kutta stage, cost, violation
+    "lane_small",  # (6, 8): interval, 1 for lanes that count, weights of a Runge-Kutta stage, cost, barriers
     "lane_f",  # (6, nx, 8): slopes, middle, end
     "lane_j1",  # (nx, lz, 8)
     "lane_j2",
@@ -129,6 +129,7 @@ BLOCKS = (
     "lane_matrix",  # (nz, lz, 8), only the groups with entries
     "lane_equalities",
     "lane_rows",
+    "lane_barrier",  # (nz, 2, 8): slope and curvature of the relaxed barriers by variable
     "lane_values",  # (equalities or general rows, 8)
 )
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
@@ -198,6 +199,7 @@ def _lane_shapes(s: Sizes, parameters: int) -> dict[str, tuple[int, ...]]:
         "lane_matrix": s.nz * s.lz,
         "lane_equalities": pad(s.equality_buffer()),
         "lane_rows": s.nr * s.lz,
+        "lane_barrier": 2 * s.nz,
         "lane_values": max(s.ng, s.nr),
     }
     return {name: (max(size, 1), LANES) for name, size in sizes.items()}

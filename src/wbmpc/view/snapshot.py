@@ -12,6 +12,8 @@ from wbmpc.view.support import hull, margin, pressure_point
 Array = np.ndarray
 #: Points of the reference path and of plans, and contacts, at most.
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
+#: A contact higher than this [m] is none with the floor or what lies on it.
+ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit.
 NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin")
 
@@ -43,11 +45,11 @@ def filled(rows: Any, shape: tuple[int, ...]) -> Array:
     return out
 
 
-def ground(contacts: list[Contact], size: float = 0.002) -> dict[str, Array]:
-    """Of contacts: forces as arrows (``size`` [m/N]), support polygon, point of pressure (the ZMP on a flat floor), and how
-    far it is inside [m]."""
-    arrows = [(c.point, c.point + size * c.force) for c in contacts]
-    carrying = [c for c in contacts if c.force[2] > 1.0]
+def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.02) -> dict[str, Array]:
+    """Of contacts: forces as arrows (``size`` [m/N]; ``size_above`` for those above the floor: a hand pushes less than feet),
+    support polygon, point of pressure (the ZMP on a flat floor), and how far it is inside [m]."""
+    arrows = [(c.point, c.point + (size if c.point[2] < ABOVE else size_above) * c.force) for c in contacts]
+    carrying = [c for c in contacts if c.force[2] > 1.0 and c.point[2] < ABOVE]
     points = np.array([c.point for c in carrying]).reshape(-1, 3)
     corners = hull(points[:, :2]) if len(points) else np.zeros((0, 2))
     level = float(points[:, 2].mean()) if len(points) else 0.0

@@ -1,0 +1,170 @@
+"""`rezero-taskspace`: an instantaneous task-space controller against the MPC on the hand's steps (the paper's main argument)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.control.rezero import RezeroAgent
+from wbmpc.control.taskspace import TaskGains, TaskSpaceAgent
+from wbmpc.estimation import RezeroEstimator
+from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.rezero_steps import STEPS, target
+from wbmpc.experiments.rezero_task import (
+    IDEALISATIONS,
+    RezeroSettings,
+    hand_felt,
+    mpc_settings,
+    record_rezero,
+    set_home_references,
+)
+from wbmpc.experiments.settings import MpcSettings, finished
+from wbmpc.log import Log
+from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.ocp import Reference
+from wbmpc.plant import RezeroPlant
+from wbmpc.result import Metric, Plot, RunResult, Series
+
+NAME = "rezero-taskspace"
+SUMMARY = "an instantaneous task-space controller against the MPC on the hand's steps (Minniti et al. 2019, section I)"
+CONTROLLERS = ("mpc", "taskspace")
+HERE = [
+    "neither controller sees a step before it comes; the task-space controller's gains were found by hand on seed 0"
+]
+
+
+class RezeroTaskspaceSettings(RezeroSettings):
+    """``settle`` [s] at home, then the eight steps of `rezero-steps`, ``hold`` [s] each; gains of the rival: ``gains``."""
+
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
+    cost: RezeroCost = RezeroCost()
+    gains: TaskGains = TaskGains()
+    hold: float = Field(5.0, ge=1.0, le=600.0)
+    settle: float = Field(4.0, ge=0.5, le=600.0)
+
+
+def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,) [s] from which poses hold, positions (n, 3) [m], quaternions (n, 4)."""
+    home = robot.pose(robot.home)
+    poses = [home, *(target(step, *home) for step in STEPS)]
+    times = np.array([0.0, *(settings.settle + settings.hold * np.arange(len(STEPS)))])
+    return times, np.array([p for p, _ in poses]), np.array([q for _, q in poses])
+
+
+def drive(
+    name: str, settings: RezeroTaskspaceSettings, seed: int, log: Log, progress: Progress | None
+) -> tuple[Ending, Any]:
+    """One controller over all steps; channels are CHANNEL_NAME."""
+    robot = load_robot("rezero")
+    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    mpc = rezero_mpc(robot, settings.mpc, settings.cost)
+    set_home_references(mpc, robot, torque, home)
+    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    times, places, turns = goals(settings, robot)
+    now = lambda t: int(np.searchsorted(times, t + 1e-9, side="right")) - 1
+    estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
+    own = (timing.period, settings.drive_lag, settings.observer, estimator)
+    agent: RezeroAgent
+    if name == "mpc":
+        agent = RezeroAgent(robot, mpc, torque, *own)
+    else:
+        goal = lambda t: (places[now(t)], turns[now(t)])
+        agent = TaskSpaceAgent(robot, mpc, goal, settings.gains, home, torque, *own)
+    mpc.reference["hand"] = Reference.poses([0.0], places[:1], turns[0])
+    mpc.reset(home, torque)
+    single = Log()
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        k = now(t + timing.delay * timing.period)
+        mpc.reference["hand"] = Reference.poses([0.0], places[k : k + 1], turns[k])
+        record_rezero(single, t, plant, agent, command.torque)
+        log.add(f"wanted_{name}", t, np.concatenate([places[now(t)], turns[now(t)]]))
+
+    duration = times[-1] + settings.hold
+    ending = run_lockstep(plant, agent, mpc if name == "mpc" else None, timing, duration, record, progress)
+    for channel in ("state", "hand_quaternion", "tilt", "torque"):
+        for t, row in zip(single.times(channel), single.array(channel), strict=True):
+            log.add(f"{channel}_{name}", t, row)
+    for t, row in zip(single.times("hand"), hand_felt(single), strict=True):
+        log.add(f"hand_{name}", t, row)
+    return ending, mpc
+
+
+def figures(log: Log, name: str, duration: float) -> dict[str, float]:
+    """Integral of the hand's position error [m s] (estimated frame; after a fall the error goes on as it was at its largest),
+    of its orientation error [rad s], of the squared torques' change against rest [(N m)² s], largest tilt [rad]."""
+    t, wanted, torque = log.times(f"hand_{name}"), log.array(f"wanted_{name}"), log.array(f"torque_{name}")
+    error = np.linalg.norm(log.array(f"hand_{name}") - wanted[:, :3], axis=1)
+    turned = [
+        np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(q, lie.quaternion_conjugate(w))))
+        for q, w in zip(log.array(f"hand_quaternion_{name}"), wanted[:, 3:], strict=True)
+    ]
+    missing = max(duration - float(t[-1]) - 0.01, 0.0)
+    return {
+        "position": float(np.trapezoid(error, t) + missing * error.max()),
+        "orientation": float(np.trapezoid(turned, t)),
+        "torque": float(np.trapezoid(np.sum((torque - torque[0]) ** 2, axis=1), t)),
+        "tilt": float(log.array(f"tilt_{name}").max()),
+    }
+
+
+def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """Both controllers, one after the other, on the same plant."""
+    log, endings, mpc = Log(), {}, None
+    for k, name in enumerate(CONTROLLERS):
+        part = _part(progress, k)
+        endings[name], made = drive(name, settings, seed, log, part)
+        mpc = made if name == "mpc" else mpc
+        if endings[name].interrupted:
+            break
+    ending = endings["mpc"] if endings["mpc"].reason or endings["mpc"].interrupted else Ending()
+    assert mpc is not None
+    return finished(
+        NAME, seed, settings, ending, mpc, log,
+        metrics=lambda: _metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS],
+    )  # fmt: skip
+
+
+def _part(progress: Progress | None, k: int) -> Progress | None:
+    if progress is None:
+        return None
+    part = lambda fraction, note: progress((k + fraction) / len(CONTROLLERS), f"{CONTROLLERS[k]}: {note}")
+    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
+
+
+def _metrics(settings: RezeroTaskspaceSettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:
+    duration = settings.settle + settings.hold * len(STEPS)
+    done = {name: figures(log, name, duration) for name in endings}
+    out = {f"hand_error_integral_{name}": Metric(f["position"], "m s") for name, f in done.items()}
+    out |= {f"hand_turn_integral_{name}": Metric(f["orientation"], "rad s") for name, f in done.items()}
+    if "taskspace" in done:
+        out["torque_squared_ratio"] = Metric(done["taskspace"]["torque"] / done["mpc"]["torque"], "1")
+        out["falls_taskspace"] = Metric(float(endings["taskspace"].fell), "1")
+    out |= {f"tilt_max_{name}": Metric(f["tilt"], "rad") for name, f in done.items()}
+    out["fell"] = Metric(float(endings["mpc"].fell), "1", goal=0.0)
+    return out
+
+
+def _plots(log: Log) -> list[Plot]:
+    done = [n for n in CONTROLLERS if f"hand_{n}" in log.channels]
+    t = {n: log.times(f"hand_{n}") for n in done}
+    error = {n: np.linalg.norm(log.array(f"hand_{n}") - log.array(f"wanted_{n}")[:, :3], axis=1) for n in done}
+    return [
+        Plot("Hand position error", "time [s]", "error [mm]", [Series(n, t[n], 1e3 * error[n]) for n in done]),
+        *(
+            Plot(f"Hand, {axis}", "time [s]", "position [m]", [
+                *(Series(n, t[n], log.array(f"hand_{n}")[:, i]) for n in done),
+                Series("asked", t[done[0]], log.array(f"wanted_{done[0]}")[:, i], dashed=True),
+            ])
+            for i, axis in enumerate("xyz")
+        ),
+        Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
+        Plot("Largest wheel torque", "time [s]", "torque [N m]", [
+            Series(n, t[n], np.abs(log.array(f"torque_{n}")[:, :3]).max(axis=1)) for n in done
+        ]),
+    ]  # fmt: skip
