@@ -107,6 +107,8 @@ def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
     for key in keys(model):
         value = dumped
         for part in key.split("."):
-            value = value[part]
+            value = value and value[part]
+        if value is None and "." in key:
+            continue  # a section that is not there by default
         text = "null" if value is None else str(value)
         assert configure(model, [f"{key}={text}"], name).model_dump(mode="json") == dumped

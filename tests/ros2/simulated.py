@@ -76,7 +76,8 @@ class Simulated:
 
     def ready(self) -> None:
         """Until a goal can be given."""
-        assert self.until(lambda: self.control.state == "waiting for a goal"), self.control.state
+        here = lambda: self.control.state == "waiting for a goal" and self.control.pilot.snapshot() is not None
+        assert self.until(here), self.control.state
 
     def send(self, topic: str, kind: str, values: Mapping[str, Any]) -> None:
         """A message from somebody on the bus."""

@@ -13,10 +13,6 @@ from wbmpc.model.balance import Balance
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 
-#: Penalty of arm speeds beyond their limit. A stiff one asks for all the torque there is after any excess, and through the lag
-#: of the drives the arm then swings from limit to limit for ever.
-SPEED_SLACK = 20.0
-
 
 class HandCost(Settings):
     """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
@@ -56,13 +52,15 @@ class TorqueCost(Settings):
 
 class RezeroCost(Settings):
     """All weights; the end of the horizon counts like one second (``terminal``) of it. ``lean``: a hard limit of the lean's
-    divergent component, as a share of what the wheels can stop (:class:`wbmpc.model.balance.Balance`); 0: none."""
+    divergent component, as a share of what the wheels can stop (:class:`wbmpc.model.balance.Balance`); 0: none.
+    ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
 
     hand: HandCost = HandCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
     lean: float = Field(default=0.0, ge=0, le=1.0)
+    speed_slack: float = Field(default=1e3, gt=0)
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
@@ -104,7 +102,9 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     rates = residuals.State(robot, ["arm_velocity"], tracked=False)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
-    ocp.add(Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=SPEED_SLACK))
+    ocp.add(
+        Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=cost.speed_slack)
+    )
     barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
     ocp.add(
         Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)

@@ -33,12 +33,15 @@ IDEALISATIONS = [
 
 
 #: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
-#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up.
+#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
+#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
+#: swings from limit to limit for ever.
 STEPS_AND_PUSHES = RezeroCost(
     hand=HandCost(orientation=40.0),
     body=BodyCost(tilt_rate=3.0, arm=1.0),
     torque=TorqueCost(wheel=0.1, arm=0.3),
     lean=0.6,
+    speed_slack=20.0,
 )
 
 

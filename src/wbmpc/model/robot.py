@@ -242,7 +242,7 @@ class RobotModel:
         def unbalanced(z: Array) -> Array:
             return np.array(rest_of(joints(z), torques(z), push)).ravel()
 
-        found = root(unbalanced, np.zeros(n), method="lm", options={"xtol": 1e-14, "ftol": 1e-14})
+        found = root(unbalanced, np.zeros(n), method="hybr", options={"xtol": 1e-14})
         if np.abs(found.fun).max() > 1e-8:
             raise InputError(f"{self.description.name}: no equilibrium for the arm at {angles} with force {push}")
         x = self.state.vector({})
