@@ -7,6 +7,7 @@ that has died, changes nothing in the run.
 from __future__ import annotations
 
 import multiprocessing
+import socket
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -66,6 +67,12 @@ class View:
     # ------------------------------------------------------------------ the process
     def open(self, running: Running) -> None:
         """Start the server's process for the world of a run; returns when it answers."""
+        try:  # a process of its own would tell only after its time limit
+            socket.create_server((self.host, 0)).close()
+        except OSError as e:
+            raise InputError(
+                f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
+            ) from e
         scene = Observer(running).scene
         steering = Steering(running, np.zeros(3))
         names = tuple(cost.name for cost in steering.costs)
