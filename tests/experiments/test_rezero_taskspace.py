@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 
 import casadi as ca
@@ -74,3 +75,19 @@ def test_both_controllers_take_the_steps() -> None:
         assert 0.0 < m[f"tilt_max_{name}"] < 0.5
     assert m["falls_taskspace"] == 0.0 and m["torque_squared_ratio"] > 0.0
     np.testing.assert_array_equal(log.array("wanted_mpc"), log.array("wanted_taskspace"))
+
+
+def test_ctrl_c_in_the_second_part_is_told() -> None:
+    def pressed(fraction: float, note: str) -> None:
+        if note.startswith("taskspace") and fraction > 0.6:
+            signal.raise_signal(signal.SIGINT)
+
+    result = rezero_taskspace.run(RezeroTaskspaceSettings(settle=0.5, hold=1.0), 1, pressed)
+    assert result.interrupted and not result.completed and "interrupted" in result.reason
+    # what was not run does not count as an error
+    hand, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")
+    error = np.linalg.norm(hand - wanted[:, :3], axis=1)
+    assert (
+        result.metrics["hand_error_integral_taskspace"].value
+        <= error.max() * result.log.times("hand_taskspace")[-1] + 1e-9
+    )

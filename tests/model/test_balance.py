@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.experiments.rezero_problem import HandCost, RezeroCost, rezero_problem
+from wbmpc.experiments.settings import MpcSettings
 from wbmpc.model.balance import Balance
+from wbmpc.model.balance import load_offset as offset_of
+from wbmpc.ocp import Reference
 from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
 from wbmpc.robots import load_spec
+from wbmpc.solver import SQP, InteriorPoint, Solver
 
 ROBOT = robot("rezero")
 RADIUS, WHEEL_RADIUS, BALL_MASS, BALL_INERTIA = 0.125, 0.064, 2.65, 0.0166
@@ -100,3 +105,27 @@ def test_effort_is_what_exceeds_the_holding_torque() -> None:
         w = ROBOT.parameters.vector({"disturbance": disturbance})
         u = np.concatenate([wheels, hold + extra - disturbance[5:]])
         np.testing.assert_allclose(evaluated(JointEffort(ROBOT), x, u, w), extra, atol=1e-8)
+
+
+def test_the_plan_keeps_the_lean_within_its_limit() -> None:
+    """A far goal of the hand: with the limit the plan's divergent lean stays inside; without it the same plan passes it."""
+    lean = {}
+    for share in (0.0, 0.3):
+        cost = RezeroCost(hand=HandCost(limit=10.0), lean=share)
+        settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-3)
+        solver = Solver(
+            rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(mu=1e-3))
+        )
+        home, torque = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+        place, quaternion = ROBOT.pose(home)
+        for name, value in (("body", home), ("twist", np.zeros(6)), ("torque", torque)):
+            solver.set_reference(name, Reference.constant(value))
+        solver.set_reference("hand", Reference.poses([0.0], [place + [1.5, 0.0, 0.0]], quaternion))
+        solver.guess(home, torque)
+        found = solver.solve(home)
+        balance = Balance.of(ROBOT, ROBOT.home[ROBOT.state["arm"]])
+        x = ca.SX.sym("x", 16)
+        offset = offset_of(ROBOT.base, x[:8])
+        capture = ca.Function("capture", [x], [offset + ca.jacobian(offset, x[:8]) @ x[8:] / balance.pole])
+        lean[share] = max(float(np.abs(np.array(capture(s))).max()) for s in found.x[1:]) / float(balance.reach.min())
+    assert lean[0.3] < 0.31 < lean[0.0]

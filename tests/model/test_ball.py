@@ -260,6 +260,7 @@ def test_home_is_the_equilibrium_within_the_limits() -> None:
     np.testing.assert_allclose(limits.input_upper, [4, 4, 4, 20, 20, 20])
     np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm"]], [2.6, 2.0, 2.4])
     np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm_velocity"]], 4.0)
+    np.testing.assert_allclose(limits.state_lower[ROBOT.state["arm_velocity"]], -4.0)
 
 
 def test_figures_of_the_source() -> None:

@@ -160,3 +160,12 @@ def test_shift_across_a_moving_grid_keeps_a_linear_plan() -> None:
             np.testing.assert_allclose(solver.ws.x[:, 0], 0.7 * (t + solver.ws.grid), atol=1e-9)
             assert np.abs(solver.ws.grid + t - 0.53).min() < 1e-12
         t += 0.01
+
+
+def test_the_cost_counts_every_interval_once() -> None:
+    """Intervals that end with a jump too: the sum written out."""
+    found = ball().solve(np.array([1.5, 0.0]), 0.0)
+    off, h = found.x - [1.0, 0.0], np.diff(found.times)
+    state = 20.0 * off[:, 0] ** 2 + off[:, 1] ** 2
+    path = h @ (state[:-1] + 0.01 * found.u[:, 0] ** 2)
+    assert found.cost == pytest.approx(0.5 * (path + state[-1]), rel=1e-9)

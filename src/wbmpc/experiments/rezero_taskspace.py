@@ -95,8 +95,8 @@ def drive(
     return ending, mpc
 
 
-def figures(log: Log, name: str, duration: float) -> dict[str, float]:
-    """Integral of the hand's position error [m s] (estimated frame; after a fall the error goes on as it was at its largest),
+def figures(log: Log, name: str, end: float) -> dict[str, float]:
+    """Integral of the hand's position error [m s] (estimated frame; from a fall to ``end`` it goes on as it was at its largest),
     of its orientation error [rad s], of the squared torques' change against rest [(N m)² s], largest tilt [rad]."""
     t, wanted, torque = log.times(f"hand_{name}"), log.array(f"wanted_{name}"), log.array(f"torque_{name}")
     error = np.linalg.norm(log.array(f"hand_{name}") - wanted[:, :3], axis=1)
@@ -104,7 +104,7 @@ def figures(log: Log, name: str, duration: float) -> dict[str, float]:
         np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(q, lie.quaternion_conjugate(w))))
         for q, w in zip(log.array(f"hand_quaternion_{name}"), wanted[:, 3:], strict=True)
     ]
-    missing = max(duration - float(t[-1]) - 0.01, 0.0)
+    missing = max(end - float(t[-1]) - 0.01, 0.0)
     return {
         "position": float(np.trapezoid(error, t) + missing * error.max()),
         "orientation": float(np.trapezoid(turned, t)),
@@ -122,7 +122,8 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
         mpc = made if name == "mpc" else mpc
         if endings[name].interrupted:
             break
-    ending = endings["mpc"] if endings["mpc"].reason or endings["mpc"].interrupted else Ending()
+    stopped = [e for e in endings.values() if e.interrupted]
+    ending = stopped[0] if stopped else endings["mpc"]
     assert mpc is not None
     return finished(
         NAME, seed, settings, ending, mpc, log,
@@ -139,7 +140,7 @@ def _part(progress: Progress | None, k: int) -> Progress | None:
 
 def _metrics(settings: RezeroTaskspaceSettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:
     duration = settings.settle + settings.hold * len(STEPS)
-    done = {name: figures(log, name, duration) for name in endings}
+    done = {name: figures(log, name, duration if endings[name].fell else 0.0) for name in endings}
     out = {f"hand_error_integral_{name}": Metric(f["position"], "m s") for name, f in done.items()}
     out |= {f"hand_turn_integral_{name}": Metric(f["orientation"], "rad s") for name, f in done.items()}
     if "taskspace" in done:

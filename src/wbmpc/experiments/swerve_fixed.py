@@ -147,7 +147,7 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     for k, name in enumerate(CONTROLLERS):
         share = None if progress is None else _share(progress, k, name)
         ended = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, share)
-        ending = ending if ending.reason else ended
+        ending = ended if ended.interrupted or not ending.reason else ending
         if ended.interrupted:
             break
     return finished(
