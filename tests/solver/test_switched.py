@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
+from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.receding import align
@@ -64,10 +65,10 @@ def test_nodes_on_events(events: list[float], t0: float) -> None:
     grid = grid_for(base, events, t0)
     assert np.all(np.diff(grid) > 1e-9)
     assert grid[0] == 0.0 and grid[-1] == 2.0
-    inside = [e - t0 for e in events if 1e-3 < e - t0 < 1.95]
-    apart = [e for e in inside if all(abs(e - f) > 0.11 for f in inside if f != e)]
-    for e in apart:
+    inside = [e - t0 for e in events if 1e-3 < e - t0 < 1.999]
+    for e in inside:
         assert np.abs(grid - e).min() < 1e-12
+    apart = [e for e in inside if e < 1.95 and all(abs(e - f) > 0.11 for f in inside if f != e)]
     moved = np.abs(grid - base).max()
     assert moved < 0.11 or len(apart) < len(inside)
 
@@ -169,3 +170,17 @@ def test_the_cost_counts_every_interval_once() -> None:
     state = 20.0 * off[:, 0] ** 2 + off[:, 1] ** 2
     path = h @ (state[:-1] + 0.01 * found.u[:, 0] ** 2)
     assert found.cost == pytest.approx(0.5 * (path + state[-1]), rel=1e-9)
+
+
+def test_events_in_the_last_interval_get_nodes_too() -> None:
+    grid = grid_for(np.linspace(0.0, 2.0, 21), [1.91, 1.95, 1.99], 0.0)
+    for event in (1.91, 1.95, 1.99):
+        assert np.abs(grid - event).min() < 1e-12
+    assert np.all(np.diff(grid) > 1e-3)
+
+
+def test_more_events_than_nodes_are_refused() -> None:
+    solver = ball(n=3)
+    solver.set_schedule(ModeSchedule((DOWN, UP, DOWN, UP), (0.2, 0.4, 0.6)))
+    with pytest.raises(InputError, match="3 events within the horizon, but 2 inner nodes"):
+        solver.solve(np.array([1.0, 0.0]))

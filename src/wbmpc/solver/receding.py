@@ -113,22 +113,28 @@ def sample(numbers, integers, t, m, out):  # type: ignore[no-untyped-def]
 
 @compiled(NONE, NUMS, INTS, NUMS, INTS, NUM)
 def align(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
-    """The grid for a horizon that starts at ``t0``: the inner node nearest to an event moves onto it."""
+    """The grid for a horizon that starts at ``t0``: the inner node nearest to an event moves onto it; where
+    there are more events than inner nodes, the last ones wait until the horizon has moved on."""
     n, grid, events = o[N], o[GRID], integers[1]
     for k in range(n + 1):
         m[o[GRID_OLD] + k] = m[grid + k]
         m[grid + k] = m[o[GRID_BASE] + k]
     if o[ALIGN] == 0:
         return
-    free = 1
+    free, left = 1, 0
+    for e in range(events):
+        t = numbers[e] - t0
+        if t > 1e-6 and t < m[grid + n] - 1e-6:
+            left += 1
     for e in range(events):
         t = numbers[e] - t0
         if t <= 1e-6 or t >= m[grid + n] - 1e-6:
             continue
-        k = free
-        while k < n - 1 and abs(m[grid + k + 1] - t) < abs(m[grid + k] - t):
-            k += 1
-        if k < n and m[grid + k - 1] < t - 1e-9:
+        left -= 1
+        if free < n and m[grid + free - 1] < t - 1e-9:
+            k, most = free, max(n - 1 - left, free)  # the events that follow need nodes too
+            while k < most and abs(m[grid + k + 1] - t) < abs(m[grid + k] - t):
+                k += 1
             m[grid + k] = t
             for later in range(k + 1, n):  # a second event may have come close
                 if m[grid + later] <= m[grid + later - 1] + 1e-6:

@@ -184,6 +184,7 @@ class Solver:
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
             raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
+        self._room_for_events(t0)
         start = time.perf_counter()
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
@@ -193,6 +194,16 @@ class Solver:
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
+
+    def _room_for_events(self, t0: float) -> None:
+        """Every event needs a node of its own where the grid follows the schedule."""
+        numbers, integers, *_ = self.tables()
+        t = np.unique(numbers[: integers[1]]) - t0
+        inside, nodes = int(np.sum((t > 1e-6) & (t < self.ocp.horizon - 1e-6))), self.ocp.intervals - 1
+        if self.ocp.align_events and inside > nodes:
+            raise InputError(
+                f"mode schedule: {inside} events within the horizon, but {nodes} inner nodes: more intervals are needed"
+            )
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
         """``x0`` as (nx) finite numbers."""
