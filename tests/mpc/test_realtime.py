@@ -102,7 +102,7 @@ def test_solves_allocate_nothing(name: str) -> None:
     solver, solve = real_time(name)
     python, peak, native = growth(solve)
     assert native == 0
-    assert python < 200  # a number that has replaced another
+    assert python < 2000  # numbers that have replaced others; a leak would be 24 kB or more
     assert peak < 4096  # numbers of a call that go when it ends
     assert np.isfinite(solver.ws.x).all()
 
