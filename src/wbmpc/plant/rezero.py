@@ -18,6 +18,7 @@ from wbmpc.plant.burden import add_payload
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
+from wbmpc.plant.servo import ActuatorServo
 from wbmpc.plant.world import (
     ROBOT,
     TIMESTEP,
@@ -116,6 +117,9 @@ class RezeroPlant(InWorld):
         mount = np.array(spec.site("imu").pos) if any(s.name == "imu" for s in spec.sites) else np.zeros(3)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         self.sensors = RezeroSensors(p, self.draw, wheels, mount, timestep, jitter, sensor_rng)
+        self.servo = ActuatorServo(
+            p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
+        )
         self._last: RezeroMeasurement | None = None
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
@@ -178,6 +182,7 @@ class RezeroPlant(InWorld):
             d.act[:] = d.ctrl if d.act.size == self.model.nu else 0.0
         self.world.restart()
         self.sensors.restart()
+        self.servo.restart()
         self._history.clear()
         self._record()
 
@@ -186,6 +191,7 @@ class RezeroPlant(InWorld):
         q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])
         inertial, wheel = self.sensors.advance(q[0:7], v[0:6], q[q_ball : q_ball + 4], v[v_ball : v_ball + 3])
         self._history.append((q, v, inertial, wheel))
+        self.servo.read(np.concatenate([wheel, q[self._arm_q]]))
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
@@ -215,8 +221,8 @@ class RezeroPlant(InWorld):
 
     def step(self, command: RezeroCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
-        self.data.ctrl[:] = finite("torque", command.torque, self.model.nu)
-        for _ in range(steps):
+        for k in range(steps):
+            self.data.ctrl[:] = self.servo.torque(command, k * self.timestep)
             self.world.advance()
             self._record()
         self.world.check()
