@@ -25,6 +25,15 @@ from wbmpc.plant import RezeroMeasurement
 Array = NDArray[np.float64]
 
 
+#: Errors of the hand beyond these [m, rad] pull no harder; Levenberg's damping [1/rad²]: an arm that is stretched out towards a
+#: goal beyond its reach stays so.
+FAR, DAMPING = (0.1, 0.3), 10.0
+
+
+def _short(vector: Array, limit: float) -> Array:
+    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
+
+
 class HandInverse:
     """Arm angles at which the hand is nearest to a pose, for the base where it is: regularised Gauss-Newton from the last ones.
 
@@ -50,12 +59,11 @@ class HandInverse:
         for _ in range(steps):
             x[self._arm] = found
             error, slope = (np.array(v) for v in self._error(x, pose))
+            error[:3], error[3:] = _short(error[:3], FAR[0]), _short(error[3:], FAR[1])
             rows = self._root[:, None] * slope
-            normal = rows.T @ rows + self._posture * np.eye(found.size)
+            normal = rows.T @ rows + (self._posture + DAMPING) * np.eye(found.size)
             right = rows.T @ (self._root * error.ravel()) + self._posture * (found - rest)
-            step = np.linalg.solve(normal, right)
-            found = found - step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))  # far away it is not linear
-            found = np.clip(found, self._lower, self._upper)
+            found = np.clip(found - np.linalg.solve(normal, right), self._lower, self._upper)
         return found
 
 

@@ -51,13 +51,6 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     return MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu)
 
 
-def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
-    """MPC and weights for a hand that is led accurately while the ball has a place of its own (weight ``ball``); stiff, for
-    references that move slowly."""
-    hand = HandCost(weight=1000.0, orientation=2.0, roll=0.0)
-    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0), lean=0.6)
-
-
 class RezeroSettings(ExperimentSettings):
     """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
@@ -73,6 +66,18 @@ class RezeroSettings(ExperimentSettings):
     controller: Controller = "mpc"
     rival: RivalsSettings = RivalsSettings()
     tracking: TrackingSettings = TrackingSettings()
+
+
+class AccurateSettings(RezeroSettings):
+    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly."""
+
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
+    )
+
+
+#: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
+BENT_ARM = np.array([0.0, 0.5, 2.0])
 
 
 @dataclass(frozen=True)
