@@ -1,5 +1,5 @@
-"""Feed-forward and PD in actuator coordinates. Truth: the differential equation of the wheels' error solved by hand, a PD added up by
-hand, MuJoCo's joints."""
+"""Feed-forward and PD in actuator coordinates. Truth: the differential equation of the wheels' error solved by hand, MuJoCo's
+joints."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def test_bleeding_bounds_the_drift_of_the_wheels(bleed: float) -> None:
     wrong = 0.02 * agent.speeds(ROLLING)[:3]
     assert np.abs(wrong).max() > 0.05
     t = PERIOD * np.arange(len(errors))[:, None]
-    np.testing.assert_allclose(errors, bleed * wrong * (1.0 - np.exp(-t / bleed)), atol=0.01 * bleed * np.abs(wrong).max())
+    np.testing.assert_allclose(
+        errors, bleed * wrong * (1.0 - np.exp(-t / bleed)), atol=0.01 * bleed * np.abs(wrong).max()
+    )
     assert np.all(np.abs(errors) <= bleed * np.abs(wrong) * (1.0 + 1e-9))
 
 

@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.plant.burden import add_payload
+from wbmpc.plant.burden import add_payload, lay_cables
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
 from wbmpc.plant.servo import ActuatorServo
 from wbmpc.plant.world import (
+    GROUND,
     ROBOT,
     TIMESTEP,
     Array,
@@ -132,6 +133,8 @@ class RezeroPlant(InWorld):
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         friction = [draw.friction, SPIN_FRICTION, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
+        if self.perturbation.cables > 0.0:
+            lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)
         spec.body(base.body).add_freejoint(name="root")
         add_light(spec.body(base.body))
         ball = spec.body(base.ball)

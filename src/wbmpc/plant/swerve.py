@@ -78,6 +78,8 @@ class SwervePlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        if self.perturbation.cables > 0.0:
+            raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
