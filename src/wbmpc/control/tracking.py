@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class ActuatorGains:
     """K_p [N m/rad] and K_d [N m s/rad] of wheels and arm joints; ``bleed`` [s] (infinite: plain integration)."""
 
-    wheel_stiffness: float = 0.0
+    wheel_stiffness: float = 0.2
     wheel_damping: float = 0.02
     arm_stiffness: float = 20.0
     arm_damping: float = 1.0

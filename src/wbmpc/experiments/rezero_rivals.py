@@ -58,6 +58,19 @@ class SeparateSettings(Settings):
     integral: Weight = 1.0
 
 
+class TaskspaceSettings(Settings):
+    """What :class:`wbmpc.control.TaskGains` says of them."""
+
+    hand: float = Field(TaskGains.hand, gt=0)
+    turn: float = Field(TaskGains.turn, gt=0)
+    ball: float = Field(TaskGains.ball, gt=0)
+    ball_speed: float = Field(TaskGains.ball_speed, gt=0)
+    yaw: float = Field(TaskGains.yaw, gt=0)
+    tilt: float = Field(TaskGains.tilt, gt=0)
+    wheel_torque: float = Field(TaskGains.wheel_torque, gt=0)
+    balance: float = Field(TaskGains.balance, gt=0)
+
+
 class RivalsSettings(Settings):
     """Gains of each rival, found by ``make ball-rivals``: the same search, as many runs, the same tuning seeds."""
 
@@ -65,8 +78,20 @@ class RivalsSettings(Settings):
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
     separate: SeparateSettings = SeparateSettings()
     separate_integral: SeparateSettings = SeparateSettings()
-    separate_aware: SeparateSettings = SeparateSettings()
-    taskspace: TaskGains = TaskGains()
+    separate_aware: SeparateSettings = SeparateSettings(
+        ball=51.7, ball_speed=1.13, tilt_rate=0.521, wheel=0.0328, pace=25.0, integral=2.57
+    )
+    taskspace: TaskspaceSettings = TaskspaceSettings()
+
+
+class ActuatorSettings(Settings):
+    """What :class:`wbmpc.control.ActuatorGains` says of them."""
+
+    wheel_stiffness: Weight = ActuatorGains.wheel_stiffness
+    wheel_damping: Weight = ActuatorGains.wheel_damping
+    arm_stiffness: Weight = ActuatorGains.arm_stiffness
+    arm_damping: Weight = ActuatorGains.arm_damping
+    bleed: float = Field(ActuatorGains.bleed, gt=0)
 
 
 class TrackingSettings(Settings):
@@ -74,7 +99,7 @@ class TrackingSettings(Settings):
     feed-forward and PD, in the drives, with these gains)."""
 
     kind: Literal["policy", "actuators"] = "policy"
-    gains: ActuatorGains = ActuatorGains()
+    gains: ActuatorSettings = ActuatorSettings()
 
 
 @dataclass(frozen=True)
@@ -96,7 +121,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MP
     if name == "mpc":
         more = (*own, FallForecast(p.robot, p.arm))
         if settings.tracking.kind == "actuators":
-            return TrackingAgent(*more, gains=settings.tracking.gains), p.mpc
+            return TrackingAgent(*more, gains=ActuatorGains(**settings.tracking.gains.model_dump())), p.mpc
         return RezeroAgent(*more), p.mpc
     if name == "taskspace":
         return _taskspace(settings, p), None
@@ -114,9 +139,9 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceAgent:
         pose = p.mpc.reference["hand"].at(t)
         return pose[:3], pose[3:]
 
-    home = p.robot.equilibrium(p.arm)[0]
+    home, gains = p.robot.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
     more = (p.period, settings.drive_lag, settings.observer, p.estimator)
-    agent = TaskSpaceAgent(p.robot, p.mpc, goal, settings.rival.taskspace, home, p.torque, *more)
+    agent = TaskSpaceAgent(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     agent.stance = lambda t: p.mpc.reference["body"].at(t)
     return agent
 
