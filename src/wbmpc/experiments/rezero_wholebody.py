@@ -31,7 +31,7 @@ CORNERS = np.array(
 )
 #: The last second of every hold is judged as steady [s].
 STEADY = 1.0
-IDEALISATIONS = ["the load is unknown to the controller; the rivals of the paper's comparison are not run"]
+IDEALISATIONS = ["the load is unknown to the controller"]
 
 
 class RezeroWholebodySettings(AccurateSettings):
