@@ -23,6 +23,7 @@ from wbmpc.solver.places import (
     DX,
     GIVEN_WAY,
     GRID,
+    HOLD,
     LAGRANGIAN,
     LANE_ROWS,
     LANE_U,
@@ -67,14 +68,28 @@ HARD = int(Kind.HARD)
 CORRECTIONS = 30
 #: Where corrections aim [units of the rows], so that they end inside.
 INSIDE = 1e-6
-#: Share of a slack that a step leaves at least.
-LEAST_SHARE = 0.01
+#: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
+LEAST_SHARE = 0.1
 
 
 @compiled(BOOL, NUMS, INTS, INT)
 def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
     """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
     return kind_of(m, o, r) == HARD and m[entry(o, COUNTS_FIRST, r)] > 0.0
+
+
+@compiled(BOOL, NUMS, INTS, INT)
+def held(m, o, r):  # type: ignore[no-untyped-def]
+    """Whether inputs are held within row r: with an L1 slack, which may be there to be used, in real time only."""
+    return bounds_inputs(m, o, r) and (m[o[STATE] + HOLD] > 1.0 or not row_penalty(m, o, r) < np.inf)
+
+
+@compiled(NUM, NUMS, INTS, INT, INT)
+def inside(m, o, k, j):  # type: ignore[no-untyped-def]
+    """Where a correction onto row j of node k aims: what a step may leave of its slack."""
+    _, boxes, _ = node_rows(o, k)
+    share = LEAST_SHARE * m[o[ROW_T] + k * o[ROWS] + j]
+    return min(INSIDE, share) if j < boxes else share
 
 
 # ---------------------------------------------------------------------- second derivatives
@@ -130,15 +145,15 @@ def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
     collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
 
 
-@compiled(NUM, NUMS, INTS, INT)
+@compiled(BOOL, NUMS, INTS, INT)
 def outside(m, o, k):  # type: ignore[no-untyped-def]
-    """By how much node k's inputs are outside the hard rows that were evaluated last, at most."""
+    """Whether inputs of node k are outside a hard row that was evaluated last, or too near to its boundary."""
     _, boxes, general = node_rows(o, k)
-    worst = 0.0
     for j in range(boxes + general):
-        if bounds_inputs(m, o, j):
-            worst = max(worst, -m[o[ROW_TRIAL] + j])
-    return worst
+        near = 0.0 if j < boxes else 0.5 * inside(m, o, k, j)
+        if held(m, o, j) and not m[o[ROW_TRIAL] + j] >= near:
+            return True
+    return False
 
 
 @compiled(NONE, NUMS, INTS, INT)
@@ -150,21 +165,22 @@ def correct(m, o, k):  # type: ignore[no-untyped-def]
         m[change + i] = 0.0
     for j in range(boxes):
         i = o[row_index(o) + j]
-        if bounds_inputs(m, o, j):
+        if held(m, o, j):
             sign = m[entry(o, SIGN, j)]
             h = m[o[ROW_TRIAL] + j] + sign * m[change + i]
             if h < 0.0:
-                m[change + i] += (INSIDE - h) / sign
+                m[change + i] += (inside(m, o, k, j) - h) / sign
     for j in range(general):
         row, h, square = o[ROW_SCALED] + j * o[LZ], m[o[ROW_TRIAL] + boxes + j], 0.0
-        if not bounds_inputs(m, o, boxes + j):
+        if not held(m, o, boxes + j):
             continue
         for i in range(first, first + nu):
             h += m[row + i] * m[change + i]
             square += m[row + i] * m[row + i]
-        if h < 0.0 and square > 1e-12:
+        aim = inside(m, o, k, boxes + j)
+        if h < aim and square > 1e-12:
             for i in range(first, first + nu):
-                m[change + i] += m[row + i] * (INSIDE - h) / square
+                m[change + i] += m[row + i] * (aim - h) / square
     for i in range(nu):
         m[o[UT] + k * nu + i] += m[change + first + i]
 
@@ -187,7 +203,7 @@ def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
     _, boxes, general = node_rows(o, k)
     evaluate_trial(m, o, k)
     for _ in range(CORRECTIONS):
-        if outside(m, o, k) == 0.0:
+        if not outside(m, o, k):
             break
         correct(m, o, k)
         evaluate_trial(m, o, k)
@@ -195,7 +211,7 @@ def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
     if alpha == 0.0:
         return
     for j in range(boxes, boxes + general):
-        if bounds_inputs(m, o, j):
+        if held(m, o, j):
             q = k * o[ROWS] + j
             t, h = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j]
             if row_penalty(m, o, j) < np.inf:

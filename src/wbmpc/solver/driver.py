@@ -268,7 +268,7 @@ def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     m[state + RHO], m[state + THETA] = 1.0, 1.0
-    m[state + HOLD] = s[KEEP] if o[CURVED] > 0 else 0.0
+    m[state + HOLD] = 1.0 + s[KEEP] if o[CURVED] > 0 else 0.0
     forget_outside(m, o)
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
@@ -340,6 +340,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     penalty, first, last_kkt, last_residual, certify = 0.0, 1.0, np.inf, np.inf, s[CERTIFY] > 0.0
     rows, state, limit, it = row_count(o) > 0, o[STATE], int(s[ITERATIONS]), 0
     begin(m, o, x0, s)
+    hold = m[state + HOLD]
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -368,6 +369,10 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         shift = m[state + SHIFT]
         if alpha == 0.0:
+            m[state + COST], m[state + VIOLATION] = log[row], violation
+            if m[state + HOLD] == 1.0:  # once more along the step itself
+                m[state + HOLD] = 0.0
+                continue
             m[state + SHIFT] = max(10.0 * shift, 1e-4)
             if m[state + SHIFT] > s[LARGEST_SHIFT]:
                 return NO_STEP, it
@@ -382,6 +387,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             if changed > 0.0:
                 last_kkt = np.inf
         log[row + 4] = alpha
+        if hold > 0.0:
+            m[state + HOLD] = hold
         o[POLICY] = 1
         if it == limit and alpha < 0.9 and limit < int(s[ITERATIONS]) + int(s[EXTRA]):
             limit += 1

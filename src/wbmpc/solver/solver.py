@@ -21,7 +21,14 @@ from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
-_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED, Status.LIMIT_MISSED)
+_STATUS = (
+    Status.CONVERGED,
+    Status.ITERATION_LIMIT,
+    Status.NO_STEP,
+    Status.NOT_FINITE,
+    Status.DIVERGED,
+    Status.LIMIT_MISSED,
+)
 
 
 @dataclass
