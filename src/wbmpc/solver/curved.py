@@ -34,6 +34,7 @@ from wbmpc.solver.places import (
     LZ,
     MISSED,
     MOST_AT,
+    MU,
     NP,
     NU,
     NU_ROWS,
@@ -88,8 +89,10 @@ def held(m, o, r):  # type: ignore[no-untyped-def]
 def inside(m, o, k, j):  # type: ignore[no-untyped-def]
     """Where a correction onto row j of node k aims: what a step may leave of its slack."""
     _, boxes, _ = node_rows(o, k)
-    share = LEAST_SHARE * m[o[ROW_T] + k * o[ROWS] + j]
-    return min(INSIDE, share) if j < boxes else share
+    q = k * o[ROWS] + j
+    if j < boxes:
+        return min(INSIDE, LEAST_SHARE * m[o[ROW_T] + q])
+    return LEAST_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + MU] / m[o[ROW_L] + q], LEAST_SHARE))
 
 
 # ---------------------------------------------------------------------- second derivatives
@@ -216,7 +219,7 @@ def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
             t, h = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j]
             if row_penalty(m, o, j) < np.inf:
                 h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
-            m[o[ROW_DT] + q] = (max(h, LEAST_SHARE * t) - t) / alpha
+            m[o[ROW_DT] + q] = (max(h, inside(m, o, k, j)) - t) / alpha
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
