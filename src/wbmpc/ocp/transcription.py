@@ -283,8 +283,8 @@ class Transcription:
     def _second_derivatives(self, make: Any) -> dict[str, ca.Function]:
         """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
-        ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows, without ``exact`` that of the rows by the inputs where they are curved;
-        ``dynamics_hessian`` (…, h, a): aᵀ f.
+        ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
+        Without ``exact`` the first is h κᵀ rows by the inputs alone, where rows are curved in them.
         """
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
         nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])

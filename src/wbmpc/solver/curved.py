@@ -18,9 +18,9 @@ from wbmpc.solver.exact import clear_second, stage_with
 from wbmpc.solver.lanes import load_block, stage_lanes, take_rows_of_lane, unpack
 from wbmpc.solver.places import (
     AB,
+    BEST,
     CHAINED,
     COUNTS_FIRST,
-    DX,
     GIVEN_WAY,
     GRID,
     HOLD,
@@ -30,7 +30,6 @@ from wbmpc.solver.places import (
     LANE_VALUES,
     LANE_X,
     LANES_ROWS_J,
-    LX,
     LZ,
     MISSED,
     MOST_AT,
@@ -56,7 +55,6 @@ from wbmpc.solver.places import (
     UNPACK_ROWS,
     UT,
     XT,
-    K,
     P,
     U,
     X,
@@ -148,20 +146,22 @@ def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
     collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
 
 
-@compiled(BOOL, NUMS, INTS, INT)
+@compiled(NUM, NUMS, INTS, INT)
 def outside(m, o, k):  # type: ignore[no-untyped-def]
-    """Whether inputs of node k are outside a hard row that was evaluated last, or too near to its boundary."""
+    """By how much inputs of node k are outside a held row that was evaluated last, at most; infinite where one is NaN."""
     _, boxes, general = node_rows(o, k)
+    worst = 0.0
     for j in range(boxes + general):
-        near = 0.0 if j < boxes else 0.5 * inside(m, o, k, j)
-        if held(m, o, j) and not m[o[ROW_TRIAL] + j] >= near:
-            return True
-    return False
+        h = m[o[ROW_TRIAL] + j]
+        if held(m, o, j) and not h >= 0.0:
+            worst = max(worst, -h) if h < 0.0 else np.inf
+    return worst
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def correct(m, o, k):  # type: ignore[no-untyped-def]
-    """Move the trial inputs of node k onto the linearised rows that they are outside of, one row after the other."""
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def correct(m, o, k, share):  # type: ignore[no-untyped-def]
+    """Move the trial inputs of node k onto the linearised rows that they are outside of, one row after the other, and ``share``
+    of the way inside that there may be."""
     _, boxes, general = node_rows(o, k)
     nu, first, change = o[NU], o[NX] + 1, o[PULLED]
     for i in range(first, first + nu):
@@ -172,7 +172,7 @@ def correct(m, o, k):  # type: ignore[no-untyped-def]
             sign = m[entry(o, SIGN, j)]
             h = m[o[ROW_TRIAL] + j] + sign * m[change + i]
             if h < 0.0:
-                m[change + i] += (inside(m, o, k, j) - h) / sign
+                m[change + i] += (share * inside(m, o, k, j) - h) / sign
     for j in range(general):
         row, h, square = o[ROW_SCALED] + j * o[LZ], m[o[ROW_TRIAL] + boxes + j], 0.0
         if not held(m, o, boxes + j):
@@ -180,8 +180,8 @@ def correct(m, o, k):  # type: ignore[no-untyped-def]
         for i in range(first, first + nu):
             h += m[row + i] * m[change + i]
             square += m[row + i] * m[row + i]
-        aim = inside(m, o, k, boxes + j)
-        if h < aim and square > 1e-12:
+        aim = share * inside(m, o, k, boxes + j)
+        if h < 0.0 and square > 1e-12:
             for i in range(first, first + nu):
                 m[change + i] += m[row + i] * (aim - h) / square
     for i in range(nu):
@@ -200,16 +200,32 @@ def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
             m[place] = max(m[place], by)
 
 
+@compiled(NONE, NUMS, INTS, INT)
+def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
+    """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
+    nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[BEST], np.inf, 1.0
+    for _ in range(CORRECTIONS):
+        evaluate_trial(m, o, k)
+        worst = outside(m, o, k)
+        if worst == 0.0:
+            return
+        if worst < least:
+            least = worst
+            for i in range(nu):
+                m[best + i] = m[u + i]
+        correct(m, o, k, share)
+        share *= 0.5
+    if least < np.inf:
+        for i in range(nu):
+            m[u + i] = m[best + i]
+    evaluate_trial(m, o, k)
+
+
 @compiled(NONE, NUMS, INTS, INT, NUM)
 def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
     """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
     _, boxes, general = node_rows(o, k)
-    evaluate_trial(m, o, k)
-    for _ in range(CORRECTIONS):
-        if not outside(m, o, k):
-            break
-        correct(m, o, k)
-        evaluate_trial(m, o, k)
+    pull_inside(m, o, k)
     tell_outside(m, o, k)
     if alpha == 0.0:
         return

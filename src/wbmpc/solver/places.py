@@ -13,7 +13,7 @@ from wbmpc.solver import workspace as _w
 (JUMPS, ALIGN, EXACT, POLICY, CURVED) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
-GRID, X, U, XT, UT = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial"))
+GRID, X, U, XT, UT, BEST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best"))
 DX, DU, P, W, AB, H, E, EPS, K = (_place[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
 VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch", "gradient"))
 J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))

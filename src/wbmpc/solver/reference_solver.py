@@ -14,7 +14,7 @@ from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import Kind, Place
 from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
-from wbmpc.solver.reference_curved import LEAST_SHARE, curvature, hold_inputs
+from wbmpc.solver.reference_curved import aims, curvature, hold_inputs
 from wbmpc.solver.workspace import BoxTable, box_table
 
 RELATIVE_COMPLIANCE = 1e-12
@@ -201,7 +201,7 @@ class InterpretedSolver:
         self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)
         self.values, self.derivatives = problem.values, problem.derivatives
         self.own = [RowState(problem.path if k < n else problem.end, k == 0) for k in range(n + 1)]
-        self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, False
+        self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
         self.feed = np.zeros((n, nu))
 
     def _p(self, k: int) -> np.ndarray:
@@ -357,7 +357,8 @@ class InterpretedSolver:
         """Node k's trial inputs within the true rows, in place."""
         state, rows = self.ws.state, self.own[k]
         functions = self.derivatives["rows_jacobian"]
-        h = hold_inputs(rows, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
+        held = rows.bounds_inputs & (~rows.soft | (self.hold > 1))
+        h = hold_inputs(rows, held, self.mu, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
         by = np.where(rows.bounds_inputs, -h, 0.0)
         if by.max(initial=0.0) > max(state[MISSED], state[GIVEN_WAY]):
             state[MOST_AT] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
@@ -365,8 +366,8 @@ class InterpretedSolver:
         state[GIVEN_WAY] = max(state[GIVEN_WAY], by[rows.soft].max(initial=0.0))
         if alpha > 0.0:
             carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
-            general = rows.bounds_inputs & (np.arange(h.size) >= rows.boxes)
-            rows.dt = np.where(general, (np.maximum(h + carried, LEAST_SHARE * rows.t) - rows.t) / alpha, rows.dt)
+            general = held & (np.arange(h.size) >= rows.boxes)
+            rows.dt = np.where(general, (np.maximum(h + carried, aims(rows, self.mu)) - rows.t) / alpha, rows.dt)
 
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
@@ -386,7 +387,7 @@ class InterpretedSolver:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.mu_start, 0.0
-        self.hold = self.problem.curved and bool(c.keep_multipliers)
+        self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else 0
         start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
@@ -411,7 +412,7 @@ class InterpretedSolver:
         from wbmpc.solver.driver import DIVERGED, HUGE, LIMIT_MISSED, NO_STEP, NOT_FINITE, next_mu
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
-        last_residual = np.inf
+        last_residual, hold = np.inf, self.hold
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
@@ -460,6 +461,10 @@ class InterpretedSolver:
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
             alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
             if alpha == 0.0:
+                self.ws.state[[COST, VIOLATION]] = log[it - 1, 0], violation
+                if self.hold == 1:  # once more along the step itself
+                    self.hold = 0
+                    continue
                 shift = max(10.0 * shift, 1e-4)
                 if shift > c.largest_shift:
                     return NO_STEP, it
@@ -480,7 +485,7 @@ class InterpretedSolver:
                     last_residual = residual
                 if after != self.mu:
                     self.mu, last_kkt = after, np.inf
-            self.policy = True
+            self.policy, self.hold = True, hold
             log[it - 1, 4] = alpha
             if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1

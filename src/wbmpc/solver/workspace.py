@@ -68,6 +68,7 @@ BLOCKS = (
     "u",  # (N, nu)
     "x_trial",
     "u_trial",
+    "u_best",  # (nu,): of one node, nearest to its rows
     "dx",  # (N + 1, lx), entry nx is 1
     "du",  # (N, nu)
     "p",  # (N + 1, np)
@@ -219,6 +220,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "u": (n, s.nu),
         "x_trial": (n + 1, s.nx),
         "u_trial": (n, s.nu),
+        "u_best": (s.nu,),
         "dx": (n + 1, s.lx),
         "du": (n, s.nu),
         "p": (n + 1, max(problem.node.size, 1)),
