@@ -105,6 +105,7 @@ def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
     elastic = Perturbation.none(drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
     plant = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic)
     command = RezeroCommand(TORQUE + 1.0)
+    np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-9)
     plant.step(command)
     np.testing.assert_allclose(plant.torque[3:], TORQUE[3:] + 1.0, atol=1e-9)
     assert np.abs(plant.torque[:3] - TORQUE[:3]).max() < 0.05

@@ -17,6 +17,7 @@ from wbmpc.experiments.rezero_task import (
     RezeroSettings,
     hand_felt,
     record_rezero,
+    resting,
     set_home_references,
 )
 from wbmpc.experiments.settings import Settings, Weight, finished
@@ -97,8 +98,9 @@ def drive(
     position, quaternion = robot.pose(home)
     times = np.array([0.0, settings.settle, settings.settle + settings.hold])
     places = np.array([position, position + settings.step, position])
-    whole = Reference.poses(times, places, quaternion, hold=True)
-    mpc.reference["hand"] = whole
+    mpc.reference["hand"] = Reference.poses(times, places, quaternion, hold=True)
+    rest = [home, resting(robot, places[1], quaternion), home]
+    mpc.reference["body"] = Reference(times, np.array(rest), "hold")
     plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
@@ -116,16 +118,17 @@ def drive(
     else:
         agent = RezeroAgent(robot, mpc, torque, *own)
         mpc.reset(home, torque)
-    single = Log()
+    single, asked = Log(), torque.copy()
 
     def record(t: float, command: Any, plans: Any) -> None:
         k = int(np.searchsorted(times, t + 1e-9, side="right")) - 1
         if not settings.preview:
             ahead = int(np.searchsorted(times, t + timing.delay * timing.period + 1e-9, side="right")) - 1
             mpc.reference["hand"] = Reference.poses([0.0], places[ahead : ahead + 1], quaternion)
-        # what acts now belongs to the command before
+            mpc.reference["body"] = Reference.constant(rest[ahead])
         log.add(f"acting_{name}", t, plant.torque)
-        log.add(f"asked_{name}", t, single.array("torque")[-1] if "torque" in single.channels else torque)
+        log.add(f"asked_{name}", t, asked.copy())  # the command before this one, which has acted until now
+        asked[:] = command.torque
         log.add(f"wanted_{name}", t, places[k])
         record_rezero(single, t, plant, agent, command.torque)
 

@@ -199,6 +199,7 @@ class RezeroPlant(InWorld):
         rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
         d.ctrl[:] = rest if torque is None else finite("torque", torque, self.model.nu)
         d.act[:] = d.ctrl[self.model.actuator_actadr >= 0]
+        mujoco.mj_fwdActuation(self.model, d)
         self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))
         if self.drives is not None:
             mujoco.mj_fwdVelocity(self.model, d)
