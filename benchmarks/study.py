@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,20 +28,27 @@ class Kept:
         self.file = file
         self.runs: dict[str, Figures] = json.loads(file.read_text()) if file.exists() else {}
 
-    def run(self, experiment: str, settings: Sequence[str], seed: int) -> Figures:
-        """Metrics of one run (and ``completed``: 1 or 0), from the file if it is there."""
-        key = f"{experiment}, {' '.join(settings)}, seed {seed}"
+    def get(self, key: str, make: Callable[[], Figures]) -> Figures:
+        """Figures by that name: from the file, or made now and written at once."""
         if key not in self.runs:
-            e = REGISTRY[experiment]
-            result = e.run(configure(e.config_type, settings, experiment), seed, None)
-            self.runs[key] = {k: m.value for k, m in result.metrics.items()} | {"completed": float(result.completed)}
-            if result.mpc is not None:
-                self.runs[key] |= {"solve_ms": result.mpc.solve_ms["median"]}
+            self.runs[key] = make()
             part = self.file.with_suffix(".part")
             part.write_text(json.dumps(self.runs, indent=1) + "\n")
             part.replace(self.file)
-            print(f"{key}: {'completed' if result.completed else result.reason}", flush=True)
+            print(f"{key}: done", flush=True)
         return self.runs[key]
+
+    def run(self, experiment: str, settings: Sequence[str], seed: int) -> Figures:
+        """Metrics of one run, ``completed`` (1 or 0) and the median ``solve_ms``."""
+
+        def make() -> Figures:
+            e = REGISTRY[experiment]
+            result = e.run(configure(e.config_type, settings, experiment), seed, None)
+            solve = result.mpc.solve_ms["median"] if result.mpc is not None else 0.0
+            more = {"completed": float(result.completed), "solve_ms": solve}
+            return {k: m.value for k, m in result.metrics.items()} | more
+
+        return self.get(f"{experiment}, {' '.join(settings)}, seed {seed}", make)
 
 
 @contextmanager
