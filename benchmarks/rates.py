@@ -17,10 +17,10 @@ from wbmpc.experiments.push_map import Point, impulse_at_failure, simulated
 
 RATES = (80.0, 200.0, 400.0, 1000.0)
 DELAYS = {"delay of one period": None, "same delay, 10 ms": 0.010}
-STEPS = ("hold=3", "settle=1.5", "rest=0")
+STEPS = ("hold=3.5", "settle=1.5", "rest=0")
 PUSHES = ("forces=[100, 200]", "settle=2", "pause=5")
 #: Directions [rad] of the pushes of 0.2 s that are made stronger until the robot falls.
-DIRECTIONS = np.deg2rad([0.0, 45.0, 90.0])
+DIRECTIONS = np.deg2rad([0.0, 45.0])
 
 
 def settings(rate: float, delay: float | None) -> list[str]:
@@ -44,13 +44,13 @@ def measured(kept: Kept, rate: float, delay: float | None, seeds: range) -> Figu
             "steady": 1e3 * steps["steady_position_error_max"], "rise": steps["rise_time_max"],
             "pushed": 1e3 * pushes["hand_error_max"], "rms": 1e3 * pushes["hand_error_rms"],
             "tilt": np.rad2deg(pushes["tilt_max"]), "lost": pushes["not_recovered"], "solve": pushes["solve_ms"],
-            "impulse": float(np.median(limits(kept, given, seed))),
+            "impulse": float(np.mean(limits(kept, given, seed))),
         })  # fmt: skip
     return {k: float(np.median([r[k] for r in rows])) for k in rows[0]}
 
 
 PANELS = (
-    ("impulse", "impulse of 0.2 s that it stands [N s]\n(median of 0, 45 and 90°)"),
+    ("impulse", "impulse of 0.2 s that it stands [N s]\n(mean of 0 and 45°)"),
     ("pushed", "largest hand error, pushes of 100 and 200 N [mm]"),
     ("rms", "rms hand error in the same runs [mm]"),
     ("steady", "steady hand error of the steps, worst [mm]"),
