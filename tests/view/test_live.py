@@ -34,7 +34,7 @@ def free_port() -> int:
 
 def panel_of(view: Any) -> Mailbox:
     """The panel's end of the orders, as a writer that goes on where the panel has stopped."""
-    writer = Mailbox(ORDERS, view._answers.memory, view._answers.checked)
+    writer = Mailbox(ORDERS, view.orders.memory, view.orders.checked)
     writer._written = int(writer._latest[0])
     return writer
 
@@ -138,7 +138,7 @@ def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
     try:
         hand = Hand(view, [(0.3, {"paused": 1.0})])
         view.open(run(None, 0.01)[1])
-        killer = threading.Timer(3.0, os.kill, (view._process.pid, signal.SIGKILL))
+        killer = threading.Timer(3.0, os.kill, (view.process.pid, signal.SIGKILL))
         killer.start()
         start = time.perf_counter()
         ending, _ = run(view, 1.0, hand)
