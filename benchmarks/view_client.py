@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from importlib.metadata import version
 
 import msgspec.msgpack
-import numpy as np
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -26,7 +26,7 @@ def camera(angle: float) -> bytes:
     """A camera on a circle around the robot, as the viewer tells it."""
     message = {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "fov": 1.3, "near": 0.01, "far": 1000.0,
-        "position": (3.0 * np.cos(angle), 3.0 * np.sin(angle), 1.5), "image_height": 700, "image_width": 1000,
+        "position": (3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.5), "image_height": 700, "image_width": 1000,
         "look_at": (0.0, 0.0, 0.5), "up_direction": (0.0, 0.0, 1.0),
     }  # fmt: skip
     return msgspec.msgpack.encode(message)

@@ -20,6 +20,7 @@ from wbmpc.mpc import MPC, RealTime, Runner, WallClock
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant, SwervePlant
 from wbmpc.robots import BallBaseDescription, SwerveBaseDescription
+from wbmpc.view.departure import Departure
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView
@@ -104,7 +105,7 @@ def _plant(robot: RobotModel, seed: int) -> RezeroPlant | SwervePlant:
 
 def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     settings = MpcSettings(horizon=4.0, intervals=40)
-    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)))
+    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)), Departure(robot))
     position, orientation = robot.pose(robot.home)
     mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)

@@ -38,9 +38,7 @@ class Stage:
         server.scene.add_grid(
             f"{self._root}/floor", 60.0, 60.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001)
         )
-        self._bodies = [
-            server.scene.add_frame(f"{self._root}/bodies/{b.name}", show_axes=False) for b in scene.bodies
-        ]
+        self._bodies = [server.scene.add_frame(f"{self._root}/bodies/{b.name}", show_axes=False) for b in scene.bodies]
         for i, shape in enumerate(scene.shapes):
             self._shape(i, shape)
         self._followed: Array | None = None
