@@ -39,10 +39,10 @@ TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/
 class SimNode:
     """A plant on a bus, at ``rate`` [Hz].
 
-    ``lockstep``: after the first commands a period is simulated only when all commands to its beginning have come, so that
-    nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often it was too slow.
-    Stamps say when the physics was sampled: simulated time, by the wall's clock from its beginning on, whenever the message goes
-    out. A robot that cannot stand by itself is held until the first commands come; only its time goes on.
+    In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
+    have come, so that nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often
+    it was too slow. Stamps say when the physics was sampled, whenever the message goes out: simulated time, by the wall's clock
+    from its beginning on. A robot that cannot stand by itself is held until the first commands come; only its time goes on.
     """
 
     def __init__(
@@ -54,7 +54,6 @@ class SimNode:
         perturbation: Perturbation | None = None,
         *,
         rate: float = 400.0,
-        lockstep: bool = False,
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
@@ -62,10 +61,12 @@ class SimNode:
         self.plant = self.side.plant
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep
-        self.lockstep, self.factor, self.behind, self.ticks = lockstep, factor, 0, 0
-        self.sim_time = settings.use_sim_time or lockstep
+        self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0
+        self.sim_time = settings.use_sim_time or self.lockstep
         if factor != 1.0 and not self.sim_time:
-            raise InputError("factor: who runs faster or slower than the wall's clock needs simulated time (use_sim_time)")
+            raise InputError(
+                "factor: who runs faster or slower than the wall's clock needs simulated time (use_sim_time)"
+            )
         self._began = time.time()  # the wall's time at which the simulated one was 0 [s]
         self._groups = self.side.rest()
         self._changed = threading.Condition()
