@@ -42,8 +42,9 @@ BALL: dict[str, tuple[str, ...]] = {
     "hand 0.5 kg": ("payload=0.5",),
     "hand 1 kg": ("payload=1.0",),
     "cables 5 mm": ("plant.cables=0.005",),
-    "delay 12.5 ms": ("mpc.delay=0.0125",),
-    "delay 25 ms": ("mpc.delay=0.025",),
+    "late 2 ms": ("plant.dead_time=0.002",),
+    "late 8 ms": ("plant.dead_time=0.008",),
+    "late 15 ms": ("plant.dead_time=0.015",),
 }
 CONDITIONS = {**SWERVE, **BALL}
 

@@ -14,6 +14,9 @@ from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
+#: A torque that differs from the wanted one by less than this share of its limit was not cut.
+_ROUNDING = 1e-9
+
 
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
@@ -125,16 +128,16 @@ class RezeroAgent:
         if self.forecast is not None and plans.current is not None:
             self.forecast.look(plans.current)
         self.feedforward, self.wanted = self._law(t, self.state(), plans.current, acts=True)
-        return RezeroCommand(self._sent(self.wanted))
+        return self._drive(self._possible(self.wanted))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
         assert policy is not None
         return policy.feedforward(t)[: self.limit.size], policy(t, x)[: self.limit.size]
 
-    def _sent(self, wanted: np.ndarray) -> np.ndarray:
-        """What the drives get of ``wanted``; it is remembered."""
-        self.torque = torque = self._possible(wanted)
-        self.clamped = bool(np.any(torque != wanted))
+    def _drive(self, torque: np.ndarray) -> RezeroCommand:
+        """The command for possible torques, which the drives follow with their lag."""
+        self.torque = torque
+        self.clamped = bool(np.any(np.abs(torque - self.wanted) > _ROUNDING * self.limit))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
-        return torque
+        return RezeroCommand(torque)
