@@ -76,7 +76,9 @@ class RivalsSettings(Settings):
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
-    separate: SeparateSettings = SeparateSettings()
+    separate: SeparateSettings = SeparateSettings(
+        ball=50.9, ball_speed=6.85, tilt_rate=5.06, wheel=1.36, pace=22.1, integral=0.116
+    )
     separate_integral: SeparateSettings = SeparateSettings()
     separate_aware: SeparateSettings = SeparateSettings(
         ball=51.7, ball_speed=1.13, tilt_rate=0.521, wheel=0.0328, pace=25.0, integral=2.57
