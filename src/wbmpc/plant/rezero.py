@@ -209,6 +209,13 @@ class RezeroPlant(InWorld):
         self._history.clear()
         self._record()
 
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (16) has them, for pictures: no physics; the ball does not roll."""
+        d, n = self.data, self._arm_q.size
+        d.qpos[0:2], d.qpos[3:7] = state[:2], lie.rotation_to_quaternion(lie.euler_zyx_to_rotation(*state[2:5]))
+        d.qpos[self._arm_q] = state[5 : 5 + n]
+        mujoco.mj_kinematics(self.model, d)
+
     def _record(self) -> None:
         q, v, ball = self.data.qpos.copy(), self.data.qvel.copy(), self._ball
         q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])

@@ -225,6 +225,15 @@ class SwervePlant(InWorld):
         self.world.restart()
         self._history.append(d.qpos[self._all])
 
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
+        d, groups = self.data, self._groups(state)
+        d.qpos[0:2], d.qpos[3:7] = groups["base"][:2], lie.quaternion_about([0.0, 0.0, 1.0], groups["base"][2])
+        for group, index in self._q.items():
+            d.qpos[index] = groups[group]
+        d.qpos[2] = self._standing_height()
+        mujoco.mj_kinematics(self.model, d)
+
     def _standing_height(self) -> float:
         """Height [m] of the base at which its wheels touch the floor on average, for the joints as they are."""
         mujoco.mj_kinematics(self.model, self.data)
