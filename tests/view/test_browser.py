@@ -86,6 +86,40 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
 
 
+def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
+    """In a session: the arrow of the base's goal is pulled ahead, then A is clicked, then the session begins anew."""
+    process, url = start("view", "swerve-ur10", "--out", str(tmp_path))
+    try:
+        with browser() as page:
+            page.open(url, 8.0)
+            film = Film(_partly(tmp_path))
+            poses = film.snapshot(0.0)["poses"]
+            place = poses[film.scene.index, :3]
+            page.uncheck("Camera follows the robot")
+            eye, box = place + camera_offset(poses, film.scene.index), (676.0, 700.0)
+            pixel = lambda along: project(np.array([along, 0.0, 0.02]), eye, place, box, FIELD)
+            along = next(a for a in (0.45, 0.4, 0.5, 0.35, 0.45, 0.5) if page.grasp(pixel(a)))
+            page.pull(pixel(along), pixel(along + 0.3))
+            assert page.until(lambda: _last(tmp_path, "/odom", "pose.pose.position.x") > 0.1, 60.0)
+            leg = lambda: _last(tmp_path, "/measured/leg", "data.0")
+            before = leg()
+            page.click("A")
+            assert page.until(lambda: abs(leg() - before) > 0.1, 60.0)
+            page.click("Reset")
+            assert page.until(lambda: abs(_last(tmp_path, "/odom", "pose.pose.position.x")) < 0.01, 60.0)
+            assert page.errors == [] and page.outside == []
+            page.click("End the run")
+            _, err = process.communicate(timeout=60)
+        assert process.returncode == 0 and "ended in the view" in err
+    finally:
+        process.kill()
+
+
+def _last(folder: Path, topic: str, column: str) -> float:
+    """The newest number of a recording that is still being written."""
+    return float(read(folder).table(topic).columns[column][-1])
+
+
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """What is recorded so far: the hand's reference (n, 3) and the hand (n, 3)."""
     recording = read(folder)

@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +17,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
+from wbmpc.cli.directories import run_directory
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
@@ -95,34 +95,6 @@ def options(
         typer.echo(context.get_help())
 
 
-def _reserve(base: Path) -> Path:
-    """Make ``base``, or ``base-2``, ``base-3`` … when it is there: a run never overwrites another one."""
-    for k in count(1):
-        path = base if k == 1 else base.with_name(f"{base.name}-{k}")
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return path
-    raise AssertionError("unreachable")
-
-
-def _directory(out: Path | None, name: str, seed: int) -> Path:
-    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once."""
-    from wbmpc.report import RUN_FILES
-
-    if out is None:
-        return _reserve(Path("runs") / f"{name}-seed{seed}")
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out: '{out}' is a file; give a directory")
-    out.mkdir(parents=True, exist_ok=True)
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise InputError(f"--out: cannot write into '{out}'")
-    if any((out / file).exists() for file in RUN_FILES):
-        return _reserve(out)
-    return out
-
-
 def _execute(
     session: _Session,
     name: str,
@@ -143,7 +115,7 @@ def _execute(
     experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
     existed = out is not None and out.exists()
-    directory = _directory(out, name, seed)
+    directory = run_directory(out, name, seed)
     ours = not existed or directory != out
     _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
     _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
@@ -295,7 +267,7 @@ def bench(
     """Time the solver against others on the same discretised problems, on one core."""
     from wbmpc.benchmark import run_benchmark
 
-    directory = None if out is None else _directory(out, "bench", 0)
+    directory = None if out is None else run_directory(out, "bench", 0)
     with progress_bar("bench", not as_json) as bar:
         show = bar or (lambda _, note: None if as_json else typer.echo(note, err=True))
         figures = run_benchmark(repeat, show, peers)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wbmpc.cli.directories import run_directory
 from wbmpc.cli.recordings import AsJson
 from wbmpc.errors import InputError
 
@@ -46,21 +47,32 @@ def view(
         bool,
         typer.Option("--realtime", help="Controller, MPC and physics each by the wall clock; nothing can be paused."),
     ] = False,
+    out: Annotated[Path | None, typer.Option(help="Directory for a recording (left out: none is made).")] = None,
     host: Host = LOCAL,
     port: Port = 8080,
 ) -> None:
     """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
     if realtime:
+        if out is not None:
+            raise InputError("--out: what runs in real time is not recorded; leave out --realtime")
         _view_realtime(robot, seed, host, port)
         return
+    from wbmpc.recording.recorder import Recorder
+    from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown = open_view(robot, host, port, reset=True)
+    shown, recorders, reason = open_view(robot, host, port, reset=True), [], "an error of the program"
+    if out is not None:
+        recorders = [Recorder(run_directory(out, robot, seed) / RECORDING, about_run(f"view {robot}", seed, {}))]
     try:
-        ending = run_session(robot, seed, shown)
+        reason = run_session(robot, seed, shown, *recorders).reason
     finally:
         shown.close()
-    typer.echo(ending.reason, err=True)
+        for recorder in recorders:
+            recorder.close({"completed": "false", "reason": reason})
+    typer.echo(reason, err=True)
+    for recorder in recorders:
+        typer.echo(f"the recording is {recorder.path}", err=True)
 
 
 def _view_realtime(robot: str, seed: int, host: str, port: int) -> None:
