@@ -12,6 +12,7 @@ import logging
 import math
 import multiprocessing
 import os
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -102,7 +103,10 @@ class Runner:
         if self.remote:
             self._start_process()
         loops = self._begin()
-        runs = [partial(follow, self.clock, loop) for loop in loops]
+        runs = [partial(self._control_thread, loops[0])]
+        if len(loops) > 1:  # of the two only the controller's waits end with a spin: it keeps the interpreter
+            clock = WallClock(self.clock.origin, spin=0.0) if isinstance(self.clock, WallClock) else self.clock
+            runs.append(partial(follow, clock, loops[1]))
         if getattr(self.clock, "in_turns", False):  # one thread: nothing depends on the machine's speed
             runs = [partial(interleave, self.clock, loops, math.inf)]
         self._threads = [threading.Thread(target=run, daemon=True) for run in runs]
@@ -178,12 +182,21 @@ class Runner:
             raise InputError(f"runner: the MPC's process did not come up: {self.board.text or 'no answer within 60 s'}")
 
     # ------------------------------------------------------------------ control
+    def _control_thread(self, loop: Loop) -> None:
+        if self.settings.priority:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.settings.priority))
+        follow(self.clock, loop)
+
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
-        own, clock = self.own, self.clock
+        own, clock, turns, usual = self.own, self.clock, self.settings.turns, sys.getswitchinterval()
         while not self.orders["end"]:
             due = self.ticker.due
+            if turns is not None:
+                sys.setswitchinterval(turns[1])
             yield due
+            if turns is not None:
+                sys.setswitchinterval(turns[0])
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
@@ -200,6 +213,7 @@ class Runner:
             own.sample("tick", end - start)
             own.count("ticks")
             own.count("misses", self.ticker.over(end))
+        sys.setswitchinterval(usual)
 
     def _tick(self, due: float) -> None:
         measurement = self.robot.read()

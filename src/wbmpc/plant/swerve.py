@@ -78,6 +78,11 @@ class SwervePlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        for name in ("dead_time", "wheel_spring", "arm_spring"):
+            if getattr(self.perturbation, name) > 0.0:
+                raise InputError(
+                    f"plant.{name}: is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
+                )
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
