@@ -53,7 +53,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
             film = Film(_partly(tmp_path))
             eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
-            page.uncheck("Camera follows the robot")  # from here on its place is known
+            page.uncheck("Camera follows")  # from here on its place is known
             before = page.picture()
             page.click("Push")
             assert page.until(lambda: page.differs(before) > 300, 30.0)
@@ -95,7 +95,7 @@ def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
             film = Film(_partly(tmp_path))
             poses = film.snapshot(0.0)["poses"]
             place = poses[film.scene.index, :3]
-            page.uncheck("Camera follows the robot")
+            page.uncheck("Camera follows")
             eye, box = place + camera_offset(poses, film.scene.index), (676.0, 700.0)
             pixel = lambda along: project(np.array([along, 0.0, 0.02]), eye, place, box, FIELD)
             along = next(a for a in (0.45, 0.4, 0.5, 0.35, 0.45, 0.5) if page.grasp(pixel(a)))
