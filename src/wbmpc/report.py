@@ -29,7 +29,7 @@ _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --soft: #5c6b7a; --line: #dfe5ea; --page: #f5f7f9; --card: #fff;
   --good: #1d7a4f; --fair: #b7791f; --bad: #b3362b; }
 @media (prefers-color-scheme: dark) { :root { --ink: #dde4ea; --soft: #94a3b2; --line: #33404d; --page: #12181f; --card: #1b232c;
-  --good: #4fbf8b; --fair: #d9a441; --bad: #ef7b6f; } .plots .card:has(svg:not(.main-svg)) { background: #fff; color: #1d2733; } }
+  --good: #4fbf8b; --fair: #d9a441; --bad: #ef7b6f; } .plots .card:has(> svg) { background: #fff; color: #1d2733; } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--page); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 1060px; margin: 0 auto; padding: 32px 20px 64px; }
