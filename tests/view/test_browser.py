@@ -14,10 +14,14 @@ import pytest
 from browser import CHROMIUM, browser, project
 from test_live import free_port
 
+from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import read
+from wbmpc.report import plots_page, write_run
+from wbmpc.reproduce import Job, write_site
+from wbmpc.result import Plot
 from wbmpc.view.replay import Film
 from wbmpc.view.stage import camera_offset
 
@@ -165,3 +169,30 @@ def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 0 and "Traceback" not in err
+
+
+def test_pages_of_runs_open_without_errors(tmp_path: Path) -> None:
+    """A run's page, an experiment's and the index of `wbmpc reproduce`, `log plot`'s page: no error in the console, nothing from
+    a network, and every plot of the run is drawn."""
+    result = REGISTRY["fake"].run(FakeSettings(duration=1.0), 1, None)
+    job = Job("fake", 1, tmp_path / "fake" / "seed1")
+    write_run(result, job.directory)
+    job.mark.touch()
+    index = write_site([job], {}, tmp_path, clips=False)
+    plots = tmp_path / "plots.html"
+    plots.write_text(plots_page("plots", "of a run", [p for p in result.plots if isinstance(p, Plot)]))
+    pages = (index, index.parent / "fake" / "index.html", job.directory / "report.html", plots)
+    with browser() as page:
+        page.page.context.set_offline(True)
+        for path in pages:
+            page.page.goto(path.as_uri(), timeout=60_000)
+            page.wait(1.0)
+            assert page.errors == [] and page.outside == [], path
+            if path.name in ("report.html", "plots.html"):
+                assert page.page.locator(".main-svg").count() >= len(result.plots)
+        # what is linked is there
+        page.page.goto(index.as_uri(), timeout=60_000)
+        page.page.get_by_role("link", name="fake").click()
+        assert page.page.get_by_role("heading", name="fake", exact=True).count() == 1
+        frame = page.page.frame_locator("iframe")
+        assert page.until(lambda: frame.locator(".main-svg").count() >= len(result.plots), 30.0)

@@ -257,6 +257,7 @@ def demo(
 
 @app.command()
 def bench(
+    context: typer.Context,
     peers: Annotated[
         bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
     ] = False,
@@ -268,8 +269,9 @@ def bench(
     from wbmpc.benchmark import run_benchmark
 
     directory = None if out is None else run_directory(out, "bench", 0)
-    with progress_bar("bench", not as_json) as bar:
-        show = bar or (lambda _, note: None if as_json else typer.echo(note, err=True))
+    tell = not (as_json or context.obj.quiet)
+    with progress_bar("bench", tell) as bar:
+        show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
         figures = run_benchmark(repeat, show, peers)
     if directory is not None:
         from wbmpc.benchmark.figure import write
