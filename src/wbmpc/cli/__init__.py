@@ -28,11 +28,14 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     TERMINATED,
+    console,
+    experiment_names,
     logged,
     progress_bar,
     silent,
     terminable,
-)  # fmt: skip
+)
+from wbmpc.cli.terminal import table as plain_table
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -143,12 +146,9 @@ def _execute(
 
 
 def _table(results: list[RunResult]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from wbmpc.report import goal_notes, goal_text, number
 
-    table = Table(title="Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
+    table = plain_table("Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)
@@ -168,11 +168,11 @@ def _table(results: list[RunResult]) -> None:
             for kind, how_many in _counts(mpc).items():
                 table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
         table.add_section()
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table)
+    out = console()
+    out.print(table)
     for result in results:
         for note in goal_notes(result):
-            console.print(f"{result.experiment}, {note}", highlight=False)
+            out.print(f"{result.experiment}, {note}", highlight=False)
 
 
 def _counts(mpc: MpcStatistics) -> dict[str, int]:
@@ -219,7 +219,9 @@ def list_experiments(
 @app.command()
 def run(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Name of the experiment (see 'wbmpc list').")],
+    name: Annotated[
+        str, typer.Argument(help="Name of the experiment (see 'wbmpc list').", autocompletion=experiment_names)
+    ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     assignments: Annotated[
         list[str] | None,

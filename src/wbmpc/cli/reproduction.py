@@ -9,10 +9,15 @@ from typing import Annotated
 
 import typer
 
+from wbmpc.cli.terminal import INTERRUPTED, experiment_names, progress_bar
+
 
 def reproduce(
     context: typer.Context,
-    only: Annotated[list[str] | None, typer.Option(help="An experiment (default: all); may be repeated.")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="An experiment (default: all); may be repeated.", autocompletion=experiment_names),
+    ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as 200-219, 3 or 1,5-7.")] = "200-219",
     out: Annotated[Path, typer.Option(help="Directory of the site; what is finished there is not run again.")] = Path(
         "reproduced"
@@ -22,7 +27,6 @@ def reproduce(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page."""
-    from wbmpc.cli.terminal import INTERRUPTED, progress_bar
     from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
