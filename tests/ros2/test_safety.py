@@ -245,6 +245,28 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
     stopped(p, "the pose on /amcl_pose is 0.", caplog)
 
 
+@pytest.mark.parametrize(
+    ("broken", "says"), [(None, "the messages on /imu stopped 0.1"), (np.nan, "imu: a number is not finite")]
+)
+def test_an_inertial_unit_that_stops_or_says_nonsense(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture, broken: float | None, says: str
+) -> None:
+    p = pair()
+    publisher, rate = p.standin.node.publisher("/imu", "sensor_msgs/msg/Imu"), [0.0]
+
+    def change(message: dict[str, Any]) -> dict[str, Any]:
+        if rate[0] is not None:
+            publisher.publish({"header": message["header"], "angular_velocity": {"z": rate[0]}})
+        return message
+
+    p.standin.change = change
+    running(p)
+    assert p.control.body.has_imu
+    rate[0] = broken  # type: ignore[call-overload]
+    p.run(0.15)
+    stopped(p, says, caplog)
+
+
 def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
     """Two poses of the same spread for a robot that stands: their mean, with half of the variance (Kalman by hand)."""
     p = pair(topics={"pose": "/amcl_pose"})
