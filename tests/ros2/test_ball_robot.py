@@ -19,7 +19,9 @@ pytestmark = needs_dds
 if not MISSING:
     from simulated import Simulated
 
-    from wbmpc.ros2.settings import BallSettings
+    from wbmpc.ros2.ball import POSTURES, bodies
+    from wbmpc.ros2.goals import HandTrack, Planner
+    from wbmpc.ros2.settings import BallSettings, Speeds
 
 ROBOT = load_robot("rezero")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "48"})
@@ -275,6 +277,30 @@ def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., An
     s.run(1.0)
     np.testing.assert_array_equal(forces(), np.zeros(3))
     assert np.any(ROBOT.parameters.split(s.control.pilot.parameters())["disturbance"] != 0.0)
+
+
+def test_the_bodys_posture_moves_no_hand() -> None:
+    """Forward kinematics of the body's references is where the hand is led, at rest: on a way, at steps and when it is carried."""
+    planner, x = Planner(ROBOT, Speeds()), ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
+    position, turned = ROBOT.pose(x)
+    goal = position + [0.3, 0.1, 0.08]
+    way = planner.to_hand(x, 1.0, goal, turned)
+    body = bodies(way, ROBOT, x)
+    assert body.times[0] == 1.0 and body.times[-1] == way.hand.times[-1] and body.times.size == POSTURES
+    for t in body.times:
+        at = np.array([np.interp(t, way.hand.times, c) for c in way.hand.positions.T])
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], at, atol=2e-3)
+    steps = HandTrack(
+        np.array([0.0, 2.0, 2.001, 4.0]), np.array([position, position, goal, goal]), np.tile(turned, (4, 1))
+    )
+    body = bodies(planner.along_hand(x, 0.0, steps, None), ROBOT, x)
+    for t, where in ((0.5, position), (1.99, position), (2.01, goal), (3.9, goal)):
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], where, atol=2e-3)
+    folded = x.copy()
+    folded[ROBOT.state["arm"]] += [0.2, -0.3, 0.1]
+    carried = bodies(planner.to_base(folded, 0.0, np.array([1.0, 0.0, 0.5])), ROBOT, folded)
+    assert np.all(carried.values[:, ROBOT.state["arm"]] == folded[ROBOT.state["arm"]])
+    np.testing.assert_allclose(carried.values[-1, :3], [1.0, 0.0, 0.5], atol=1e-9)
 
 
 def test_what_it_needs(made: Callable[..., Any]) -> None:
