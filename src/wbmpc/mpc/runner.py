@@ -50,8 +50,10 @@ class Runner:
     one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
 
     ``parameters``: model parameters (as of the solver) that the agent estimates, sent with every observation. The agent must not
-    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``state`` says in
-    a sentence what the runner does, or why it stopped; ``error`` is the exception behind it. In virtual time use :meth:`run`.
+    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``watch(t, late,
+    plans)`` is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must
+    not wait, and is dropped when it fails. ``state`` says in a sentence what the runner does, or why it stopped; ``error`` is the
+    exception behind it. In virtual time use :meth:`run`.
     """
 
     def __init__(
@@ -65,8 +67,9 @@ class Runner:
         sizes: Sizes | None = None,
         parameters: Callable[[], np.ndarray] | None = None,
         setup: Callable[[], None] | None = None,
+        watch: Callable[[float, float, Plans], None] | None = None,
     ) -> None:
-        self.robot, self.agent, self.mpc, self.parameters = robot, agent, mpc, parameters
+        self.robot, self.agent, self.mpc, self.parameters, self.watch = robot, agent, mpc, parameters, watch
         self.settings, self.clock = settings or RealTime(), clock or WallClock()
         self.remote, self.setup = not hasattr(mpc, "solver"), setup
         if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
@@ -231,6 +234,17 @@ class Runner:
             return
         self.robot.write(command)
         self.own.count("clamped", int(getattr(self.agent, "clamped", False)))
+        if self.watch is not None:
+            self._show(due)
+
+    def _show(self, due: float) -> None:
+        """Let the watcher see this tick; what goes wrong there is told once, and the robot goes on."""
+        assert self.watch is not None
+        try:
+            self.watch(due, self._beat - due, self.plans)
+        except Exception as error:
+            self.watch = None
+            _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
 
     def _check_measurement(self, measurement: Any) -> None:
         bad = not_finite("measurement", measurement)
