@@ -176,6 +176,37 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     assert body.age() > 0.14 and "s old" in body.waits_for()
 
 
+def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callable[..., Any]) -> None:
+    """Means by hand: what is stamped up to the joint states counts for these, what is later for the next ones; stamps of
+    another clock say nothing, so all that came counts."""
+    body, t = pair(use_sim_time=False).control.body, types("jazzy")
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+
+    def joints(at: float) -> None:
+        kind = "sensor_msgs/msg/JointState"
+        body._take_joints(
+            t.decode(kind, t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}))
+        )
+
+    def imu(at: float, rate: float) -> None:
+        kind = "sensor_msgs/msg/Imu"
+        body._take_imu(t.decode(kind, t.encode(kind, {"header": header(at, ""), "angular_velocity": {"z": rate}})))
+
+    read = lambda: float(body._averaged(body._joints[0].stamp).gyro[2])
+    for at, rate in ((10.000, 1.0), (10.001, 2.0), (10.003, 8.0)):
+        imu(at, rate)
+    joints(10.001)
+    assert read() == read() == 1.5  # asked twice, it is the same
+    joints(10.002)
+    assert read() == 8.0  # the newest, while there is none of this interval
+    joints(10.003)
+    assert read() == 8.0
+    for at, rate in ((99.0, 3.0), (99.1, 5.0)):
+        imu(at, rate)
+    joints(10.005)
+    assert read() == 4.0
+
+
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 0.4})
     running(p)
