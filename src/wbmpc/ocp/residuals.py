@@ -135,8 +135,9 @@ class ReachableInput:
     Rows: below the upper bounds (n), above the lower ones (n). Reference: the last command (n) and the time [s] since it was
     given. A speed u in [l, L] that may change by a per second is after Δt in [u_last − a Δt, u_last + a Δt]: in a receding
     horizon that is the limit itself where it acts next, and a cone that widens with the time from now. A joint at q that can
-    stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Without a time (0), and for
-    a leg whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
+    stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Steering goes without:
+    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a leg
+    whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
     """
 
     robot: RobotModel
@@ -175,9 +176,10 @@ class ReachableInput:
             change = most * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
             j = self.robot.state.index(name)
-            if np.isfinite(limits.state_upper[j]):
+            stops = not name.startswith("steer.")
+            if stops and np.isfinite(limits.state_upper[j]):
                 upper = ca.fmin(upper, most / high * (float(limits.state_upper[j]) - s.x[j]))
-            if np.isfinite(limits.state_lower[j]):
+            if stops and np.isfinite(limits.state_lower[j]):
                 lower = ca.fmax(lower, most / low * (s.x[j] - float(limits.state_lower[j])))
             above.append((upper - s.u[i]) / (high - low))
             below.append((s.u[i] - lower) / (high - low))
