@@ -164,7 +164,7 @@ def inequality_rows(
     for term, r, switch in terms:
         sides = _sides(term, r.shape[0])
         selection = None if term.modes is not None else _selection(r, z)
-        with_input = depends(r, u)
+        with_input, with_state = depends(r, u), depends(r, x)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
         places = [(path, term.at != "terminal", sides)]
@@ -173,7 +173,7 @@ def inequality_rows(
             if not wanted or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, place)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place)
             else:
                 _barriers(term, r, chosen, selection, place)
     for place in (path, end):
@@ -202,6 +202,7 @@ def _own_rows(
     sides: list[_Side],
     selection: list[tuple[int, float, float]] | None,
     with_input: np.ndarray,
+    with_state: np.ndarray,
     place: Place,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
@@ -209,8 +210,7 @@ def _own_rows(
     widths = _paired_widths(sides, selection)
     for s, width in zip(sides, widths, strict=True):
         width = 1.0 if multiplier else width  # ρ is per squared unit of the residual
-        free = with_input[s.i] and selection is not None
-        slack = np.inf if free else term.slack
+        slack = np.inf if not with_state[s.i] else term.slack  # of inputs alone: they can always be held
         penalty = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]
@@ -246,6 +246,15 @@ def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
     if u.shape[0]:
         found[list(set(ca.jacobian(r, u).sparsity().get_triplet()[0]))] = True
     return found
+
+
+def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
+    """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
+    hard = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is Kind.HARD]
+    if not hard or not u.shape[0]:
+        return False
+    slopes = ca.jacobian(ca.vertcat(*hard), u)
+    return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:

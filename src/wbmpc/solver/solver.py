@@ -16,11 +16,19 @@ from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Tran
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks, largest_gap, largest_term, not_finite, unseen_inputs
+from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
-_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
+_STATUS = (
+    Status.CONVERGED,
+    Status.ITERATION_LIMIT,
+    Status.NO_STEP,
+    Status.NOT_FINITE,
+    Status.DIVERGED,
+    Status.LIMIT_MISSED,
+)
 
 
 @dataclass
@@ -233,7 +241,7 @@ class Solver:
 
     def _certified(self, solution: Solution) -> Solution:
         """The solution with its violations by name, and the status that these show."""
-        ws, status, detail = self.ws, solution.status, ""
+        ws, status, detail = self.ws, solution.status, solution.detail
         if status is Status.NOT_FINITE:
             solution, detail = replace(solution, kkt=np.nan), not_finite(self.problem, ws)
             free = unseen_inputs(self.problem)
@@ -243,6 +251,8 @@ class Solver:
                 return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
             status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
         violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
+        if status is Status.LIMIT_MISSED:
+            return replace(solution, violations=violations)
         worst = max(violations.values(), key=lambda v: v.value, default=None)
         if status is Status.DIVERGED:
             k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
@@ -291,9 +301,20 @@ class Solver:
             u=self.ws.u.copy(),
             gain=self.ws.k[:, :, : self.problem.nx].copy(),
             iterations=count,
-            cost=float(row[COLUMNS["cost"]]),
-            violation=float(row[COLUMNS["violation"]]),
+            cost=float(self.ws.state[COST]),
+            violation=float(self.ws.state[VIOLATION]),
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
+            detail=self.missed_limit(),
         )
+
+    def missed_limit(self) -> str:
+        """The hard row of the inputs that the last plan misses most, where it is curved in them; empty where none is missed."""
+        state = self.ws.state
+        if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
+            return ""
+        node, row = divmod(int(state[MOST_AT]), self.ws.rows_h.shape[1])
+        limit = self.problem.path.rows[row]
+        by = max(state[MISSED], state[GIVEN_WAY]) * limit.unit
+        return f"hard limit missed: {limit.name} by {by:.3g} at node {node}"
