@@ -23,9 +23,7 @@ SOLVERS = {
     "sqp-merit": SQP(iterations=400),
     "sqp-filter": SQP(iterations=400, line_search="filter"),
     "sqp-exact": SQP(iterations=400, hessian="exact"),
-    "sqp-shift": SQP(
-        iterations=400, smallest_step=0.9
-    ),  # full steps, or a Levenberg-Marquardt shift
+    "sqp-shift": SQP(iterations=400, smallest_step=0.9),  # full steps, or a Levenberg-Marquardt shift
     "ilqr": ILQR(iterations=400),
     "ilqr-filter": ILQR(iterations=400, line_search="filter"),
     "slq": SLQ(iterations=400, step=0.04),

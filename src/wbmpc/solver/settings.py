@@ -19,10 +19,10 @@ def _count(value: object, least: int) -> bool:
 class InteriorPoint:
     """How hard inequalities are treated.
 
-    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4); "real_time" keeps it at ``mu`` and starts every solve from
-    slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration per solve is enough. Rows are in units
-    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so
-    many more iterations while the step is cut below 0.9.
+    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4); "real_time" keeps
+    it at ``mu`` and starts every solve from slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration
+    per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many
+    more iterations while the step is cut below 0.9 of the longest that is tried (docs/derivations.md, section 3).
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
     """
 
