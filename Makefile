@@ -44,7 +44,8 @@ reproduce: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
 
-# README's table and clip from a site of reproduced runs, which is completed first
+# README's figures (between their marks) and clip from a site of reproduced runs, which is completed first;
+# README_ARGS="--only swerve-track --only rezero-steps"
 readme: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(README_ARGS)
