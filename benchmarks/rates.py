@@ -80,11 +80,12 @@ def main() -> None:
             for axis, (key, title) in zip(axes, PANELS, strict=True):
                 for name, rows in found.items():
                     axis.semilogx(RATES, [r[key] for r in rows], "o-", label=name)
-                axis.set(title=title, xlabel="MPC rate [Hz]", ylim=(0, None))
+                top = np.nanmax([r[key] for rows in found.values() for r in rows])
+                axis.set(title=title, xlabel="MPC rate [Hz]", ylim=(0, 1.15 * top))
                 axis.title.set_fontsize(9)
                 axis.set_xticks(RATES, [f"{r:g}" for r in RATES])
                 axis.minorticks_off()
-            axes[0].legend(fontsize=8)
+            axes[0].legend(fontsize=8, loc="lower left")
     except ImportError:
         print("matplotlib is not installed: no figure")
 
