@@ -212,6 +212,14 @@ class RobotModel:
             self._functions["M"] = ca.Function("M", [s], [ca.densify(base.mass_matrix(s))])
         return np.array(self._functions["M"](np.asarray(q, float)))
 
+    def tool_moment(self, q: ArrayLike, moment: ArrayLike) -> Array:
+        """Generalised forces (nq) of a moment (3) [N m] of the world on a ball robot's hand, world axes."""
+        base = self._ball()
+        if "moment" not in self._functions:
+            s, m = ca.SX.sym("q", base.nq), ca.SX.sym("m", 3)
+            self._functions["moment"] = ca.Function("moment", [s, m], [ca.densify(base.tool_moment(s, m))])
+        return np.array(self._functions["moment"](np.asarray(q, float), np.asarray(moment, float))).ravel()
+
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """M a + h (nq): the generalised forces of a ball robot's motion."""
         base = self._ball()

@@ -16,7 +16,7 @@ from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Tran
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks, largest_gap, largest_term, not_finite, unseen_inputs
-from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
+from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, LONGEST, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -144,6 +144,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
+        self.ws.state[LONGEST] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
