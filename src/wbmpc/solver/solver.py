@@ -91,8 +91,16 @@ class Solver:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
             )
+        before = self.references.get(name)
         self.references[name] = reference
-        self._tables = None
+        if self._tables is None:
+            return
+        if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
+            self._tables = None
+            return
+        from wbmpc.solver.receding import overwrite
+
+        overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
