@@ -231,7 +231,7 @@ class Transcription:
         return self.equalities.names
 
     @cached_property
-    def _jump(self) -> ca.SX:
+    def jump(self) -> ca.SX:
         """The state after an event, in terms of the state before it and the new mode."""
         jump = getattr(self.ocp.dynamics, "jump", None)
         return self.x if jump is None else ca.SX(jump(self.x, self.symbols("").parameters, self._mode()))
@@ -254,7 +254,7 @@ class Transcription:
             "rows": make("rows", args, self.path.expression()),
             "terminal": make("terminal", end, self._value("terminal")),
             "end_rows": make("end_rows", end, self.end.expression()),
-            "jump": make("jump", end, self._jump),
+            "jump": make("jump", end, self.jump),
         }
 
     @cached_property
@@ -274,7 +274,7 @@ class Transcription:
             "rows_jacobian": make("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
             "terminal_quadratic": make("terminal_quadratic", at_end, list(end)),
             "end_rows_jacobian": make("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
-            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self._jump, self.x)),
+            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self.jump, self.x)),
             **self._second_derivatives(make),
         }
 

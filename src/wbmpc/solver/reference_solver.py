@@ -184,6 +184,17 @@ class RowState:
         return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))
 
 
+def lacking(problem: Transcription, settings: Any) -> str:
+    """What a problem or its settings need and the twin has not; empty if there is nothing."""
+    needs = {
+        "exact Hessian": problem.exact,
+        "filter line search": settings.line_search != "merit",
+        "grid that follows events": problem.ocp.align_events,
+        "jumps of the state": problem.jumps,
+    }
+    return next((name for name, needed in needs.items() if needed), "")
+
+
 class InterpretedSolver:
     """Runs what ``receding_solve`` runs, on the same fields x, u, p, w, k, grid of its ``ws``."""
 
@@ -346,10 +357,9 @@ class InterpretedSolver:
         from wbmpc.solver.driver import SETTINGS
         from wbmpc.solver.receding import sample
 
-        if settings.line_search != "merit" or self.problem.ocp.align_events or self.problem.jumps:
-            raise InputError(
-                "the interpreted backend has neither filter nor aligned events nor jumps; valid: 'compiled'"
-            )
+        missing = lacking(self.problem, settings)
+        if missing:
+            raise InputError(f"the interpreted backend has no {missing}; valid: 'compiled'")
         ws = self.ws
         for k in range(len(ws.grid)):
             sample.python(*tables, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
@@ -386,7 +396,15 @@ class InterpretedSolver:
         while it < limit:
             self.shift = shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
-            s = self.iterate(x0)
+            try:
+                s = self.iterate(x0)
+            except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite
+                shift = max(10.0 * shift, 1e-6)
+                log[it] = (cost - self._row_cost(), violation, np.nan, np.nan, 0.0, violation, *[np.nan] * 6)
+                it += 1
+                if it < limit and np.isfinite([cost, violation]).all() and 0.0 < shift <= c.largest_shift:
+                    continue
+                return NOT_FINITE, it
             size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
             product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
             kkt = s["kkt"] if c.certify else np.nan

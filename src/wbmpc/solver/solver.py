@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Literal
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from wbmpc.errors import InputError, SolveFailed, unknown_name
+from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
@@ -20,7 +21,17 @@ from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
 
+if TYPE_CHECKING:
+    from wbmpc.kernel import Kernel
+
+_LOG = logging.getLogger("wbmpc")
 _STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
+
+
+@cache
+def _tell(why: str) -> None:
+    """Once for each problem's reason."""
+    _LOG.warning("%s: CasADi's interpreter evaluates the whole problem, thousands of times slower", why)
 
 
 @dataclass
@@ -39,11 +50,8 @@ class Solver:
         from wbmpc.solver.workspace import make_workspace
 
         self.problem = Transcription(self.ocp, self._exact())
-        self.kernel = None
-        if self.settings.backend == "compiled":
-            from wbmpc.kernel import build_kernel
-
-            self.kernel = build_kernel(self.problem, self.use_cache)
+        self.kernel = self._build()
+        if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
         else:
             self.twin = InterpretedSolver(self.problem)
@@ -56,6 +64,23 @@ class Solver:
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
             self._bind()
+
+    def _build(self) -> Kernel | None:
+        """The machine code; None for the interpreted twin, which also steps in for operations that cannot be compiled."""
+        if self.settings.backend == "interpreted":
+            return None
+        from wbmpc.kernel import build_kernel
+        from wbmpc.solver.reference_solver import lacking
+
+        try:
+            return build_kernel(self.problem, self.use_cache)
+        except UnsupportedOperation as error:
+            missing = lacking(self.problem, self.settings)
+            if missing:
+                raise UnsupportedOperation(f"{error}, and the interpreted twin has no {missing}") from None
+            _tell(str(error))
+            self.settings = replace(self.settings, backend="interpreted")
+            return None
 
     def _exact(self) -> bool:
         if self.settings.hessian != "exact":
