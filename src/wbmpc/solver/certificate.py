@@ -92,6 +92,28 @@ def largest_term(problem: Transcription, ws: Any) -> str:
     return found
 
 
+def largest_variable(problem: Transcription, ws: Any) -> str:
+    """The largest state or input of the iterate, with its node."""
+    return _largest(problem, ws.x, ws.u, "= {:.3g}")
+
+
+def largest_step(problem: Transcription, ws: Any) -> str:
+    """The state or input that the last step was to change most, with its node; empty for the interpreted twin."""
+    if not hasattr(ws, "dx"):
+        return ""
+    return _largest(problem, ws.dx[:, : problem.nx], ws.du, "by {:.3g}")
+
+
+def _largest(problem: Transcription, x: np.ndarray, u: np.ndarray, form: str) -> str:
+    d, found = problem.ocp.dynamics, []
+    for kind, names, values in (("state", d.state.names, x), ("input", d.input.names, u)):
+        size = np.where(np.isnan(values), np.inf, np.abs(values))
+        if size.size:
+            k, i = np.unravel_index(int(np.argmax(size)), size.shape)
+            found.append((size[k, i], f"{kind} '{names[i]}' {form.format(values[k, i])} at node {k}"))
+    return max(found)[1]
+
+
 def largest_gap(problem: Transcription, ws: Any) -> tuple[float, str]:
     """By how much an interval misses a state of the next node at most, and a sentence with state and node.
 

@@ -77,6 +77,8 @@ SETTINGS = (
 LOG_COLUMNS = len(LOG)
 #: A plan that has grown beyond this [units of the states] has diverged.
 HUGE = 1e10
+#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
+UNSETTLED = 1e-3
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
@@ -271,6 +273,23 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
 
 
+@compiled(BOOL, NUMS, INTS)
+def settled(m, o):  # type: ignore[no-untyped-def]
+    """Whether the step is small beside the iterate.
+
+    Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
+    """
+    n, nx, nu, lx = o[N], o[NX], o[NU], o[LX]
+    for k in range(n + 1):
+        for i in range(nx):
+            if not abs(m[o[DX] + k * lx + i]) <= UNSETTLED * (1.0 + abs(m[o[X] + k * nx + i])):
+                return False
+    for i in range(n * nu):
+        if not abs(m[o[DU] + i]) <= UNSETTLED * (1.0 + abs(m[o[U] + i])):
+            return False
+    return True
+
+
 @compiled(BOOL, NUMS, INTS, NUMS)
 def make_convex(m, o, s):  # type: ignore[no-untyped-def]
     """Fewer second derivatives, then a larger shift, for a subproblem that is not convex; whether there is one to try."""
@@ -326,8 +345,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             return DIVERGED, it
         mu, product = m[state + MU], m[state + PRODUCT]
         feasible = violation <= s[FEASIBILITY] and m[state + RESIDUAL] <= s[FEASIBILITY]
-        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu:
-            if mu <= s[MU_END] or not rows:
+        last = mu <= s[MU_END] or not rows
+        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and (not last or settled(m, o)):
+            if last:
                 return CONVERGED, it
             m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf
             continue

@@ -388,7 +388,7 @@ class InterpretedSolver:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
-        from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, UNSETTLED, next_mu
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
         last_residual = np.inf
@@ -428,8 +428,12 @@ class InterpretedSolver:
             if abs(cost) > HUGE or size > HUGE:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
-            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu:
-                if self.mu <= c.mu_end or not has_rows:
+            last = self.mu <= c.mu_end or not has_rows
+            small = all(
+                (np.abs(s[d]) <= UNSETTLED * (1.0 + np.abs(z))).all() for d, z in (("dx", self.ws.x), ("du", self.ws.u))
+            )
+            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and (small or not last):
+                if last:
                     return 0, it
                 self.mu, first, last_kkt = next_mu.python(self.mu, c.mu_end, 0.0, self.mu), 1.0, np.inf
                 continue

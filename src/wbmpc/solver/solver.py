@@ -16,7 +16,15 @@ from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
-from wbmpc.solver.certificate import Checks, largest_gap, largest_term, not_finite, unseen_inputs
+from wbmpc.solver.certificate import (
+    Checks,
+    largest_gap,
+    largest_step,
+    largest_term,
+    largest_variable,
+    not_finite,
+    unseen_inputs,
+)
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -261,21 +269,20 @@ class Solver:
             status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
         violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
         worst = max(violations.values(), key=lambda v: v.value, default=None)
-        if status is Status.DIVERGED:
-            k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
-            name = self.ocp.dynamics.state.names[i]
-            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}"
-            term = largest_term(self.problem, ws)
-            detail += f", largest term: {term}" if term else ""
-            detail += f", last step {solution.log[-1, COLUMNS['step']]:.3g}"
-        elif status is not Status.CONVERGED and solution.log[-1, COLUMNS["violation"]] > self.settings.feasibility:
+        missed = worst is not None and worst.value > self.settings.feasibility
+        if status is Status.DIVERGED and missed and self._multipliers_diverged(solution):
+            status, detail = Status.INFEASIBLE, f"largest violation: {worst}"
+        elif status is Status.DIVERGED:
+            detail = self._what_diverged()
+        elif status is not Status.CONVERGED and self._unmet(solution)[-1] > self.settings.feasibility:
             gap, where = largest_gap(self.problem, ws)
-            missed = worst is not None and worst.value > self.settings.feasibility
             if missed or gap > self.settings.feasibility:
                 detail = f"largest violation: {worst}" if missed else where
                 status = Status.INFEASIBLE if self._stuck(solution) else status
             else:
                 detail = "the last step met the constraints, but nothing has settled"
+        elif status is not Status.CONVERGED and self.settings.certify:
+            detail = f"largest step: {largest_step(self.problem, ws)}"
         elif status is Status.CONVERGED:
             hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
             most = max(hard, key=lambda v: v.value, default=None)
@@ -283,10 +290,32 @@ class Solver:
                 status, detail = Status.RELAXED, str(most)
         return replace(solution, status=status, violations=violations, detail=detail)
 
+    def _what_diverged(self) -> str:
+        """The largest state, input and term, and what the last step changed most."""
+        parts = {"largest": largest_variable(self.problem, self.ws), "largest term": largest_term(self.problem, self.ws)}
+        parts["largest step"] = largest_step(self.problem, self.ws)
+        free = unseen_inputs(self.problem)
+        if free:
+            parts["no term looks at"] = f"input '{free[0]}'"
+        return ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
+
+    @staticmethod
+    def _multipliers_diverged(solution: Solution) -> bool:
+        """Whether trajectories and costs are of a sane size: then it is what the constraints add that grows."""
+        from wbmpc.solver.driver import HUGE
+
+        row = solution.log[-1]
+        return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]]) < HUGE and np.abs(solution.x).max() < HUGE
+
+    @staticmethod
+    def _unmet(solution: Solution) -> np.ndarray:
+        """Per iteration: gaps, equalities and hard rows (1-norm), or the largest residual of a row with a multiplier."""
+        return np.maximum(solution.log[:, COLUMNS["violation"]], solution.log[:, COLUMNS["inequality"]])
+
     def _stuck(self, solution: Solution) -> bool:
         """Whether the violation has not halved over the second half of the iterations."""
-        violation = solution.log[:, COLUMNS["violation"]]
-        slow = len(violation) >= 10 and violation[-1] > 0.5 * violation[len(violation) // 2]
+        unmet = self._unmet(solution)
+        slow = len(unmet) >= 10 and unmet[-1] > 0.5 * unmet[len(unmet) // 2]
         return solution.status is Status.NO_STEP or bool(slow)
 
     @cached_property
