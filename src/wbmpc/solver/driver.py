@@ -13,6 +13,7 @@ from wbmpc.solver.places import (
     DX,
     END_BOXES,
     END_COST,
+    EPS,
     EXACT,
     FILTER,
     FILTERED,
@@ -20,6 +21,7 @@ from wbmpc.solver.places import (
     LEFT,
     LX,
     MU,
+    NG,
     NP,
     NU,
     NX,
@@ -46,6 +48,7 @@ from wbmpc.solver.places import (
 )  # fmt: skip
 from wbmpc.solver.riccati import backward, forward, kkt_residual
 from wbmpc.solver.rows import end_values, rows_merit, rows_step, start_rows, take_rows
+from wbmpc.solver.settings import AT_REST, HUGE, UNSETTLED
 from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
@@ -75,10 +78,6 @@ SETTINGS = (
     EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
-#: A plan that has grown beyond this [units of the states] has diverged.
-HUGE = 1e10
-#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
-UNSETTLED = 1e-3
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
@@ -273,21 +272,31 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
 
 
-@compiled(BOOL, NUMS, INTS)
-def settled(m, o):  # type: ignore[no-untyped-def]
-    """Whether the step is small beside the iterate.
+@compiled(BOOL, NUMS, INTS, NUM)
+def settled(m, o, share):  # type: ignore[no-untyped-def]
+    """Whether no part of the step is larger than ``share`` of 1 + |x| or 1 + |u|.
 
     Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
     """
     n, nx, nu, lx = o[N], o[NX], o[NU], o[LX]
+    small = True
     for k in range(n + 1):
         for i in range(nx):
-            if not abs(m[o[DX] + k * lx + i]) <= UNSETTLED * (1.0 + abs(m[o[X] + k * nx + i])):
-                return False
+            small = small and abs(m[o[DX] + k * lx + i]) <= share * (1.0 + abs(m[o[X] + k * nx + i]))
     for i in range(n * nu):
-        if not abs(m[o[DU] + i]) <= UNSETTLED * (1.0 + abs(m[o[U] + i])):
-            return False
-    return True
+        small = small and abs(m[o[DU] + i]) <= share * (1.0 + abs(m[o[U] + i]))
+    return small
+
+
+@compiled(BOOL, NUMS, INTS, NUM, NUM, NUM)
+def met(m, o, violation, equalities, limit):  # type: ignore[no-untyped-def]
+    """Whether the constraints are met. Equality rows with a compliance keep a residual, which is theirs once nothing moves."""
+    if m[o[STATE] + RESIDUAL] > limit:
+        return False
+    soft = False
+    for j in range(o[NG]):
+        soft = soft or m[o[EPS] + j] > 1e-13
+    return violation <= limit or (soft and violation - equalities <= limit and settled(m, o, AT_REST))
 
 
 @compiled(BOOL, NUMS, INTS, NUMS)
@@ -344,9 +353,15 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if abs(cost) > HUGE or largest > HUGE:
             return DIVERGED, it
         mu, product = m[state + MU], m[state + PRODUCT]
-        feasible = violation <= s[FEASIBILITY] and m[state + RESIDUAL] <= s[FEASIBILITY]
+        feasible = met(m, o, violation, log[row + 6], s[FEASIBILITY])
         last = mu <= s[MU_END] or not rows
-        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and (not last or settled(m, o)):
+        if (
+            certify
+            and kkt <= s[TOLERANCE]
+            and feasible
+            and product <= 10.0 * mu
+            and (not last or settled(m, o, UNSETTLED))
+        ):
             if last:
                 return CONVERGED, it
             m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf

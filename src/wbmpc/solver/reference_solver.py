@@ -388,7 +388,8 @@ class InterpretedSolver:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
-        from wbmpc.solver.driver import DIVERGED, HUGE, NO_STEP, NOT_FINITE, UNSETTLED, next_mu
+        from wbmpc.solver.driver import DIVERGED, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.settings import AT_REST, HUGE, UNSETTLED
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
         last_residual = np.inf
@@ -429,9 +430,10 @@ class InterpretedSolver:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
             last = self.mu <= c.mu_end or not has_rows
-            small = all(
-                (np.abs(s[d]) <= UNSETTLED * (1.0 + np.abs(z))).all() for d, z in (("dx", self.ws.x), ("du", self.ws.u))
-            )
+            moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
+            small = moved <= UNSETTLED
+            if self.problem.compliance.any() and residual <= c.feasibility and moved <= AT_REST:
+                feasible = violation - self._equalities() <= c.feasibility
             if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and (small or not last):
                 if last:
                     return 0, it
@@ -476,6 +478,11 @@ class InterpretedSolver:
             if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
         return 1, it
+
+    def _equalities(self) -> float:
+        """1-norm of the rows of the recursion at the iterate."""
+        ws, f = self.ws, self.values["equality"]
+        return float(sum(np.abs(np.array(f(ws.x[k], ws.u[k], self._p(k), ws.w))).sum() for k in range(len(ws.u))))
 
     def _row_cost(self) -> float:
         """What the rows add to the cost at the iterate."""

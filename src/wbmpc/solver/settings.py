@@ -9,6 +9,13 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 
+#: A plan that has grown beyond this [units of the states], or a cost, has diverged.
+HUGE = 1e10
+#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
+UNSETTLED = 1e-3
+#: The same for equalities with a compliance: what they still lack when nothing moves is their share.
+AT_REST = 1e-7
+
 
 def _count(value: object, least: int) -> bool:
     """Whether this is a whole number of at least ``least``."""

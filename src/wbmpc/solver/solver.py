@@ -16,17 +16,10 @@ from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
-from wbmpc.solver.certificate import (
-    Checks,
-    largest_gap,
-    largest_step,
-    largest_term,
-    largest_variable,
-    not_finite,
-    unseen_inputs,
-)
+from wbmpc.solver.certificate import Checks
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
+from wbmpc.solver.verdict import verdict
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
@@ -157,7 +150,7 @@ class Solver:
         for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
             if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
                 raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
-            trajectory[:] = given[name]
+        self.ws.x[:], self.ws.u[:] = given["x"], given["u"]
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
@@ -181,6 +174,7 @@ class Solver:
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
         if self.settings.backend == "interpreted":
+            self.x0 = x0
             return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
         self.x0[:] = x0
         tables, out = self.tables(), self._out
@@ -222,8 +216,8 @@ class Solver:
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
         solution = self.solution(status, count, elapsed)
-        if self.settings.certify or not solution.usable:
-            solution = self._certified(solution)
+        if self.settings.certify or not solution.usable or solution.status is Status.NO_STEP:
+            solution = verdict(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -254,72 +248,10 @@ class Solver:
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
-        return self._certified(self.solution(status, count, elapsed))
-
-    def _certified(self, solution: Solution) -> Solution:
-        """The solution with its violations by name, and the status that these show."""
-        ws, status, detail = self.ws, solution.status, ""
-        if status is Status.NOT_FINITE:
-            solution, detail = replace(solution, kkt=np.nan), not_finite(self.problem, ws)
-            free = unseen_inputs(self.problem)
-            if free:
-                detail = f"{detail or 'the step'}; no term looks at input '{free[0]}'"
-            if detail or solution.violation < self.settings.feasibility:
-                return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
-            status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
-        violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
-        worst = max(violations.values(), key=lambda v: v.value, default=None)
-        missed = worst is not None and worst.value > self.settings.feasibility
-        if status is Status.DIVERGED and missed and self._multipliers_diverged(solution):
-            status, detail = Status.INFEASIBLE, f"largest violation: {worst}"
-        elif status is Status.DIVERGED:
-            detail = self._what_diverged()
-        elif status is not Status.CONVERGED and self._unmet(solution)[-1] > self.settings.feasibility:
-            gap, where = largest_gap(self.problem, ws)
-            if missed or gap > self.settings.feasibility:
-                detail = f"largest violation: {worst}" if missed else where
-                status = Status.INFEASIBLE if self._stuck(solution) else status
-            else:
-                detail = "the last step met the constraints, but nothing has settled"
-        elif status is not Status.CONVERGED and self.settings.certify:
-            detail = f"largest step: {largest_step(self.problem, ws)}"
-        elif status is Status.CONVERGED:
-            hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
-            most = max(hard, key=lambda v: v.value, default=None)
-            if most is not None and most.value > 1e-5:
-                status, detail = Status.RELAXED, str(most)
-        return replace(solution, status=status, violations=violations, detail=detail)
-
-    def _what_diverged(self) -> str:
-        """The largest state, input and term, and what the last step changed most."""
-        parts = {"largest": largest_variable(self.problem, self.ws), "largest term": largest_term(self.problem, self.ws)}
-        parts["largest step"] = largest_step(self.problem, self.ws)
-        free = unseen_inputs(self.problem)
-        if free:
-            parts["no term looks at"] = f"input '{free[0]}'"
-        return ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
-
-    @staticmethod
-    def _multipliers_diverged(solution: Solution) -> bool:
-        """Whether trajectories and costs are of a sane size: then it is what the constraints add that grows."""
-        from wbmpc.solver.driver import HUGE
-
-        row = solution.log[-1]
-        return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]]) < HUGE and np.abs(solution.x).max() < HUGE
-
-    @staticmethod
-    def _unmet(solution: Solution) -> np.ndarray:
-        """Per iteration: gaps, equalities and hard rows (1-norm), or the largest residual of a row with a multiplier."""
-        return np.maximum(solution.log[:, COLUMNS["violation"]], solution.log[:, COLUMNS["inequality"]])
-
-    def _stuck(self, solution: Solution) -> bool:
-        """Whether the violation has not halved over the second half of the iterations."""
-        unmet = self._unmet(solution)
-        slow = len(unmet) >= 10 and unmet[-1] > 0.5 * unmet[len(unmet) // 2]
-        return solution.status is Status.NO_STEP or bool(slow)
+        return verdict(self, self.solution(status, count, elapsed))
 
     @cached_property
-    def _checks(self) -> Checks:
+    def checks(self) -> Checks:
         return Checks(self.problem)
 
     @staticmethod
