@@ -48,7 +48,7 @@ from wbmpc.solver.places import (
 )  # fmt: skip
 from wbmpc.solver.riccati import backward, forward, kkt_residual
 from wbmpc.solver.rows import end_values, rows_merit, rows_step, start_rows, take_rows
-from wbmpc.solver.settings import AT_REST, HUGE, UNSETTLED
+from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
@@ -72,10 +72,11 @@ SETTINGS = (
     "extra_when_cut",
     "largest_shift",
     "keep_slacks",
+    "mu_floor",
 )
 (
     ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
 
@@ -272,20 +273,20 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
 
 
-@compiled(BOOL, NUMS, INTS, NUM)
-def settled(m, o, share):  # type: ignore[no-untyped-def]
-    """Whether no part of the step is larger than ``share`` of 1 + |x| or 1 + |u|.
+@compiled(NUM, NUMS, INTS)
+def moved(m, o):  # type: ignore[no-untyped-def]
+    """The largest part of the step beside 1 + |x| or 1 + |u|.
 
     Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
     """
     n, nx, nu, lx = o[N], o[NX], o[NU], o[LX]
-    small = True
+    largest = 0.0
     for k in range(n + 1):
         for i in range(nx):
-            small = small and abs(m[o[DX] + k * lx + i]) <= share * (1.0 + abs(m[o[X] + k * nx + i]))
+            largest = max(largest, abs(m[o[DX] + k * lx + i]) / (1.0 + abs(m[o[X] + k * nx + i])))
     for i in range(n * nu):
-        small = small and abs(m[o[DU] + i]) <= share * (1.0 + abs(m[o[U] + i]))
-    return small
+        largest = max(largest, abs(m[o[DU] + i]) / (1.0 + abs(m[o[U] + i])))
+    return largest
 
 
 @compiled(BOOL, NUMS, INTS, NUM, NUM, NUM)
@@ -296,7 +297,7 @@ def met(m, o, violation, equalities, limit):  # type: ignore[no-untyped-def]
     soft = False
     for j in range(o[NG]):
         soft = soft or m[o[EPS] + j] > 1e-13
-    return violation <= limit or (soft and violation - equalities <= limit and settled(m, o, AT_REST))
+    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= AT_REST)
 
 
 @compiled(BOOL, NUMS, INTS, NUMS)
@@ -310,8 +311,8 @@ def make_convex(m, o, s):  # type: ignore[no-untyped-def]
     return m[state + SHIFT] <= s[LARGEST_SHIFT]
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM)
-def settle_rows(m, o, s, alpha, kkt, violation, last_residual):  # type: ignore[no-untyped-def]
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM, NUM)
+def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: ignore[no-untyped-def]
     """Slacks and multipliers after a step of ``alpha``; μ and ρ for the next one.
 
     Returns the residual to compare the next one with, and 1 when the problem is another one now (μ or ρ has changed).
@@ -323,7 +324,7 @@ def settle_rows(m, o, s, alpha, kkt, violation, last_residual):  # type: ignore[
     take_rows(m, o, alpha, m[state + DUAL], solved)
     feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
-    after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
+    after = next_mu(mu, level, max(kkt, error) if certify else 0.0, product)
     if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
         after = min(s[MU_START], 10.0 * mu)
     if certify and (solved or alpha > 0.9):
@@ -340,6 +341,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
     penalty, first, last_kkt, last_residual, certify = 0.0, 1.0, np.inf, np.inf, s[CERTIFY] > 0.0
     rows, state, limit, it = row_count(o) > 0, o[STATE], int(s[ITERATIONS]), 0
+    # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
+    level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     while it < limit:
         row = it * LOG_COLUMNS
@@ -354,17 +357,15 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             return DIVERGED, it
         mu, product = m[state + MU], m[state + PRODUCT]
         feasible = met(m, o, violation, log[row + 6], s[FEASIBILITY])
-        last = mu <= s[MU_END] or not rows
-        if (
-            certify
-            and kkt <= s[TOLERANCE]
-            and feasible
-            and product <= 10.0 * mu
-            and (not last or settled(m, o, UNSETTLED))
-        ):
-            if last:
+        if certify and mu < last_mu:
+            bias = moved(m, o) * mu / (last_mu - mu)
+        last, last_mu = mu <= level or not rows, mu
+        small = not last or moved(m, o) <= UNSETTLED
+        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
+            if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
                 return CONVERGED, it
-            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf
+            level = max(0.2 * mu, s[MU_FLOOR]) if last else level
+            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
             continue
         drop = violation - m[state + LEFT]
         if drop > 1e-10:
@@ -386,7 +387,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         )
         take(m, o)
         if rows:
-            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual)
+            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
             if changed > 0.0:
                 last_kkt = np.inf
         log[row + 4] = alpha

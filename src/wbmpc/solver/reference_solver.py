@@ -389,10 +389,10 @@ class InterpretedSolver:
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
         from wbmpc.solver.driver import DIVERGED, NO_STEP, NOT_FINITE, next_mu
-        from wbmpc.solver.settings import AT_REST, HUGE, UNSETTLED
+        from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
-        last_residual = np.inf
+        last_residual, level, last_mu, bias = np.inf, c.mu_end, c.mu_start, 0.0
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
@@ -429,15 +429,18 @@ class InterpretedSolver:
             if abs(cost) > HUGE or size > HUGE:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
-            last = self.mu <= c.mu_end or not has_rows
             moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
-            small = moved <= UNSETTLED
             if self.problem.compliance.any() and residual <= c.feasibility and moved <= AT_REST:
                 feasible = violation - self._equalities() <= c.feasibility
-            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and (small or not last):
-                if last:
+            if self.mu < last_mu:
+                bias = moved * self.mu / (last_mu - self.mu)
+            last, last_mu = self.mu <= level or not has_rows, self.mu
+            small = moved <= UNSETTLED or not last
+            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
+                if last and (not has_rows or bias <= BIAS or self.mu <= c.mu_floor):
                     return 0, it
-                self.mu, first, last_kkt = next_mu.python(self.mu, c.mu_end, 0.0, self.mu), 1.0, np.inf
+                level = max(0.2 * self.mu, c.mu_floor) if last else level
+                self.mu, first, last_kkt = next_mu.python(self.mu, level, 0.0, self.mu), 1.0, np.inf
                 continue
             h = np.append(np.diff(self.ws.grid), 1.0)
             drop = violation - sum(
@@ -463,7 +466,7 @@ class InterpretedSolver:
                 rows.take(alpha, dual, solved)
             if has_rows:
                 error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
-                after = next_mu.python(self.mu, c.mu_end, error, product)
+                after = next_mu.python(self.mu, level, error, product)
                 after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
                 if c.certify and (solved or alpha > 0.9):
                     if residual > c.feasibility and residual > 0.25 * last_residual:

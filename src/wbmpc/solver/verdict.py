@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc.ocp import AugmentedLagrangian
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
 from wbmpc.solver.settings import HUGE
@@ -56,7 +57,9 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
     problem, ws = solver.problem, solver.ws
     for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
         term: Any = problem.ocp.terms[name]
-        if not (term.hard or (term.equality and term.compliance == 0.0)) or found.value < 1e-10:
+        multiplier = isinstance(term.penalty, AugmentedLagrangian)
+        exact = term.hard or multiplier or (term.equality and term.compliance == 0.0)
+        if not exact or found.value < 1e-10:
             continue
         if term.hard and found.value > RELAXED:
             return Status.RELAXED, str(found)
