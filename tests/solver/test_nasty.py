@@ -16,7 +16,7 @@ import pytest
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, sets
-from wbmpc.solver import ILQR, SLQ, SQP, Solution, Solver, Status
+from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
 
 SOLVERS = {
     "sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR(), "slq": SLQ(step=0.025),
@@ -105,6 +105,18 @@ def test_a_soft_equality_converges_to_its_own_optimum(backend: str, compliance: 
     assert soft.status is want.status is Status.CONVERGED and soft.detail == ""
     assert soft.violations["soft"].value > 0.01 * compliance
     np.testing.assert_allclose(soft.u, want.u, atol=1e-8)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("scale", [1e-4, 1e-8])
+def test_limits_do_not_push_where_costs_are_in_a_tiny_unit(backend: str, scale: float) -> None:
+    """μ is in units of the costs: 1e-9 of it is much beside a cost of 1e-8, which then stays in the middle of its limits."""
+    limit = row("limit", lambda s: s.u, sets.Box(-2.0, 2.0), hard=True)
+    found = solve(cart(limit, scale=scale), SQP(backend=backend))  # type: ignore[arg-type]
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.u, solve(cart(limit), SQP()).u, atol=2e-3)
+    chosen = solve(cart(limit, scale=scale), SQP(interior_point=InteriorPoint(mu=1e-9)))  # what is asked for is done
+    assert (np.abs(chosen.u - found.u).max() > 0.1) == (scale < 1e-6)
 
 
 # ---------------------------------------------------------------------- nothing to hold on to
@@ -227,7 +239,7 @@ def test_a_real_time_iteration_without_a_step_names_the_term() -> None:
 
 
 def test_second_derivatives_without_a_value_name_the_term() -> None:
-    found = solve(cart(cost("power", lambda s: ca.sqrt(s.x[1] ** 3))), SQP(hessian="exact"))
+    found = solve(cart(cost("power", lambda s: ca.fabs(s.x[1]) ** 1.5)), SQP(hessian="exact"))
     assert found.status is Status.NOT_FINITE and "term 'power' at node 0" in found.detail
 
 
@@ -300,7 +312,7 @@ def test_a_contradiction_of_a_later_mode_names_its_node(algorithm: str) -> None:
     later = Constraint(low.name, low.residual, AT_LEAST, hard=True, modes=("mode1",))
     solver = Solver(cart(later, high, dynamics=Jumping(lambda x, m: x)), SOLVERS[algorithm])
     found = switched(solver, 0.5).solve(START)
-    assert found.status is Status.RELAXED and re.match(r"low\.all\[0\] by 2 at node \d+$", found.detail)
+    assert found.status is Status.INFEASIBLE and re.match(r"largest violation: (low|high)\.", found.detail)
     assert int(found.detail.split()[-1]) >= len(found.u) // 2
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import casadi as ca
+import ipopt
 import numpy as np
 import pytest
 
-from toys import LinearQuadratic, Rows, ToyDynamics, pendulum, rezero_solver, robot, swerve_solver
+from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot, swerve_solver
 from wbmpc.errors import InputError
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
@@ -212,3 +214,37 @@ def test_slq_takes_a_guess_on_the_grid_of_the_problem() -> None:
     np.testing.assert_allclose(solver.ws.u.ravel(), [1.0, 1.0, 2.0, 2.0, 2.0])
     with pytest.raises(InputError, match=r"guess of x: .* are needed, got"):
         solver.guess(np.zeros((4, 1)))
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("made", [pendulum, hardened_pendulum], ids=["soft", "hard"])
+@pytest.mark.parametrize(
+    "settings", [SQP(iterations=3), SQP.real_time(2), ILQR(iterations=3)], ids=lambda s: type(s).__name__
+)
+def test_cost_and_violation_are_those_of_the_returned_trajectory(settings: SQP, made, backend: str) -> None:  # type: ignore[no-untyped-def]
+    """Truth: costs and relaxed barriers added up anew, without what the interior point adds; the gaps likewise."""
+    base = made()
+    solver = Solver(base.ocp, replace(settings, backend=backend))
+    solver.set_reference("state", base.references["state"])
+    found = solver.solve(START)
+    assert found.status is Status.ITERATION_LIMIT
+    t, p, w, n = solver.problem, solver.ws.p, solver.ws.w, len(found.u)
+    path, end = ipopt._boxes(t.path_boxes, t.nx + t.nu), ipopt._boxes(t.terminal_boxes, t.nx)
+    cost, gaps = float(t.values["terminal"](found.x[n], p[n], w) + end(found.x[n])), 0.0
+    for k, h in enumerate(np.diff(found.times)):
+        z = np.concatenate([found.x[k], found.u[k]])
+        cost += h * float(t.values["cost"](found.x[k], found.u[k], p[k], w) + path(z))
+        gaps += float(np.abs(solver_step(solver, found.x[k], found.u[k], p[k], h) - found.x[k + 1]).sum())
+    assert found.cost == pytest.approx(cost, rel=1e-9)
+    assert abs(found.log[-1, COLUMNS["cost"]] - cost) > 1e-6  # the iterate before the last step has another
+    equalities = [np.abs(np.array(t.values["equality"](found.x[k], found.u[k], p[k], w))).sum() for k in range(n)]
+    least = gaps + sum(equalities) + np.abs(found.x[0] - START).sum()
+    if made is pendulum:
+        assert found.violation == pytest.approx(least, rel=1e-6, abs=1e-12)
+    else:
+        assert found.violation >= least - 1e-9  # the rows' own residuals come on top
+
+
+def solver_step(solver: Solver, x: np.ndarray, u: np.ndarray, p: np.ndarray, h: float) -> np.ndarray:
+    """One step of the integrator, written anew."""
+    return np.array(ca.evalf(ipopt._step(solver, ca.SX(x), ca.SX(u), p, h))).ravel()

@@ -180,6 +180,8 @@ class MPC:
         status, ws = self.solver.status(self._outcome[0]), self.solver.ws
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
+        if status is Status.LIMIT_MISSED:
+            return f"{status.value} ({self.solver.missed_limit()})"
         parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
         bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
         return f"failed: the {bad[0]} is not finite" if bad else ""

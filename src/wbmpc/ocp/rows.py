@@ -167,7 +167,7 @@ def inequality_rows(
     for term, r, switch in terms:
         sides = _sides(term, r.shape[0])
         selection = None if term.modes is not None else _selection(r, z)
-        with_input = depends(r, u)
+        with_input, with_state = depends(r, u), depends(r, x)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
         places = [(path, term.at != "terminal", sides)]
@@ -176,7 +176,7 @@ def inequality_rows(
             if not wanted or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, place, z)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place, z)
             else:
                 _barriers(term, r, chosen, selection, place)
     for place in (path, end):
@@ -205,6 +205,7 @@ def _own_rows(
     sides: list[_Side],
     selection: list[tuple[int, float, float]] | None,
     with_input: np.ndarray,
+    with_state: np.ndarray,
     place: Place,
     z: ca.SX,
 ) -> None:
@@ -215,8 +216,8 @@ def _own_rows(
     for s, given in zip(sides, widths, strict=True):
         # rows in units of their range, or, without one, of the variables; ρ is per squared unit of the residual
         width = 1.0 if multiplier else given if given != 1.0 else float(scales[s.i])
-        free = with_input[s.i] and selection is not None
-        slack = np.inf if free else term.slack * width / given
+        # rows of inputs alone can always be held
+        slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / given
         penalty = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]
@@ -271,6 +272,15 @@ def row_scales(r: ca.SX, z: ca.SX) -> np.ndarray:
     far = constant & (length > 0.0) & np.isfinite(length) & ((length < 1e-3) | (length > 1e3))
     found[far] = length[far]
     return found
+
+
+def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
+    """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
+    hard = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is Kind.HARD]
+    if not hard or not u.shape[0]:
+        return False
+    slopes = ca.jacobian(ca.vertcat(*hard), u)
+    return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:

@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.ocp.rows import BoxRow, Place, depends, equality_rows, inequality_rows
+from wbmpc.ocp.rows import BoxRow, Place, curved_in_inputs, depends, equality_rows, inequality_rows
 from wbmpc.ocp.schedule import ModeSchedule
 from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
@@ -76,6 +76,8 @@ class Transcription:
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
+        #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
+        self.curved = curved_in_inputs(self.path, self.x, self.u)
 
     # ------------------------------------------------------------------ parameters
     def default_weights(self) -> np.ndarray:
@@ -285,6 +287,7 @@ class Transcription:
         """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
         ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
+        Without ``exact`` the first is h κᵀ rows by the inputs alone, where rows are curved in them.
         """
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
         nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
@@ -292,7 +295,7 @@ class Transcription:
         if not self.exact:
             nothing = [ca.SX(1, 1)]
             return {
-                "lagrangian": make("lagrangian", [*args, nu, kappa], nothing),
+                "lagrangian": make("lagrangian", [*args, nu, kappa], self._curvature(kappa) or nothing),
                 "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], nothing),
                 "end_lagrangian": make("end_lagrangian", [*at_end, last], nothing),
             }
@@ -307,3 +310,10 @@ class Transcription:
             "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], [curvature]),
             "end_lagrangian": make("end_lagrangian", [*at_end, last], [end_more]),
         }
+
+    def _curvature(self, kappa: ca.SX) -> list[ca.SX]:
+        """[Hessian of h κᵀ rows by the inputs, upper triangle in the size of z]; empty where no row is curved."""
+        if not self.curved:
+            return []
+        second = ca.triu(ca.hessian(self.h * ca.dot(kappa, self.path.expression()), self.u)[0])
+        return [ca.diagcat(ca.SX(self.nx, self.nx), second)]

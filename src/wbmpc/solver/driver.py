@@ -6,8 +6,11 @@ import numpy as np
 
 from wbmpc.solver.barriers import barrier_value
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, LANES, NONE, NUM, NUM2, NUM4, NUM6, NUMS, compiled
+from wbmpc.solver.curved import follow, forget_outside, hold_node
 from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
+    COST,
+    CURVED,
     DU,
     DUAL,
     DX,
@@ -18,8 +21,11 @@ from wbmpc.solver.places import (
     FILTER,
     FILTERED,
     GRID,
+    HOLD,
     LEFT,
+    LIMIT_TOLERANCE,
     LX,
+    MISSED,
     MU,
     NG,
     NP,
@@ -39,6 +45,7 @@ from wbmpc.solver.places import (
     STATE,
     THETA,
     UT,
+    VIOLATION,
     XT,
     K,
     N,
@@ -52,7 +59,7 @@ from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
-CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED = range(5)
+CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED = range(6)
 
 #: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.
 SETTINGS = (
@@ -97,13 +104,31 @@ def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
 @compiled(NONE, NUMS, INTS, NUMS, NUM)
 def roll_out_policy(m, o, x0, alpha):  # type: ignore[no-untyped-def]
     """The trial point of single shooting: the policy, feedback included, from ``x0`` on."""
-    nx = o[NX]
+    nx, hold = o[NX], m[o[STATE] + HOLD] > 0.0
     for i in range(nx):
         m[o[XT] + i] = x0[i]
     for k in range(o[N]):
         policy_input(m, o, k, alpha)
+        if hold:
+            hold_node(m, o, k, alpha)
         x = o[XT] + k * nx
         interval(m, o, k, x, o[UT] + k * o[NU], x + nx)
+
+
+@compiled(NONE, NUMS, INTS, NUM)
+def move(m, o, alpha):  # type: ignore[no-untyped-def]
+    """The trial point of multiple shooting: a step of ``alpha``, in real time with inputs within the true rows."""
+    n, nx, nu = o[N], o[NX], o[NU]
+    for k in range(n + 1):
+        for i in range(nx):
+            m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * o[LX] + i]
+    for i in range(n * nu):
+        m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
+    if m[o[STATE] + HOLD] > 0.0:
+        for k in range(n):
+            policy_input(m, o, k, alpha)
+            hold_node(m, o, k, alpha)
+            follow(m, o, k, alpha)
 
 
 @compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
@@ -113,15 +138,12 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
     n, nx, nu = o[N], o[NX], o[NU]
+    forget_outside(m, o)
     if single:
         roll_out_policy(m, o, x0, alpha)
     else:
-        for k in range(n + 1):
-            for i in range(nx):
-                m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * o[LX] + i]
-        for i in range(n * nu):
-            m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
-    cost, violation = 0.0, 0.0
+        move(m, o, alpha)
+    cost, violation, of_rows = 0.0, 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
     for first in range(0, n, LANES):
@@ -136,13 +158,15 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
             h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
             take_rows_of_lane(m, o, k - first)
             row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
-            cost, violation = cost + h * row_cost, violation + h * row_violation
+            of_rows, violation = of_rows + h * row_cost, violation + h * row_violation
     last, small = o[XT] + n * nx, o[SMALL]
     stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
     cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)
     end_values(m, o, last)
     row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
-    return cost + row_cost, violation + row_violation
+    of_rows, violation = of_rows + row_cost, violation + row_violation
+    m[o[STATE] + COST], m[o[STATE] + VIOLATION] = cost, violation
+    return cost + of_rows, violation
 
 
 @compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
@@ -246,6 +270,8 @@ def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     m[state + RHO], m[state + THETA] = 1.0, 1.0
+    m[state + HOLD] = 1.0 + s[KEEP] if o[CURVED] > 0 else 0.0
+    forget_outside(m, o)
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
     if s[SINGLE] > 0.0:
@@ -267,6 +293,7 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
         rows_step(m, o, s[TAU])
     kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + ROW_COST], violation, kkt, largest
+    m[state + COST], m[state + VIOLATION] = log[row], violation
     log[row + 4], log[row + 5], log[row + 6], log[row + 7] = 0.0, gaps, equalities, m[state + RESIDUAL]
     log[row + 8], log[row + 9] = m[state + PRODUCT], m[state + MU]
     log[row + 10], log[row + 11] = m[state + SHIFT], m[state + DUAL]
@@ -344,6 +371,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
+    hold = m[state + HOLD]
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -377,6 +405,10 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         shift = m[state + SHIFT]
         if alpha == 0.0:
+            m[state + COST], m[state + VIOLATION] = log[row], violation
+            if m[state + HOLD] == 1.0:  # once more along the step itself
+                m[state + HOLD] = 0.0
+                continue
             m[state + SHIFT] = max(10.0 * shift, 1e-4)
             if m[state + SHIFT] > s[LARGEST_SHIFT]:
                 return NO_STEP, it
@@ -391,7 +423,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             if changed > 0.0:
                 last_kkt = np.inf
         log[row + 4] = alpha
+        if hold > 0.0:
+            m[state + HOLD] = hold
         o[POLICY] = 1
         if it == limit and alpha < 0.9 and limit < int(s[ITERATIONS]) + int(s[EXTRA]):
             limit += 1
-    return ITERATION_LIMIT, it
+    return (LIMIT_MISSED if m[state + MISSED] > LIMIT_TOLERANCE else ITERATION_LIMIT), it

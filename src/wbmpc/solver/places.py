@@ -10,10 +10,10 @@ from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
 (ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY) = range(20, len(_w.DIMENSIONS))
+(JUMPS, ALIGN, EXACT, POLICY, CURVED) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
-GRID, X, U, XT, UT = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial"))
+GRID, X, U, XT, UT, BEST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best"))
 DX, DU, P, W, AB, H, E, EPS, K = (_place[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
 VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch", "gradient"))
 J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
@@ -38,8 +38,13 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: Places in the block ``state``: μ of the interior point, shift of the Hessian, entries in the filter; then what the rows'
 #: step found: largest primal and dual step length, slope of the rows' cost, largest complementarity product, largest primal
 #: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;
-#: last the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts.
+#: the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts; last whether trial
+#: points are held within the true rows of the inputs, by how much they are outside all the same (rows of inputs alone, rows
+#: with states) and where most (node times ``ROWS`` plus row), and cost and violation of the iterate.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
+HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION = range(12, 18)
+#: By how much planned inputs may be outside a hard row [its range].
+LIMIT_TOLERANCE = 1e-3
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
 DYNAMICS, END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("dynamics", "terminal", "end_rows", "jump"))

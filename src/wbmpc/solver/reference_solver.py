@@ -13,6 +13,8 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import Kind, Place
+from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
+from wbmpc.solver.reference_curved import aims, curvature, hold_inputs
 from wbmpc.solver.workspace import BoxTable, box_table
 
 RELATIVE_COMPLIANCE = 1e-12
@@ -75,6 +77,7 @@ class RowState:
         self.kind, self.place, self.sign, self.offset, self.given, state_only = table.T
         self.rho = 1.0
         self.counts = ~(state_only.astype(bool) & measured)
+        self.bounds_inputs = (self.kind == Kind.HARD) & ~state_only.astype(bool)
         self.boxes = len(place.boxes)
         self.hard, self.multiplier, self.equal = (self.kind == k for k in Kind)
         self.soft = self.hard & np.isfinite(self.penalty)
@@ -203,12 +206,13 @@ class InterpretedSolver:
         n, nx, nu = problem.ocp.intervals, problem.nx, problem.nu
         self.ws = SimpleNamespace(
             grid=problem.ocp.grid.copy(), x=np.zeros((n + 1, nx)), u=np.zeros((n, nu)), w=problem.default_weights(),
-            p=np.zeros((n + 1, max(problem.node.size, 1))), k=np.zeros((n, nu, nx)),
+            p=np.zeros((n + 1, max(problem.node.size, 1))), k=np.zeros((n, nu, nx)), state=np.zeros(24),
+            rows_h=np.zeros((n + 1, max(len(problem.path.rows), len(problem.end.rows), 1))),
         )  # fmt: skip
         self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)
         self.values, self.derivatives = problem.values, problem.derivatives
         self.own = [RowState(problem.path if k < n else problem.end, k == 0) for k in range(n + 1)]
-        self.mu, self.shift, self.policy = 0.0, 0.0, False
+        self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
         self.feed = np.zeros((n, nu))
 
     def _p(self, k: int) -> np.ndarray:
@@ -292,6 +296,8 @@ class InterpretedSolver:
         rows.linearise(z, *self.derivatives["rows_jacobian"](*arguments))
         sigma, offset = rows.weights(self.mu)
         j = rows.jacobian
+        if self.problem.curved:
+            full = full + curvature(self.problem, rows, arguments, h)
         whole = full + h * j.T @ (sigma[:, None] * j) + self.shift * np.eye(z.size)
         pulled = gradient + h * j.T @ (sigma * offset)
         parts = (ab[:, :nx], ab[:, nx:], end - ws.x[k + 1], whole, pulled, cd[:, :nx], cd[:, nx:], e.ravel())
@@ -322,33 +328,57 @@ class InterpretedSolver:
         for k in reversed(range(n)):
             ws.k[k], self.feed[k], value, slope = riccati_step(*nodes[k][:8], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
-        kkt, along, curvature = 0.0, 0.0, 0.0
+        kkt, along, bend = 0.0, 0.0, 0.0
         for k, (a, b, gap, h, _, _, _, _, own, g) in enumerate(nodes):
             du.append(ws.k[k] @ dx[k] + self.feed[k])
             dz = np.concatenate([dx[k], du[k]])
-            kkt, along, curvature = max(kkt, np.abs(own @ dz).max()), along + g @ dz, curvature + dz @ h @ dz
+            kkt, along, bend = max(kkt, np.abs(own @ dz).max()), along + g @ dz, bend + dz @ h @ dz
             dx.append(a @ dx[k] + b @ du[k] + gap)
             self.own[k].step(self.mu, dz)
         kkt, along = max(kkt, np.abs(end[2] @ dx[n]).max()), along + end[3] @ dx[n]
         self.own[n].step(self.mu, dx[n])
-        curvature += dx[n] @ end[0] @ dx[n]
+        bend += dx[n] @ end[0] @ dx[n]
         h = np.append(np.diff(ws.grid), 1.0)
         along += sum(w * rows.slope(self.mu) for w, rows in zip(h, self.own, strict=True))
         return {
-            "dx": np.array(dx), "du": np.array(du), "kkt": kkt, "slope": along, "curvature": curvature, "value": value,
+            "dx": np.array(dx), "du": np.array(du), "kkt": kkt, "slope": along, "curvature": bend, "value": value,
+            "ab": [np.hstack(node[:2]) for node in nodes], "gaps": [node[2] for node in nodes],
         }  # fmt: skip
 
     def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
         """States and inputs a step further; with ``single`` the policy is rolled out."""
         ws = self.ws
-        if not single:
+        ws.state[[MISSED, GIVEN_WAY]] = 0.0
+        if not single and not self.hold:
             return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
         x, u = np.zeros_like(ws.x), np.zeros_like(ws.u)
-        x[0] = x0
+        x[0] = x0 if single else ws.x[0] + alpha * s["dx"][0]
         for k in range(len(u)):
             u[k] = ws.u[k] + alpha * self.feed[k] + ws.k[k] @ (x[k] - ws.x[k])
-            x[k + 1] = self.step(x[k], u[k], k)[0]
+            if self.hold:
+                self._hold(k, x[k], u[k], alpha)
+            if single:
+                x[k + 1] = self.step(x[k], u[k], k)[0]
+            else:
+                change = s["ab"][k] @ np.concatenate([x[k] - ws.x[k], u[k] - ws.u[k]])
+                x[k + 1] = ws.x[k + 1] + change + alpha * s["gaps"][k]
         return x, u
+
+    def _hold(self, k: int, x: np.ndarray, u: np.ndarray, alpha: float) -> None:
+        """Node k's trial inputs within the true rows, in place."""
+        state, rows = self.ws.state, self.own[k]
+        functions = self.derivatives["rows_jacobian"]
+        held = rows.bounds_inputs & (~rows.soft | (self.hold > 1))
+        h = hold_inputs(rows, held, self.mu, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
+        by = np.where(rows.bounds_inputs, -h, 0.0)
+        if by.max(initial=0.0) > max(state[MISSED], state[GIVEN_WAY]):
+            state[MOST_AT] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
+        state[MISSED] = max(state[MISSED], by[~rows.soft].max(initial=0.0))
+        state[GIVEN_WAY] = max(state[GIVEN_WAY], by[rows.soft].max(initial=0.0))
+        if alpha > 0.0:
+            carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
+            general = held & (np.arange(h.size) >= rows.boxes)
+            rows.dt = np.where(general, (np.maximum(h + carried, aims(rows, self.mu)) - rows.t) / alpha, rows.dt)
 
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
@@ -367,6 +397,7 @@ class InterpretedSolver:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.mu_start, 0.0
+        self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else 0
         start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
@@ -388,11 +419,11 @@ class InterpretedSolver:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
-        from wbmpc.solver.driver import DIVERGED, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.driver import DIVERGED, LIMIT_MISSED, NO_STEP, NOT_FINITE, next_mu
         from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
-        last_residual, level, last_mu, bias = np.inf, c.mu_end, c.mu_start, 0.0
+        last_residual, hold, level, last_mu, bias = np.inf, self.hold, c.mu_end, c.mu_start, 0.0
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
@@ -401,7 +432,15 @@ class InterpretedSolver:
                 s = self.iterate(x0)
             except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite
                 shift = max(10.0 * shift, 1e-6)
-                log[it] = (cost - self._row_cost(), violation, np.nan, np.nan, 0.0, violation, *[np.nan] * 6)
+                log[it] = (
+                    cost - self._row_cost(self.ws.x, self.ws.u),
+                    violation,
+                    np.nan,
+                    np.nan,
+                    0.0,
+                    violation,
+                    *[np.nan] * 6,
+                )
                 it += 1
                 if it < limit and np.isfinite([cost, violation]).all() and 0.0 < shift <= c.largest_shift:
                     continue
@@ -410,7 +449,7 @@ class InterpretedSolver:
             product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
             kkt = s["kkt"] if c.certify else np.nan
             log[it] = (
-                cost - self._row_cost(),
+                cost - self._row_cost(self.ws.x, self.ws.u),
                 violation,
                 kkt,
                 size,
@@ -426,6 +465,7 @@ class InterpretedSolver:
             it += 1
             if not np.isfinite([cost, violation, s["slope"]]).all():
                 return NOT_FINITE, it
+            self.ws.state[[COST, VIOLATION]] = log[it - 1, 0], violation
             if abs(cost) > HUGE or size > HUGE:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
@@ -456,6 +496,10 @@ class InterpretedSolver:
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
             alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
             if alpha == 0.0:
+                self.ws.state[[COST, VIOLATION]] = log[it - 1, 0], violation
+                if self.hold == 1:  # once more along the step itself
+                    self.hold = 0
+                    continue
                 shift = max(10.0 * shift, 1e-4)
                 if shift > c.largest_shift:
                     return NO_STEP, it
@@ -476,21 +520,22 @@ class InterpretedSolver:
                     last_residual = residual
                 if after != self.mu:
                     self.mu, last_kkt = after, np.inf
-            self.policy = True
+            self.policy, self.hold = True, hold
             log[it - 1, 4] = alpha
             if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
-        return 1, it
+        return (LIMIT_MISSED if self.ws.state[MISSED] > LIMIT_TOLERANCE else 1), it
 
     def _equalities(self) -> float:
         """1-norm of the rows of the recursion at the iterate."""
         ws, f = self.ws, self.values["equality"]
         return float(sum(np.abs(np.array(f(ws.x[k], ws.u[k], self._p(k), ws.w))).sum() for k in range(len(ws.u))))
 
-    def _row_cost(self) -> float:
-        """What the rows add to the cost at the iterate."""
-        h = np.append(np.diff(self.ws.grid), 1.0)
-        return float(sum(w * r.merit(r.h, 0.0, self.mu)[0] for w, r in zip(h, self.own, strict=True)))
+    def _row_cost(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> float:
+        """What the rows add to the cost at a point."""
+        h, last = np.append(np.diff(self.ws.grid), 1.0), len(u) - 1
+        values = [self._rows(k, x[k], u[min(k, last)]) for k in range(len(x))]
+        return float(sum(w * r.merit(v, alpha, self.mu)[0] for w, r, v in zip(h, self.own, values, strict=True)))
 
     def _search(
         self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,
@@ -507,6 +552,7 @@ class InterpretedSolver:
             forced = ratio < c.smallest_step
             good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
             if good:
+                self.ws.state[[COST, VIOLATION]] = merit[0] - self._row_cost(x, u, alpha), merit[1]
                 self.ws.x[:], self.ws.u[:] = x, u
                 for row in self.ws.x:
                     self._normalise(row)

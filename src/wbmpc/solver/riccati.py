@@ -12,6 +12,7 @@ from wbmpc.solver.barriers import (
     barrier_value,
 )
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.curved import add_curvature
 from wbmpc.solver.exact import exact_end, exact_node
 from wbmpc.solver.lanes import (
     linearise_dynamics,
@@ -24,6 +25,7 @@ from wbmpc.solver.lanes import (
 from wbmpc.solver.places import (
     AB,
     BASE,
+    CURVED,
     DU,
     DX,
     END_BOXES,
@@ -138,6 +140,8 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
+    elif o[CURVED] > 0:
+        add_curvature(m, o, k, matrix)
     m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 

@@ -22,6 +22,7 @@ class Status(Enum):
     INFEASIBLE = "failed: the constraints cannot all be met, or not from this guess"
     NOT_FINITE = "failed: the cost, a constraint or the step is not finite"
     DIVERGED = "failed: the cost or the step grows without bound"
+    LIMIT_MISSED = "failed: the planned inputs miss a hard limit"
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,10 @@ class Solution:
     """A trajectory with its feedback policy and its certificate.
 
     ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), held over each interval;
-    ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost``, ``violation`` (1-norm of gaps, equalities and start) and
-    ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) belong to the last point
-    that was linearised, i.e. before the last step; ``log`` has one row per iteration, columns :data:`LOG`.
+    ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost`` and ``violation`` (1-norm of gaps, equalities, rows and start)
+    are those of this trajectory; ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) is that
+    of the last point that was linearised, i.e. before the last step, as is the last row of ``log``, which has one for each
+    iteration, columns :data:`LOG`.
     """
 
     status: Status
@@ -56,7 +58,7 @@ class Solution:
     @property
     def usable(self) -> bool:
         """Whether the trajectory is finite and was not refused."""
-        bad = (Status.NOT_FINITE, Status.DIVERGED)
+        bad = (Status.NOT_FINITE, Status.DIVERGED, Status.LIMIT_MISSED)
         return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
 
     def __str__(self) -> str:

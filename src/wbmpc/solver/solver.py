@@ -17,6 +17,7 @@ from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Tran
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
+from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.verdict import verdict
@@ -26,7 +27,14 @@ if TYPE_CHECKING:
     from wbmpc.kernel import Kernel
 
 _LOG = logging.getLogger("wbmpc")
-_STATUS = (Status.CONVERGED, Status.ITERATION_LIMIT, Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
+_STATUS = (
+    Status.CONVERGED,
+    Status.ITERATION_LIMIT,
+    Status.NO_STEP,
+    Status.NOT_FINITE,
+    Status.DIVERGED,
+    Status.LIMIT_MISSED,
+)
 
 
 @cache
@@ -269,9 +277,20 @@ class Solver:
             u=self.ws.u.copy(),
             gain=self.ws.k[:, :, : self.problem.nx].copy(),
             iterations=count,
-            cost=float(row[COLUMNS["cost"]]),
-            violation=float(row[COLUMNS["violation"]]),
+            cost=float(self.ws.state[COST]),
+            violation=float(self.ws.state[VIOLATION]),
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
+            detail=self.missed_limit(),
         )
+
+    def missed_limit(self) -> str:
+        """The hard row of the inputs that the last plan misses most, where it is curved in them; empty where none is missed."""
+        state = self.ws.state
+        if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
+            return ""
+        node, row = divmod(int(state[MOST_AT]), self.ws.rows_h.shape[1])
+        limit = self.problem.path.rows[row]
+        by = max(state[MISSED], state[GIVEN_WAY]) * limit.unit
+        return f"hard limit missed: {limit.name} by {by:.3g} at node {node}"

@@ -33,6 +33,8 @@ def verdict(solver: Solver, solution: Solution) -> Solution:
             solution, status=Status.INFEASIBLE
         )  # the iterate is finite, the step to the constraints is not
     violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
+    if solution.status is Status.LIMIT_MISSED:
+        return replace(solution, violations=violations)
     worst = max(violations.values(), key=lambda v: v.value, default=None)
     missed = worst if worst is not None and worst.value > solver.settings.feasibility else None
     if solution.status is Status.CONVERGED:
@@ -43,7 +45,7 @@ def verdict(solver: Solver, solution: Solution) -> Solution:
         status, detail = _unfinished(solver, solution, missed)
     if solution.status in (Status.DIVERGED, Status.NO_STEP) and not certificate.not_finite_trial(problem, ws):
         detail += certificate.unstable_interval(problem, ws)
-    return replace(solution, status=status, violations=violations, detail=detail)
+    return replace(solution, status=status, violations=violations, detail=detail or solution.detail)
 
 
 def _not_finite(solver: Solver) -> str:

@@ -60,6 +60,7 @@ DIMENSIONS = (
     "align",
     "exact",  # whether the Hessian is the exact one
     "policy",  # whether the gains belong to the present trajectory
+    "curved",  # whether hard rows are curved in the inputs
 )
 BLOCKS = (
     "grid",  # (N + 1,) s
@@ -67,6 +68,7 @@ BLOCKS = (
     "u",  # (N, nu)
     "x_trial",
     "u_trial",
+    "u_best",  # (nu,): of one node, nearest to its rows
     "dx",  # (N + 1, lx), entry nx is 1
     "du",  # (N, nu)
     "p",  # (N + 1, np)
@@ -104,7 +106,7 @@ BLOCKS = (
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (16,): μ, shift of the Hessian, … (see places.py)
+    "state",  # (24,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
     "adjoint",  # (4, lx): costate, its two multiples, spare
     "pulled",  # (lz,): Jᵀ σ J δz of one node
@@ -155,6 +157,7 @@ _VIEWS = (
     "rows_t",
     "rows_l",
     "rows_s",
+    "state",
 )
 
 
@@ -202,6 +205,7 @@ class Workspace:
     rows_t: np.ndarray
     rows_l: np.ndarray
     rows_s: np.ndarray
+    state: np.ndarray
 
 
 def _lane_shapes(s: Sizes, parameters: int) -> dict[str, tuple[int, ...]]:
@@ -235,6 +239,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "u": (n, s.nu),
         "x_trial": (n + 1, s.nx),
         "u_trial": (n, s.nu),
+        "u_best": (s.nu,),
         "dx": (n + 1, s.lx),
         "du": (n, s.nu),
         "p": (n + 1, max(problem.node.size, 1)),
@@ -261,7 +266,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
-        "state": (16,),
+        "state": (24,),
         "filter": (64, 2),
         "adjoint": (4, s.lx),
         "pulled": (s.lz,),
@@ -270,8 +275,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
-        "second": (s.nz, s.lz) if problem.exact else (1,),
-        "chained": (s.nz, s.lz) if problem.exact else (1,),
+        "second": (s.nz, s.lz) if problem.exact or problem.curved else (1,),
+        "chained": (s.nz, s.lz) if problem.exact or problem.curved else (1,),
     }
     shapes |= _lane_shapes(s, shapes["p"][1])
     return shapes | {name: (n + 1, rows) for name in _ROWS}
@@ -327,6 +332,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
+        problem.curved,
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),

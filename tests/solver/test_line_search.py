@@ -1,0 +1,69 @@
+"""Line searches on problems of one number, made so that a search that accepts too much never arrives. Truth: by hand.
+
+Newton's steps of these problems overshoot, cycle, or creep; each says in its docstring what the search must refuse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from toys import Rows, ToyDynamics
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
+from wbmpc.solver import SQP, Solution, Solver, Status
+
+MERIT = SQP(iterations=60, largest_shift=0.0)
+FILTER = replace(MERIT, line_search="filter")
+BOTH = pytest.mark.parametrize("chosen", [MERIT, FILTER], ids=["merit", "filter"])
+
+
+def solve(residual: Callable[[ca.SX], ca.SX], start: float, chosen: SQP, row: Constraint | None = None) -> Solution:
+    """Minimise ½ r(u)², or with a row that too, by one input over one interval of 1 s."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 1)
+    ocp.add(Cost("r", Rows(1, lambda s: residual(s.u)), 1.0))
+    if row is not None:
+        ocp.add(row)
+    solver = Solver(ocp, chosen)
+    solver.guess(np.array([[0.0], [start]]), np.array([[start]]))
+    return solver.solve(np.zeros(1))
+
+
+@BOTH
+def test_steps_that_overshoot_further_every_time_are_cut(chosen: SQP) -> None:
+    """Newton's steps on atan(u) diverge from |u| > 1.392: each is longer than the last one, and the cost rises."""
+    found = solve(ca.atan, 3.0, chosen)
+    assert found.status is Status.CONVERGED, found
+    assert abs(found.u[0, 0]) < 1e-6
+    assert (np.diff(found.log[:, 0]) <= 1e-12).all()  # without constraints costs never rise
+    assert found.log[0, 4] < 1.0
+
+
+@BOTH
+def test_steps_that_win_next_to_nothing_are_cut(chosen: SQP) -> None:
+    """r = u / (u² + ε²)^¼: the full step goes from u to −u / (1 + 2 ε²/u²), so with ε = u/224 the cost falls, but by 4e-5 of
+    itself and not by the 2e-4 that Armijo's rule asks for; half of the step arrives at u/50 000."""
+    start = 5.0
+    found = solve(lambda u: u / (u * u + (start / 224.0) ** 2) ** 0.25, start, chosen)
+    assert found.status is Status.CONVERGED, found
+    assert found.iterations < 20
+    assert abs(found.u[0, 0]) < 1e-6
+
+
+def test_the_filter_remembers() -> None:
+    """g = −2 + 2u + 5u³ − 4u⁴ = 0: Newton's steps go from 0 to 1 (g = −2 and 1) and from 1 to 0 for ever, and come back to that
+    cycle from nearby, for g″(0) = 0. The first step wins violation, the second one cost: only the memory of (cost, violation)
+    at 0 tells that nothing was won."""
+    curve = lambda u: -2.0 + 2.0 * u + 5.0 * u**3 - 4.0 * u**4
+    row = Constraint("root", Rows(1, lambda s: curve(s.u)))
+    cycle = solve(lambda u: u, 0.0, replace(FILTER, smallest_step=1.0, force_step=True), row)
+    np.testing.assert_allclose(cycle.log[[0, 2, 4], 1], 2.0, atol=1e-6)  # forced steps do cycle
+    np.testing.assert_allclose(cycle.log[[1, 3, 5], 1], 1.0, atol=1e-6)
+    found = solve(lambda u: u, 0.0, FILTER, row)
+    roots = np.roots([-4.0, 5.0, 0.0, 2.0, -2.0])
+    between = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real < 1.0)].real
+    assert found.status is Status.CONVERGED, found
+    np.testing.assert_allclose(found.u[0], between, atol=1e-6)
