@@ -68,13 +68,18 @@ def test_the_unit_of_the_costs_does_not_matter(algorithm: str, scale: float) -> 
         (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {}),
         (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {"compliance": 1e-2}),
         (ZERO, lambda s: s.x[0] - 0.3, {"at": "terminal"}),
+        (AT_LEAST, lambda s: s.u + 0.5, {"penalty": 1e2}),
+        (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {"penalty": 1e2}),
     ],
-    ids=["input limit", "equality", "soft equality", "equality at the end"],
+    ids=["input limit", "equality", "soft equality", "equality at the end", "multiplier", "equality with multiplier"],
 )
 def test_the_unit_of_a_row_does_not_matter(algorithm: str, scale: float, inside: sets.Set, f, more) -> None:  # type: ignore[no-untyped-def]
     given = dict(more)
     if "compliance" in given:  # residual = compliance · multiplier: the unit squared
         given["compliance"] = given["compliance"] * scale**2
+    if "penalty" in given:  # ρ is per squared unit
+        given["penalty"] = AugmentedLagrangian(given["penalty"] / scale**2)
+        more = {"penalty": AugmentedLagrangian(more["penalty"])}
     terms = row("row", lambda s: scale * f(s), inside, **given), row("row", f, inside, **more)
     found, want = (solve(cart(t), SOLVERS[algorithm]) for t in terms)
     assert found.status is want.status is Status.CONVERGED

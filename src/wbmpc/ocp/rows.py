@@ -111,8 +111,7 @@ def equality_rows(
         rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
-        # ρ of an augmented Lagrangian is per squared unit of the residual as it is given
-        scales = np.ones(r.shape[0]) if soft else row_scales(r, z)
+        scales = row_scales(r, z)
         for i in range(r.shape[0]):
             row = switch * (r[i] if scales[i] == 1.0 else r[i] / scales[i])
             if term.at != "terminal" and with_input[i] and not soft:
@@ -120,7 +119,9 @@ def equality_rows(
                 compliance.append(term.compliance / scales[i] ** 2)
                 names.append(row_name[i])
                 continue
-            own = Row(row_name[i], Kind.EQUAL, -1, 1.0, 0.0, rho, float(scales[i]), not with_input[i])
+            # the ρ that a term gives is per squared unit of its residual
+            per_unit = rho * scales[i] ** 2 if soft else rho
+            own = Row(row_name[i], Kind.EQUAL, -1, 1.0, 0.0, per_unit, float(scales[i]), not with_input[i])
             if term.at != "terminal":
                 path.general.append(own)
                 path.expressions.append(row)
@@ -214,11 +215,11 @@ def _own_rows(
     widths = _paired_widths(sides, selection)
     scales = row_scales(r, z)
     for s, given in zip(sides, widths, strict=True):
-        # rows in units of their range, or, without one, of the variables; ρ is per squared unit of the residual
-        width = 1.0 if multiplier else given if given != 1.0 else float(scales[s.i])
+        # hard rows in units of their range; without one, and with multipliers, of the variables
+        width = float(scales[s.i]) if multiplier or given == 1.0 else given
         # rows of inputs alone can always be held
         slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / given
-        penalty = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else slack
+        penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]
             sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
