@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals door lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals door push-map rates frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -80,6 +80,18 @@ rivals: $(VENV)/.installed
 # the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
 door: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
+
+# the ball robot's push map: impulse at which it falls, 16 directions, 4 lengths (half an hour on all cores; goes on where it stopped)
+push-map: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/push_map.py $(PUSH_MAP_ARGS)
+
+# the MPC's rate, 80 to 1000 Hz: push recovery and hand error of the ball robot (minutes; goes on where it stopped)
+rates: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rates.py $(RATES_ARGS)
+
+# torque tracking of elastic drives, plain and frequency-aware, against the hand's rise time (minutes; goes on where it stopped)
+frequency: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/frequency.py $(FREQUENCY_ARGS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

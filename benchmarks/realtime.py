@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from physics import Simulated
 
 from wbmpc import lie
 from wbmpc.control import RezeroAgent, SwerveAgent
@@ -32,6 +31,7 @@ from wbmpc.model import load_robot
 from wbmpc.mpc import MPC, RealTime, Runner, Sizes, WallClock
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant
+from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
 PATH = SinePath(0.498, 15.96, 6, 0.255, start=0.5, ramp=2.0)

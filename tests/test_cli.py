@@ -332,3 +332,22 @@ def test_the_commands_are_the_documented_ones() -> None:
     out = CliRunner().invoke(app, ["run", "--help"])
     assert out.exit_code == 0
     assert all(option in out.stdout for option in ("--seed", "--set", "--out", "--json"))
+
+
+def test_sigterm_is_ctrl_c_from_another_process(tmp_path: Path) -> None:
+    """A service manager ends a run: its files are written, and the status says by what it was ended."""
+    run = [sys.executable, "-m", "wbmpc", "run", "rezero-steps", "--out", str(tmp_path / "a"), "--json"]
+    process = subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not (tmp_path / "a" / "run.mcap").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.terminate()
+    out, err = process.communicate(timeout=60)
+    data = json.loads(out)
+    assert process.returncode == 143 and err == ""
+    assert data["completed"] is False and data["reason"].startswith("interrupted at ")
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["log.npz", "metrics.json", "report.html", "run.mcap"]
+    # where no run goes on, it ends the command
+    code = "import os, signal; from wbmpc.cli.terminal import terminable\nwith terminable() as t:\n  try: os.kill(os.getpid(), 15)"
+    code += "\n  except KeyboardInterrupt: print(t.came, signal.getsignal(15) is t)"
+    assert shell(code=code).stdout == "True True\n"

@@ -69,7 +69,7 @@ def _whole(key: str, length: float, unit: float, name: str, least: int = 1, rate
 class Running:
     """What runs: the loop's parts (``mpc`` None: there is none) and its ``duration`` [s].
 
-    ``interrupted`` says whether Ctrl-C was pressed.
+    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end).
     """
 
     plant: Any
@@ -105,24 +105,28 @@ class Watch:
 def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
     """Gives a function that says whether Ctrl-C was pressed: a tick is finished first, so that the log stays whole.
 
-    A second Ctrl-C acts at once. Nothing is changed outside the main thread, or where somebody else handles the signal.
+    The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
+    Nothing is changed outside the main thread, or where somebody else handles the signals.
     """
     pressed = threading.Event()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        given = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
         if pressed.is_set():
             raise KeyboardInterrupt
         pressed.set()
+        getattr(before[number], "noted", lambda: None)()
 
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield pressed.is_set
-        return
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
         yield pressed.is_set
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def run_lockstep(

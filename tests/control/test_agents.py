@@ -318,6 +318,7 @@ def test_balance_comes_before_yaw(size: float) -> None:
         if np.abs(asked).max() <= 4.0 and abs(SPIN @ asked) <= MOST:
             untouched += 1
             np.testing.assert_allclose(given, asked, atol=1e-12)
+        assert agent.clamped == bool(np.abs(given - asked).max() > 1e-6)  # rounding is no clamp
     assert untouched > 5 or size > 3.0
 
 

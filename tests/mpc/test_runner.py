@@ -518,3 +518,21 @@ def test_a_process_that_is_suspended() -> None:
         os.kill(runner.process_id, signal.SIGSTOP)
         check_safe(runner, r"the policy is 0\.[3-9]\d* s old, the limit is 0\.3 s \(0 solves failed\)")
         os.kill(runner.process_id, signal.SIGKILL)
+
+
+def test_who_watches_sees_every_tick_and_may_fail() -> None:
+    """The robot goes on as without a watcher that fails; it is called no more."""
+    seen: list[float] = []
+
+    def watch(t: float, late: float, plans: Plans) -> None:
+        seen.append(t)
+        assert late == 0.0 and plans.current is not None
+        if len(seen) == 5:
+            raise ValueError("nothing to see")
+
+    runners = [virtual(), virtual()]
+    runners[0].watch = watch
+    reports = [runner.run(1.0) for runner in runners]
+    np.testing.assert_allclose(np.diff(seen), PERIOD)
+    assert len(seen) == 5 and len({(r.state, r.ticks, r.misses, r.updates, r.policies) for r in reports}) == 1
+    np.testing.assert_array_equal(runners[0].robot.x, runners[1].robot.x)

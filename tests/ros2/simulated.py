@@ -26,7 +26,7 @@ class Simulated:
         self.other: Any = open_node("robot", "dds", network)
         self.said: list[Any] = []
         self.other.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
-        self.sim = SimNode(self.other, robot, self.settings, seed, lockstep=True, factor=20.0)
+        self.sim = SimNode(self.other, robot, self.settings, seed, factor=20.0)
         self.change: Callable[[dict[str, Any]], Mapping[str, Any] | None] = lambda message: message
         send = self.sim._joints.publish
         self.sim._joints = self  # type: ignore[assignment]

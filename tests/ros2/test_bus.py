@@ -202,7 +202,7 @@ def test_the_graph_shows_node_types_and_hashes(nodes: tuple[Any, Any]) -> None:
     (endpoint,) = other.publishers("/joint_states")
     assert (endpoint.type, endpoint.own, endpoint.qos) == (JOINTS, False, SENSOR)
     assert [e.own for e in one.publishers("/joint_states")] == [True]
-    (sample,) = [s for s in other._graph[0].read(N=99) if s.topic_name == "rt/joint_states"]
+    (sample,) = [s for s in other._known[0].values() if s.topic_name == "rt/joint_states"]
     assert sample.type_name == "sensor_msgs::msg::dds_::JointState_"
     # the hash that ROS 2 Jazzy prints in `ros2 topic info -v /joint_states`
     user = next(p for p in sample.qos if type(p).__name__ == "Userdata").data

@@ -5,6 +5,7 @@ Truth: typed fields as rosidl makes them. Without ROS nothing here says that ROS
 from __future__ import annotations
 
 import sys
+import time
 from importlib.util import find_spec
 from typing import Any
 
@@ -65,20 +66,76 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
     node.publisher("/joint_states", "sensor_msgs/msg/JointState", LATCHED).publish({"position": [0.5]})
     assert got == [[0.5]] and FakeNode.bus[0][0] == "/joint_states"
     profile = made[0].profiles[0]
-    assert (profile.reliability, profile.durability, profile.depth) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+    assert (profile.reliability.name, profile.durability.name, profile.depth) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+    sensors = made[0].topics[0]
+    assert sensors[:2] == ("subscription", "/joint_states") and sensors[3].reliability.name == "BEST_EFFORT"
+    node.publisher("x", "std_msgs/msg/String", SENSOR)
+    # the same name twice: two controllers of one robot
+    made[0].topics += [("publisher", "/x", name, made[0].profiles[-1]) for name in ("wbmpc", "somebody")]
     assert [(e.own, e.type, e.qos) for e in node.publishers("x")] == [
-        (True, "std_msgs/msg/String", SENSOR), (False, "std_msgs/msg/String", SENSOR),
-    ]  # fmt: skip
-    event = type("Event", (), {"last_policy_kind": "RELIABILITY"})()
+        (own, "std_msgs/msg/String", SENSOR) for own in (True, False, False)
+    ]
+    assert node.subscribers("x") == []
+    event = type("Event", (), {"last_policy_kind": 1 << 4})()
     made[0].events.incompatible_qos(event)
     made[0].events.incompatible_qos(event)
     assert node.faults == [
-        "/joint_states: a subscription asks for more than is offered (RELIABILITY); no message will come through"
+        "/x: a subscription asks for more than is offered (reliability); no message will come through"
     ]
     node.serve("/brakes", "std_srvs/srv/SetBool", lambda asked: {"success": True, "message": "open"})
     answered = message_class("std_srvs/srv/SetBool_Response")()
     assert made[0].services["/brakes"](None, answered).message == "open"
     node.close()
+    assert made[0].destroyed and not made[0].context.ok() and not node._thread.is_alive()
+
+
+@needs_dds
+def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
+    """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so."""
+    from wbmpc.model import load_robot
+    from wbmpc.ros2.control import ControlNode
+    from wbmpc.ros2.settings import RosSettings, joint_groups
+
+    robot = load_robot("swerve-ur10")
+    settings = RosSettings.model_validate({"rates": {"control": 50}, "safety": {"watchdog": 1.0}})
+    node, other = open_node("wbmpc", "rclpy"), open_node("robot", "rclpy")
+    control = ControlNode(node, robot, settings)
+    names = [n for g in joint_groups(robot).values() for n in g]
+    got: dict[str, list[Any]] = {}
+    numbers = "std_msgs/msg/Float64MultiArray"
+    for topic, kind in {
+        "/wheel_controller/commands": numbers, "/brake_controller/commands": numbers, "/odom": "nav_msgs/msg/Odometry",
+        "/tf": "tf2_msgs/msg/TFMessage", "/plan": "nav_msgs/msg/Path", "/hand_plan": "nav_msgs/msg/Path",
+        "/hand_pose": "geometry_msgs/msg/PoseStamped", "/footprint": "visualization_msgs/msg/MarkerArray",
+        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    }.items():  # fmt: skip
+        other.subscribe(topic, kind, got.setdefault(topic, []).append)
+    joints = other.publisher("/joint_states", "sensor_msgs/msg/JointState")
+    imu = other.publisher("/imu", "sensor_msgs/msg/Imu")
+    goal = other.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
+
+    def moves() -> bool:
+        now = {"stamp": {"sec": int(time.time()), "nanosec": int(time.time() % 1.0 * 1e9)}}
+        joints.publish({"header": now, "name": names, "position": robot.home[3:]})
+        imu.publish({"header": now})
+        control.step()
+        return (
+            bool(got["/wheel_controller/commands"]) and max(map(abs, got["/wheel_controller/commands"][-1].data)) > 0.1
+        )
+
+    try:
+        assert wait_until(lambda: moves() or control.state == "waiting for a goal")
+        goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 2.0}}})
+        assert wait_until(moves, 20.0), control.state
+        assert wait_until(lambda: moves() and all(got.values())), [t for t, m in got.items() if not m]
+        said = lambda: got["/diagnostics"][-1].status[0]
+        assert wait_until(lambda: moves() and "running: base to a goal" in said().message), said().message
+        assert (said().level, said().name) == (b"\0", "wbmpc: controller")
+        assert list(made[0].services) == ["/set_legs"] and not node.faults
+    finally:
+        control.close()
+        node.close()
+        other.close()
 
 
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="needs a sourced ROS 2 (rclpy)")

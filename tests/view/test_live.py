@@ -7,6 +7,7 @@ import signal
 import socket
 import threading
 import time
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def free_port() -> int:
 
 def panel_of(view: Any) -> Mailbox:
     """The panel's end of the orders, as a writer that goes on where the panel has stopped."""
-    writer = Mailbox(ORDERS, view._answers.memory, view._answers.checked)
+    writer = Mailbox(ORDERS, view.orders.memory, view.orders.checked)
     writer._written = int(writer._latest[0])
     return writer
 
@@ -112,7 +113,8 @@ def test_browsers_that_hang_change_nothing() -> None:
     try:
         ending, _ = run(view, 3.5, connect)
         assert ending.reason == ""
-        before, after = view.own_time[100 : connect.before], view.own_time[connect.before :]
+        times = np.array(view.own_time)
+        before, after = times[100 : connect.before], times[connect.before :]
         assert np.median(after) < 1.5 * np.median(before) + 20e-6
         assert np.percentile(after, 90) < 2.0 * np.percentile(before, 90) + 1e-3
     finally:
@@ -127,6 +129,7 @@ def hanging_client(port: int) -> socket.socket:
     lines = (
         "GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
+        f"Sec-WebSocket-Protocol: viser-v{version('viser')}",  # others are turned away at once
     )  # fmt: skip
     s.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
     return s
@@ -138,7 +141,7 @@ def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
     try:
         hand = Hand(view, [(0.3, {"paused": 1.0})])
         view.open(run(None, 0.01)[1])
-        killer = threading.Timer(3.0, os.kill, (view._process.pid, signal.SIGKILL))
+        killer = threading.Timer(3.0, os.kill, (view.process.pid, signal.SIGKILL))
         killer.start()
         start = time.perf_counter()
         ending, _ = run(view, 1.0, hand)
@@ -203,7 +206,7 @@ def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monke
         live.View("test", port=70000)
     assert main(["view", "swerv-ur10"]) == 2
     assert "did you mean 'swerve-ur10'" in capsys.readouterr().err
-    monkeypatch.setattr(live, "find_spec", lambda name: None)
+    monkeypatch.setattr("wbmpc.view.window.find_spec", lambda name: None)
     assert main(["run", "swerve-track", "--view"]) == 2
     assert capsys.readouterr().err == "wbmpc: view: this needs viser: pip install 'wbmpc[viz]'\n"
 

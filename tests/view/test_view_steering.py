@@ -79,6 +79,12 @@ def test_the_base_goes_to_its_goal() -> None:
     assert truth.pose[2] > 0.1 and truth.pose[0] > 0.05
 
 
+def test_a_base_that_stands_turns_its_wheels_first() -> None:
+    """Straight wheels, a base that is to turn on the spot: their rows see nothing at standstill (it stays at 0 without)."""
+    running = drive(_swerve, "swerve-ur10", 4.0, [(0.2, {"base_goals": 1, "base_goal": [0.0, 0.0, 0.6]})])
+    assert running.plant.truth().pose[2] == pytest.approx(0.6, abs=0.1)
+
+
 @pytest.mark.parametrize("name", ["H", "A"])
 def test_legs_move_and_are_braked_again(name: str) -> None:
     modes: list[str] = []
@@ -121,14 +127,14 @@ def test_the_ball_robot_follows_its_goal() -> None:
 
 
 def test_weights_act_without_compiling() -> None:
-    """A hand that costs a hundredth gives way to the base's goal; back at its weight it is held again."""
+    """A hand that costs a thousandth gives way to the base's goal; back at its weight it is held again."""
     base = {"base_goals": 1, "base_goal": [2.5, 0.0, 0.0]}
     robot = load_robot("swerve-ur10")
     home = robot.pose(robot.home)[0]
     firm = drive(_swerve, "swerve-ur10", 5.0, [(0.2, base)])
     steering = Steering(firm, np.zeros(3))
     factors = np.ones(16)
-    factors[[c.name for c in steering.costs].index("hand")] = 1e-2
+    factors[[c.name for c in steering.costs].index("hand")] = 1e-3
     soft = drive(_swerve, "swerve-ur10", 5.0, [(0.1, {"weights": factors}), (0.2, base)])
     assert firm.mpc.solver.kernel is not None
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]

@@ -22,7 +22,17 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
 from wbmpc.cli.stability import stability
-from wbmpc.cli.terminal import ABORTED, BAD_INPUT, COMPLETED, INTERRUPTED, logged, progress_bar, silent
+from wbmpc.cli.terminal import (
+    ABORTED,
+    BAD_INPUT,
+    COMPLETED,
+    INTERRUPTED,
+    TERMINATED,
+    logged,
+    progress_bar,
+    silent,
+    terminable,
+)  # fmt: skip
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -306,7 +316,7 @@ def _complain(error: Exception, debug: bool) -> None:
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        text = f"{error.filename}: cannot be opened or made ({error.strerror})" if error.filename else error.strerror
     else:
         text = str(error)
         if hasattr(error, "format_message"):
@@ -325,6 +335,13 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     given = sys.argv[1:] if arguments is None else arguments
     debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
     given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
+    with terminable() as termination:
+        status = _run(given, debug, quiet, verbose, registry)
+    return TERMINATED if termination.came and status == INTERRUPTED else status
+
+
+def _run(given: list[str], debug: bool, quiet: bool, verbose: bool, registry: Mapping[str, Experiment] | None) -> int:
+    """One command; what goes wrong as an exit status."""
     try:
         with logged(verbose), silent(quiet and "--json" not in given):
             status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,11 @@ ros2 = typer.Typer(name="ros2", help="ROS 2: the controller, a simulated robot, 
 Robot = Annotated[str, typer.Argument(help="Name of the robot (see 'wbmpc list') or its YAML file.")]
 Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics, frames, joints, rates.")]
 BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
+SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")]
+Lockstep = Annotated[
+    bool, typer.Option("--lockstep", help="For both nodes: states wait for commands, in simulated time.")
+]
+Fifo = Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")]
 
 
 @ros2.callback(invoke_without_command=True)
@@ -31,9 +35,20 @@ def ros2_options(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple[Any, RobotModel, RosSettings]:
-    """A node for a command that runs until it is interrupted or told to end."""
+def _on_bus(
+    robot: str,
+    config: Path | None,
+    backend: str,
+    suffix: str = "",
+    use_sim_time: bool = False,
+    lockstep: bool = False,
+    priority: int = 0,
+) -> tuple[Any, RobotModel, RosSettings]:
+    """A node for a command that runs until it is interrupted or told to end, and what the file and the options say."""
     import logging
+
+    if priority:
+        _before_all_others(priority)  # threads that are made from now on, those of the bus too, are as this one
 
     from wbmpc.model import load_robot
     from wbmpc.ros2.bus import open_node
@@ -42,6 +57,9 @@ def _on_bus(robot: str, config: Path | None, backend: str, suffix: str) -> tuple
     logging.getLogger("wbmpc").setLevel(logging.INFO)  # a node tells what it does
     model = load_robot(robot)
     settings = load_settings(config, model)
+    lockstep = settings.lockstep or lockstep
+    sim_time = settings.use_sim_time or use_sim_time or lockstep
+    settings = settings.model_copy(update={"use_sim_time": sim_time, "lockstep": lockstep})
     return open_node(f"{settings.node}{suffix}", backend), model, settings
 
 
@@ -63,14 +81,15 @@ def _until_told() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _before_all_others() -> None:
-    """The kernel lets this process run whenever it can. Raises :class:`InputError` without the right to."""
+def _before_all_others(priority: int) -> None:
+    """The kernel lets this process run whenever it can, one of higher priority first. Raises :class:`InputError` without the
+    right to."""
     import os
 
     from wbmpc.errors import InputError
 
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (AttributeError, PermissionError) as error:
         raise InputError(f"--fifo: the system does not allow it ({error}); see 'rtprio' in limits.conf") from error
 
@@ -80,22 +99,14 @@ def ros2_control(
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
-    use_sim_time: Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")] = False,
-    fifo: Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")] = False,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="So it is, and a solve takes a fixed part of it.")
-    ] = False,
+    use_sim_time: SimTime = False,
+    lockstep: Lockstep = False,
+    fifo: Fifo = False,
 ) -> None:
     """Run the controller as a node; it waits for joint states and a goal."""
-    if fifo:
-        _before_all_others()  # threads that are made from now on, those of the bus too, are as this one
-    node, model, settings = _on_bus(robot, config, backend, "")
+    node, model, settings = _on_bus(robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
 
-    # a thread that waits for the interpreter gets it after this time [s]: the control thread's ticks take less
-    sys.setswitchinterval(5e-5)
-    if use_sim_time or lockstep:
-        settings = settings.model_copy(update={"use_sim_time": True, "lockstep": settings.lockstep or lockstep})
     try:
         with _until_told() as ended:
             ControlNode(node, model, settings).spin(ended)
@@ -110,16 +121,18 @@ def ros2_sim(
     backend: BackEnd = "auto",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the plant and of all noise.")] = 200,
     factor: Annotated[float, typer.Option(min=0.01, help="How much faster than real time.")] = 1.0,
-    lockstep: Annotated[bool, typer.Option("--lockstep", help="Wait for the commands to every state.")] = False,
     seconds: Annotated[float, typer.Option(min=0.1, help="Simulated time after which it ends.")] = 1e9,
+    use_sim_time: SimTime = False,
+    lockstep: Lockstep = False,
+    fifo: Fifo = False,
 ) -> None:
     """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
-    node, model, settings = _on_bus(robot, config, backend, "_sim")
+    node, model, settings = _on_bus(robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
     from wbmpc.ros2.sim import SimNode
 
     try:
         with _until_told() as ended:
-            sim = SimNode(node, model, settings, seed, lockstep=lockstep, factor=factor)
+            sim = SimNode(node, model, settings, seed, factor=factor)
             typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
             typer.echo(f"{sim.spin(ended, seconds)}; too slow {sim.behind} times", err=True)
     finally:
@@ -131,11 +144,12 @@ def ros2_check(
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
+    use_sim_time: SimTime = False,
     seconds: Annotated[float, typer.Option(min=0.5, help="How long it listens.")] = 3.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
-    node, model, settings = _on_bus(robot, config, backend, "_check")
+    node, model, settings = _on_bus(robot, config, backend, "_check", use_sim_time)
     from wbmpc.ros2.check import ERROR, check
 
     try:

@@ -4,12 +4,45 @@ from __future__ import annotations
 
 import io
 import logging
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from typing import Any
 
 #: Exit statuses.
-COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+
+
+class Termination:
+    """SIGTERM is Ctrl-C from another process: a handler that remembers it, so that the exit status can tell."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def noted(self) -> None:
+        """It came while something was finished first."""
+        self.came = True
+
+    def __call__(self, number: int, frame: Any) -> None:
+        self.came = True
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def terminable() -> Iterator[Termination]:
+    """Handle SIGTERM, unless somebody else does or this is not the main thread."""
+    handler = Termination()
+    ours = threading.current_thread() is threading.main_thread()
+    if not (ours and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL):
+        yield handler
+        return
+    signal.signal(signal.SIGTERM, handler)
+    try:
+        yield handler
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

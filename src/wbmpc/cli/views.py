@@ -42,10 +42,17 @@ def open_view(title: str, host: str, port: int, *, reset: bool = False) -> View:
 def view(
     robot: Annotated[str, typer.Argument(help="Name of a robot (see 'wbmpc list'), or one's own YAML.")],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
+    realtime: Annotated[
+        bool,
+        typer.Option("--realtime", help="Controller, MPC and physics each by the wall clock; nothing can be paused."),
+    ] = False,
     host: Host = LOCAL,
     port: Port = 8080,
 ) -> None:
     """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
+    if realtime:
+        _view_realtime(robot, seed, host, port)
+        return
     from wbmpc.view.session import run_session
 
     shown = open_view(robot, host, port, reset=True)
@@ -54,6 +61,22 @@ def view(
     finally:
         shown.close()
     typer.echo(ending.reason, err=True)
+
+
+def _view_realtime(robot: str, seed: int, host: str, port: int) -> None:
+    from wbmpc.view.realtime import RealtimeView
+    from wbmpc.view.session import run_realtime
+
+    opened = lambda url: typer.echo(f"the view is at {url}", err=True)
+    shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened)
+    warn(host)
+    reason = "interrupted"
+    try:
+        with suppress(KeyboardInterrupt):
+            reason = run_realtime(robot, seed, shown)
+    finally:
+        shown.close()
+    typer.echo(reason, err=True)
 
 
 def replay(

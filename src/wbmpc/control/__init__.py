@@ -2,6 +2,7 @@
 
 from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.fall import FallForecast
+from wbmpc.control.frequency import FrequencyAwareAgent
 from wbmpc.control.lqr import LqrAgent, LqrWeights, RegulatorGains
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
@@ -12,6 +13,7 @@ __all__ = [
     "BrakeControl",
     "FallForecast",
     "FourWheelSteeringAgent",
+    "FrequencyAwareAgent",
     "LqrAgent",
     "LqrWeights",
     "Plans",

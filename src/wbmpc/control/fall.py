@@ -33,7 +33,9 @@ class FallForecast:
         if policy is self._seen:
             return
         self._seen = policy
-        most = float(np.linalg.norm(np.array(self._component(policy.x[1:].T)), axis=0).max())
+        most = float(
+            np.linalg.norm(np.array(self._component(policy.x[1:, : self._component.size1_in(0)].T)), axis=0).max()
+        )
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:
             raise FallForeseen(

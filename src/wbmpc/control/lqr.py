@@ -132,7 +132,4 @@ class LqrAgent(RezeroAgent):
             error[:2], error[n : n + 2] = heading @ error[:2], heading @ error[n : n + 2]
         self.feedforward = torque
         self.wanted = torque - self._gain(x) @ error
-        possible = self._possible(self.wanted)
-        self.clamped = bool(np.any(possible != self.wanted))
-        self._torques.append(self._torques[-1] + self._blend * (possible - self._torques[-1]))
-        return RezeroCommand(possible)
+        return self._drive(self._possible(self.wanted))

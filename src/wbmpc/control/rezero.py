@@ -14,6 +14,9 @@ from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
+#: A torque that differs from the wanted one by less than this share of its limit was not cut.
+_ROUNDING = 1e-9
+
 
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
@@ -118,7 +121,10 @@ class RezeroAgent:
             self.forecast.look(plans.current)
         self.feedforward = plans.current.feedforward(t)[: self.limit.size]
         self.wanted = plans.current(t, self.state())[: self.limit.size]
-        torque = self._possible(self.wanted)
-        self.clamped = bool(np.any(torque != self.wanted))
+        return self._drive(self._possible(self.wanted))
+
+    def _drive(self, torque: np.ndarray) -> RezeroCommand:
+        """The command for possible torques, which the drives follow with their lag."""
+        self.clamped = bool(np.any(np.abs(torque - self.wanted) > _ROUNDING * self.limit))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

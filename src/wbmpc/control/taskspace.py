@@ -76,12 +76,8 @@ class TaskSpaceAgent(RezeroAgent):
 
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the bounded least squares at the predicted present state."""
-        torque = self._solve(t, self.state())
-        self.wanted = torque
-        torque = self._possible(torque)
-        self.clamped = bool(np.any(torque != self.wanted))
-        self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
-        return RezeroCommand(torque)
+        self.wanted = self._solve(t, self.state())
+        return self._drive(self._possible(self.wanted))
 
     def _solve(self, t: float, x: Array) -> Array:
         n, g = self.robot.base.nq, self.gains

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from wbmpc.experiments import (
     rezero_circle,
     rezero_door,
+    rezero_frequency,
     rezero_push,
     rezero_steps,
     rezero_taskspace,
@@ -57,6 +58,7 @@ REGISTRY: dict[str, Experiment] = {
         _of(rezero_steps, rezero_steps.RezeroStepsSettings),
         _of(rezero_circle, rezero_circle.RezeroCircleSettings),
         _of(rezero_door, rezero_door.RezeroDoorSettings),
+        _of(rezero_frequency, rezero_frequency.RezeroFrequencySettings),
         _of(rezero_taskspace, rezero_taskspace.RezeroTaskspaceSettings),
         _of(rezero_wholebody, rezero_wholebody.RezeroWholebodySettings),
         Experiment(

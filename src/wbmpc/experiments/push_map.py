@@ -12,31 +12,37 @@ from pathlib import Path
 
 import numpy as np
 
+from wbmpc.configuration import configure
 from wbmpc.experiments.rezero_push import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings, survives
 
 MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}
 #: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.
-MOST, FINE = 80.0, 5.0
+MOST, FINE = 320.0, 5.0
 
 
 @dataclass(frozen=True)
 class Point:
-    """A push: held "ball" or "hand", ``direction`` [rad] in the horizontal plane, ``length`` [s]; ``seed`` of the plant."""
+    """A push: held "ball" or "hand", ``direction`` [rad] in the horizontal plane, ``length`` [s]; ``seed`` of the plant;
+    ``given``: other settings of the run (``key=value``), e.g. another controller."""
 
     mode: str
     direction: float
     length: float
     seed: int
+    given: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
-        return f"{self.mode}, {np.rad2deg(self.direction):.1f} deg, {self.length:g} s, seed {self.seed}"
+        push = f"{self.mode}, {np.rad2deg(self.direction):.1f} deg, {self.length:g} s, seed {self.seed}"
+        return ", ".join([push, *sorted(self.given)])
 
 
-def points(mode: str, directions: int, lengths: tuple[float, ...], seed: int) -> list[Point]:
+def points(
+    mode: str, directions: int, lengths: tuple[float, ...], seed: int, given: tuple[str, ...] = ()
+) -> list[Point]:
     """All pushes of a map."""
     angles = 2.0 * np.pi * np.arange(directions) / directions
-    return [Point(mode, float(a), length, seed) for length in lengths for a in angles]
+    return [Point(mode, float(a), length, seed, given) for length in lengths for a in angles]
 
 
 def impulse_at_failure(point: Point, stands: Callable[[Point, float], bool]) -> tuple[float, float]:
@@ -55,7 +61,8 @@ def impulse_at_failure(point: Point, stands: Callable[[Point, float], bool]) -> 
 
 def simulated(point: Point, impulse: float) -> bool:
     """Whether the robot stands after a push with that impulse [N s]."""
-    result = survives(MODES[point.mode](), point.seed, impulse / point.length, point.direction, point.length)
+    settings = configure(MODES[point.mode], point.given, f"rezero-push-{point.mode}")
+    result = survives(settings, point.seed, impulse / point.length, point.direction, point.length)
     return bool(result["stands"])
 
 

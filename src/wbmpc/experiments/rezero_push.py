@@ -16,6 +16,7 @@ from wbmpc.experiments.rezero_task import (
     ball_felt,
     common_plots,
     hand_felt,
+    rms,
     run_task,
 )
 from wbmpc.log import Log
@@ -83,6 +84,7 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
             "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),
+            "hand_error_rms": Metric(rms(hand_felt(log) - hand), "m"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }
 

@@ -33,13 +33,17 @@ _CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
 
 
 class Function:
-    """A translated function: calling it runs machine code; ``python`` is the same as ordinary Python."""
+    """A translated function: calling it runs machine code; ``python`` is the same as ordinary Python.
+
+    ``short``: it takes microseconds, so that it keeps the interpreter: who lets others have it may wait long to get it back.
+    """
 
     def __init__(self, library: Library, python: Callable[..., Any], result: Type, arguments: tuple[Type, ...]) -> None:
         symbol = f"{python.__module__.rsplit('.', 1)[-1]}_{python.__name__}"
         self.library, self.python = library, python
         self.signature = Signature(symbol, result, arguments)
         self._pointer: Any = None
+        self.short = False
         update_wrapper(self, python)
 
     @property
@@ -51,7 +55,8 @@ class Function:
                 for a in self.signature.arguments
             ]
             address = self.library.address(f"{self.signature.symbol}.entry")
-            self._pointer = ctypes.CFUNCTYPE(None, *kinds, ctypes.c_void_p)(address)
+            form = ctypes.PYFUNCTYPE if self.short else ctypes.CFUNCTYPE
+            self._pointer = form(None, *kinds, ctypes.c_void_p)(address)
         return self._pointer
 
     def __call__(self, *arguments: Any) -> Any:

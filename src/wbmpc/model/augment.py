@@ -32,6 +32,12 @@ class _Augmented:
         self.unit_quaternions = dynamics.unit_quaternions
         self.mode_bounds = getattr(dynamics, "mode_bounds", {})
         self._inner = dynamics.state.size
+        if hasattr(dynamics, "jump"):
+            self.jump = self._jump
+
+    def _jump(self, x: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """The inner state's jump at an event; the added states go on."""
+        return ca.vertcat(self.dynamics.jump(x[: self._inner], w, m), x[self._inner :])
 
     def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
         """The robot's own state and input: the wrapped groups come from the state."""
@@ -133,34 +139,55 @@ class InputFilter:
 class FrequencyShaping(_Augmented):
     """Frequency-aware inputs (Grandia et al., arXiv 1809.04539): ν is decided, u = C x_s + D ν acts, costs may weigh both.
 
-    ``filters`` by group. State group ``GROUP_filter``, input group ``GROUP_shaped``; residuals keep seeing u. Drives that
-    cannot follow fast inputs are spared by a cost on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
+    ``filters`` by group: one for all its inputs, or one for each. State group ``GROUP_filter``, input group ``GROUP_shaped``;
+    residuals keep seeing u. :func:`wbmpc.ocp.frequency_aware` wraps a whole problem; by hand, drives that cannot follow fast
+    inputs are spared by a cost on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
     """
 
-    def __init__(self, dynamics: Any, filters: Mapping[str, InputFilter]) -> None:
-        self.filters = dict(filters)
+    def __init__(self, dynamics: Any, filters: Mapping[str, InputFilter | Sequence[InputFilter]]) -> None:
         super().__init__(dynamics, tuple(filters), "_filter", "_shaped")
+        self.filters = {group: self._each(group, given) for group, given in filters.items()}
+        every = [f for group in self.groups for f in self.filters[group]]
+        self._own_input = np.concatenate(
+            [np.arange(dynamics.input.size)[dynamics.input[g]] for g in self.groups] or [[]]
+        )
+        self._own_input = self._own_input.astype(int)
+        self.zero, self.pole, self.high = (np.array([getattr(f, n) for f in every]) for n in ("zero", "pole", "high"))
+
+    def _each(self, group: str, given: InputFilter | Sequence[InputFilter]) -> tuple[InputFilter, ...]:
+        size = len(self.dynamics.input.groups[group])
+        each = (given,) * size if isinstance(given, InputFilter) else tuple(given)
+        if len(each) != size:
+            raise InputError(f"filters of '{group}': one or {size} are needed, got {len(each)}")
+        return each
 
     def _inputs(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        parts = []
-        for group in self.dynamics.input.groups:
-            if group not in self.filters:
-                parts.append(u[self.input[group]])
-                continue
-            f, state = self.filters[group], x[self.state[f"{group}_filter"]]
-            parts.append((u[self.input[f"{group}_shaped"]] + (f.pole - f.zero) * state) / f.high)
-        return ca.vertcat(*parts)
+        acting = ca.SX(self.weighed(x, u))
+        for k, i in enumerate(self._own_input):
+            acting[i] = (u[i] + (self.pole[k] - self.zero[k]) * x[self._inner + k]) / self.high[k]
+        return acting
+
+    def weighed(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """The inner input (nu) with ν in the place of the filtered entries: what frequency-aware costs see."""
+        return u  # the groups have other names and the same places
 
     def _own(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        return ca.vertcat(
-            *[u[self.input[f"{g}_shaped"]] - f.zero * x[self.state[f"{g}_filter"]] for g, f in self.filters.items()]
-        )
+        return ca.vertcat(*[u[i] - self.zero[k] * x[self._inner + k] for k, i in enumerate(self._own_input)])
 
     def equilibrium(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(wrapped state, wrapped input) of the robot's own x (nx), u (nu) with the filters at rest: u goes on acting."""
-        states = {f"{g}_filter": f.high * u[self.dynamics.input[g]] / f.pole for g, f in self.filters.items()}
-        state = np.concatenate([x, *(states[f"{g}_filter"] for g in self.groups)])
+        """(wrapped state, wrapped input) of the inner x (nx), u (nu) with the filters at rest: u goes on acting."""
         wrapped = np.array(u, float)
-        for g, f in self.filters.items():
-            wrapped[self.input[f"{g}_shaped"]] = f.zero * states[f"{g}_filter"]
-        return state, wrapped
+        states = self.high * wrapped[self._own_input] / self.pole
+        wrapped[self._own_input] = self.zero * states
+        return np.concatenate([x, states]), wrapped
+
+    def acting(self, states: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
+        """The inner input u (nu) that acts for filter states and the wrapped input (nu)."""
+        u = np.array(wrapped, float)
+        u[self._own_input] = (u[self._own_input] + (self.pole - self.zero) * states) / self.high
+        return u
+
+    def advance(self, states: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """Filter states after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
+        kept = np.exp(-self.pole * h)
+        return kept * states + (1.0 - kept) * self.high / self.pole * u[self._own_input]

@@ -1,8 +1,9 @@
-"""Model predictive control: the receding horizon, its policy, the steering guess of swerve bases, the real-time runner."""
+"""Model predictive control: receding horizon, policy, input filters, steering guess of swerve bases, real-time runner."""
 
 from wbmpc.mpc.buffer import Mailbox, Sizes
 from wbmpc.mpc.clock import Clock, VirtualClock, WallClock
 from wbmpc.mpc.figures import Report
+from wbmpc.mpc.filters import FilterMemory
 from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.mpc.plans import Agent, Plans
 from wbmpc.mpc.policy import Policy
@@ -14,6 +15,7 @@ __all__ = [
     "MPC",
     "Agent",
     "Clock",
+    "FilterMemory",
     "Mailbox",
     "Observation",
     "Plans",

@@ -12,6 +12,7 @@ import logging
 import math
 import multiprocessing
 import os
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -49,8 +50,10 @@ class Runner:
     one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
 
     ``parameters``: model parameters (as of the solver) that the agent estimates, sent with every observation. The agent must not
-    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``state`` says in
-    a sentence what the runner does, or why it stopped; ``error`` is the exception behind it. In virtual time use :meth:`run`.
+    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``watch(t, late,
+    plans)`` is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must
+    not wait, and is dropped when it fails. ``state`` says in a sentence what the runner does, or why it stopped; ``error`` is the
+    exception behind it. In virtual time use :meth:`run`.
     """
 
     def __init__(
@@ -64,8 +67,9 @@ class Runner:
         sizes: Sizes | None = None,
         parameters: Callable[[], np.ndarray] | None = None,
         setup: Callable[[], None] | None = None,
+        watch: Callable[[float, float, Plans], None] | None = None,
     ) -> None:
-        self.robot, self.agent, self.mpc, self.parameters = robot, agent, mpc, parameters
+        self.robot, self.agent, self.mpc, self.parameters, self.watch = robot, agent, mpc, parameters, watch
         self.settings, self.clock = settings or RealTime(), clock or WallClock()
         self.remote, self.setup = not hasattr(mpc, "solver"), setup
         if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
@@ -99,7 +103,10 @@ class Runner:
         if self.remote:
             self._start_process()
         loops = self._begin()
-        runs = [partial(follow, self.clock, loop) for loop in loops]
+        runs = [partial(self._control_thread, loops[0])]
+        if len(loops) > 1:  # of the two only the controller's waits end with a spin: it keeps the interpreter
+            clock = WallClock(self.clock.origin, spin=0.0) if isinstance(self.clock, WallClock) else self.clock
+            runs.append(partial(follow, clock, loops[1]))
         if getattr(self.clock, "in_turns", False):  # one thread: nothing depends on the machine's speed
             runs = [partial(interleave, self.clock, loops, math.inf)]
         self._threads = [threading.Thread(target=run, daemon=True) for run in runs]
@@ -175,12 +182,21 @@ class Runner:
             raise InputError(f"runner: the MPC's process did not come up: {self.board.text or 'no answer within 60 s'}")
 
     # ------------------------------------------------------------------ control
+    def _control_thread(self, loop: Loop) -> None:
+        if self.settings.priority:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.settings.priority))
+        follow(self.clock, loop)
+
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
-        own, clock = self.own, self.clock
+        own, clock, turns, usual = self.own, self.clock, self.settings.turns, sys.getswitchinterval()
         while not self.orders["end"]:
             due = self.ticker.due
+            if turns is not None:
+                sys.setswitchinterval(turns[1])
             yield due
+            if turns is not None:
+                sys.setswitchinterval(turns[0])
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
@@ -197,6 +213,7 @@ class Runner:
             own.sample("tick", end - start)
             own.count("ticks")
             own.count("misses", self.ticker.over(end))
+        sys.setswitchinterval(usual)
 
     def _tick(self, due: float) -> None:
         measurement = self.robot.read()
@@ -217,6 +234,17 @@ class Runner:
             return
         self.robot.write(command)
         self.own.count("clamped", int(getattr(self.agent, "clamped", False)))
+        if self.watch is not None:
+            self._show(due)
+
+    def _show(self, due: float) -> None:
+        """Let the watcher see this tick; what goes wrong there is told once, and the robot goes on."""
+        assert self.watch is not None
+        try:
+            self.watch(due, self._beat - due, self.plans)
+        except Exception as error:
+            self.watch = None
+            _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
 
     def _check_measurement(self, measurement: Any) -> None:
         bad = not_finite("measurement", measurement)

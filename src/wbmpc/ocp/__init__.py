@@ -1,6 +1,7 @@
 """Optimal control problems: residuals, norms, sets, named terms, modes, references."""
 
 from wbmpc.ocp import residuals, sets
+from wbmpc.ocp.frequency import frequency_aware
 from wbmpc.ocp.norms import AugmentedLagrangian, Quadratic, RelaxedBarrier, SmoothL1
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.reference import Reference
@@ -20,6 +21,7 @@ __all__ = [
     "RelaxedBarrier",
     "SmoothL1",
     "Transcription",
+    "frequency_aware",
     "residuals",
     "sets",
 ]

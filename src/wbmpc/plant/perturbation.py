@@ -28,6 +28,11 @@ class Perturbation(BaseModel):
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
     [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
 
+    Ball robots only, and not spreads: ``dead_time`` [s] of the drives (whole physics steps); series elastic drives
+    (:mod:`wbmpc.plant.drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of ``wheel_rotor`` and
+    ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and ``torque_damping``.
+    Their figures are assumed: none are published for this robot.
+
     Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
     whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
     whose direction is drawn.
@@ -44,6 +49,14 @@ class Perturbation(BaseModel):
     wheel_radius_each: float = Field(default=0.0, ge=0, lt=0.2)
     drive_lag: float = Field(default=0.020, ge=0)
     drive_lag_spread: float = Field(default=0.30, ge=0, lt=1)
+    dead_time: float = Field(default=0.0, ge=0, le=0.5)
+    wheel_spring: float = Field(default=0.0, ge=0)
+    arm_spring: float = Field(default=0.0, ge=0)
+    wheel_rotor: float = Field(default=0.010, ge=0)
+    arm_rotor: float = Field(default=0.050, ge=0)
+    spring_damping: float = Field(default=0.02, ge=0, le=2)
+    torque_gain: float = Field(default=1.0, ge=0, le=20)
+    torque_damping: float = Field(default=0.2, ge=0, le=2)
     joint_loss: float = Field(default=2.0, ge=0)
     brake_delay: float = Field(default=0.10, ge=0)
     friction: tuple[float, float] = (0.6, 0.9)

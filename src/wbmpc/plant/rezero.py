@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.plant.burden import add_payload
+from wbmpc.plant.drives import ElasticDrives
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
@@ -97,6 +98,7 @@ class RezeroPlant(InWorld):
                 )
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
+        self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
         self._build(spec, payload, edit)
@@ -117,6 +119,9 @@ class RezeroPlant(InWorld):
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         self.sensors = RezeroSensors(p, self.draw, wheels, mount, timestep, jitter, sensor_rng)
         self._last: RezeroMeasurement | None = None
+        #: what the elastic drives do; none where all are rigid
+        self.drives = self._drives() if any(self._elastic) else None
+        self._commands: deque[Array] = deque(maxlen=1 + round(p.dead_time / timestep))
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
         self._place(finite("state", home if state is None else state, 10 + 2 * n), torque)
@@ -140,10 +145,13 @@ class RezeroPlant(InWorld):
             z, ratio = base.wheels.zenith, base.ball_radius / (base.wheels.radius * float(draw.radius[i]))
             axis = np.array([np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)])
             kind, gear = mujoco.mjtTrn.mjTRN_JOINTINPARENT, [*(-ratio * axis), 0, 0, 0]
-            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, draw.wheel_lag[i])
+            lag, rigid = draw.wheel_lag[i], not self._elastic[i]
+            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, lag, rigid)
         for k, name in enumerate(self.description.arm.joints):
             kind, gear = mujoco.mjtTrn.mjTRN_JOINT, [1.0, 0, 0, 0, 0, 0]
-            self._motor(spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k])
+            self._motor(
+                spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k], not self._elastic[-1]
+            )
         if payload > 0.0:
             add_payload(spec, self.description.arm.tool, payload)
         if edit is not None:
@@ -151,12 +159,28 @@ class RezeroPlant(InWorld):
 
     @staticmethod
     def _motor(
-        spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float, lag: float
-    ) -> None:
+        spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float, lag: float,
+        rigid: bool,
+    ) -> None:  # fmt: skip
+        """``rigid``: the drive's limit and lag are MuJoCo's; else its control is the torque of a spring."""
+        if not rigid:
+            add_drive(spec, name, joint, kind, np.inf, 0.0).gear = gear
+            return
         actuator = add_drive(spec, name, joint, kind, limit, lag)
         actuator.gear = gear
         if np.isfinite(limit):
             actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+
+    def _drives(self) -> ElasticDrives:
+        p, limits, wheels = self.perturbation, self.description.limits, len(self.base.wheels.azimuths)
+        arm = self.description.arm.joints
+        effort = np.array([limits.wheel_effort] * wheels + [limits.effort.get(name, np.inf) for name in arm])
+        lag = np.concatenate([self.draw.wheel_lag, self.draw.arm_lag])
+        each = lambda wheel, joint: np.array([wheel] * wheels + [joint] * len(arm))[self._elastic]
+        return ElasticDrives(
+            each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
+            p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
+        )  # fmt: skip
 
     def _place(self, state: Array, torque: ArrayLike | None) -> None:
         d, n, r = self.data, self._arm_q.size, self.base.ball_radius
@@ -174,12 +198,23 @@ class RezeroPlant(InWorld):
         mujoco.mj_forward(self.model, d)
         rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
         d.ctrl[:] = rest if torque is None else finite("torque", torque, self.model.nu)
-        if d.act.size:
-            d.act[:] = d.ctrl if d.act.size == self.model.nu else 0.0
+        d.act[:] = d.ctrl[self.model.actuator_actadr >= 0]
+        mujoco.mj_fwdActuation(self.model, d)
+        self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))
+        if self.drives is not None:
+            mujoco.mj_fwdVelocity(self.model, d)
+            self.drives.reset(d.ctrl[self._elastic], d.actuator_velocity[self._elastic])
         self.world.restart()
         self.sensors.restart()
         self._history.clear()
         self._record()
+
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (16) has them, for pictures: no physics; the ball does not roll."""
+        d, n = self.data, self._arm_q.size
+        d.qpos[0:2], d.qpos[3:7] = state[:2], lie.rotation_to_quaternion(lie.euler_zyx_to_rotation(*state[2:5]))
+        d.qpos[self._arm_q] = state[5 : 5 + n]
+        mujoco.mj_kinematics(self.model, d)
 
     def _record(self) -> None:
         q, v, ball = self.data.qpos.copy(), self.data.qvel.copy(), self._ball
@@ -215,11 +250,24 @@ class RezeroPlant(InWorld):
 
     def step(self, command: RezeroCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
-        self.data.ctrl[:] = finite("torque", command.torque, self.model.nu)
+        torque = finite("torque", command.torque, self.model.nu)
         for _ in range(steps):
-            self.world.advance()
+            self._commands.append(torque)
+            self.world.advance(self._drive)
             self._record()
         self.world.check()
+
+    def _drive(self) -> None:
+        """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""
+        command, d = self._commands[0], self.data
+        d.ctrl[:] = command
+        if self.drives is not None:
+            d.ctrl[self._elastic] = self.drives.step(command[self._elastic], d.actuator_velocity[self._elastic])
+
+    @property
+    def torque(self) -> Array:
+        """What acts on ball (wheels) and arm joints [N m] in the last physics step."""
+        return self.data.actuator_force.copy()
 
     def truth(self) -> Truth:
         """Poses of base and tool, joints."""

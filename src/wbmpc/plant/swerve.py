@@ -78,6 +78,11 @@ class SwervePlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        for name in ("dead_time", "wheel_spring", "arm_spring"):
+            if getattr(self.perturbation, name) > 0.0:
+                raise InputError(
+                    f"plant.{name}: is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
+                )
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -219,6 +224,15 @@ class SwervePlant(InWorld):
             self.world.advance(self._arm_weight)
         self.world.restart()
         self._history.append(d.qpos[self._all])
+
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
+        d, groups = self.data, self._groups(state)
+        d.qpos[0:2], d.qpos[3:7] = groups["base"][:2], lie.quaternion_about([0.0, 0.0, 1.0], groups["base"][2])
+        for group, index in self._q.items():
+            d.qpos[index] = groups[group]
+        d.qpos[2] = self._standing_height()
+        mujoco.mj_kinematics(self.model, d)
 
     def _standing_height(self) -> float:
         """Height [m] of the base at which its wheels touch the floor on average, for the joints as they are."""

@@ -73,10 +73,15 @@ class Observer:
         chosen = states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]
         hand = robot.poses(np.hstack([chosen[:, layout[group]] for group in robot.state.groups]))
         planned = chosen[:, layout["base"]] if "base" in robot.state else np.zeros((len(chosen), 3))
-        base = np.array([_base_pose(b) for b in planned])
+        base = base_poses(planned)
         base[:, :3] += self.lift
         hand[:, :3] += self.lift
         return base, hand
+
+
+def base_poses(planned: Array) -> Array:
+    """Poses (n, 7) of planned bases (n, 7), or (n, 3 or more): x, y, yaw and more, which lie at the planner's z = 0."""
+    return np.array([_base_pose(b) for b in planned]).reshape(-1, 7)
 
 
 def _base_pose(base: Array) -> Array:

@@ -6,17 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, RezeroAgent
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
+from wbmpc.experiments.rezero_task import resting
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Plans, Policy
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
-from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.pilot import Estimate, Groups, Pending
 from wbmpc.ros2.settings import BallSettings
@@ -24,6 +27,9 @@ from wbmpc.ros2.settings import BallSettings
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
 HOLD_AFTER = 0.3
+#: Postures are solved for (some 20 ms each) before and after at most so many changes of the hand's pose; on ways with more of
+#: them in so many poses.
+CHANGES, POSTURES = 12, 5
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,50 @@ def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
     u = np.zeros(policy.u.shape[1])
     u[: torque.size] = torque
     return Policy(np.array([t, t + 1e6]), np.stack([rest, rest]), u[None], policy.gain[:1])
+
+
+def bodies(task: Task, robot: RobotModel, x: Array) -> Reference:
+    """The body's states (n, nx) during a task from state x (nx) on: so that a weight on the arm's posture moves no hand.
+
+    A carried hand keeps the arm as it is. A hand that is led has the arm with which the robot rests in some of its poses, and
+    what lies between them; it also turns the base, unless that has a way of its own.
+    """
+    base, hand, arm = task.base, task.hand, robot.state["arm"]
+    states = np.tile(robot.home, (base.times.size, 1))
+    states[:, :3], states[:, arm] = base.poses, x[arm]
+    if task.carried:
+        return Reference(base.times, states)
+    places = postures(hand.positions, hand.orientations)
+    rest, solved = np.empty((places.size, x.size)), -1
+    for row, k in enumerate(places):
+        if solved >= 0 and same_pose(hand, k, solved):
+            rest[row] = rest[row - 1]
+        else:
+            rest[row], solved = resting(robot, hand.positions[k], hand.orientations[k]), k
+    times = hand.times[places]
+    turns = base.poses[:, 2]
+    if np.ptp(turns) > 1e-9:
+        rest[:, 2] = np.interp(times, base.times, turns)
+    else:
+        rest[:, 2] = np.array([nearest_turn(a, x[2]) for a in rest[:, 2]])
+    return Reference(times, rest)
+
+
+def postures(positions: Array, orientations: Array) -> NDArray[np.int_]:
+    """Numbers of the poses of a way whose postures are solved for: before and after every change, or, of a way
+    with more than :data:`CHANGES` of them, :data:`POSTURES` evenly."""
+    poses = np.column_stack([positions, orientations])
+    changes = np.flatnonzero(np.any(np.diff(poses, axis=0) != 0.0, axis=1))
+    if changes.size <= CHANGES:
+        return np.unique(np.concatenate([[0], changes, changes + 1, [len(poses) - 1]]).astype(int))
+    first, last = int(changes[0]), int(changes[-1]) + 1
+    evenly = np.linspace(first, last, POSTURES).round().astype(int)
+    return np.unique(np.concatenate([[0], evenly, [len(poses) - 1]]))
+
+
+def same_pose(hand: HandTrack, i: int, k: int) -> bool:
+    """Whether two poses of a way are equal."""
+    return bool(np.all(hand.positions[i] == hand.positions[k]) and np.all(hand.orientations[i] == hand.orientations[k]))
 
 
 class BallPilot:
@@ -178,12 +228,9 @@ class BallPilot:
     # ------------------------------------------------------------------ tasks
     def follow(self, task: Task, x: Array) -> None:
         """References for the hand and for the body at rest; the ball goes where the hand needs it."""
-        robot, base = self.robot, task.base
-        states = np.tile(robot.home, (base.times.size, 1))
-        states[:, :3] = base.poses
         hand = task.hand
         self.pending.set({
-            "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": Reference(base.times, states),
+            "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": bodies(task, self.robot, x),
             "twist": Reference.constant(np.zeros(6)), "torque": Reference.constant(self._torque),
         })  # fmt: skip
 

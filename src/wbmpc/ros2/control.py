@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -35,6 +36,10 @@ LOOK, LOOK_AT_GRAPH = 0.02, 0.5
 AHEAD = 0.02
 #: How often young garbage is collected [s]: it takes some 10 µs then, and cycles are rare.
 COLLECT = 1.0
+#: How long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else.
+TURNS = (5e-3, 1e-5)
+#: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
+OFFSET, GAP = 0.5, (0.4, 0.75)
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
@@ -95,6 +100,7 @@ class ControlNode:
             while not ended():
                 self.step()
                 if time.monotonic() - collected > COLLECT:
+                    self.breathe()
                     gc.collect(0)
                     collected = time.monotonic()
                 time.sleep(LOOK)
@@ -180,6 +186,14 @@ class ControlNode:
     def now(self) -> float:
         """Stamp [s] of what is published now."""
         return self.clock.stamp() if isinstance(self.clock, BusClock) else time.time()
+
+    def breathe(self) -> None:
+        """Wait until a tick of the controller is over and the next one is not near: a short piece of work fits in then."""
+        if not self.running or isinstance(self.clock, BusClock):
+            return
+        phase = self.clock.now() / self.period % 1.0
+        if not GAP[0] < phase < GAP[1]:
+            time.sleep((GAP[0] - phase) % 1.0 * self.period)
 
     def stamp_of(self, t: float) -> float:
         """Stamp [s] of a time of the runner's clock."""
@@ -285,6 +299,9 @@ class ControlNode:
             watchdog=watchdog,
             records=_RECORDS,
             keep=pilot.keeps,
+            turns=TURNS,
+            priority=_priority(),
+            offset=OFFSET * self.period,
         )
         self.runner = Runner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
         self.body.arm()
@@ -311,6 +328,7 @@ class ControlNode:
                 self._halt("the time on /clock went back: the simulator was started anew")
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
             self._looked_at_graph = time.monotonic()
+            self.breathe()
             self.inbox.look_for_speeds()
             self.source.look()
             self._look_for_rivals()
@@ -371,6 +389,12 @@ class ControlNode:
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
             "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),
         }  # fmt: skip
+
+
+def _priority() -> int:
+    """Of the control thread: before all others of a process that is in the kernel's real-time class itself."""
+    real_time = os.sched_getscheduler(0) == os.SCHED_FIFO
+    return os.sched_getparam(0).sched_priority + 2 if real_time else 0
 
 
 def _ms(seconds_: float) -> str:

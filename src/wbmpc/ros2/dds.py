@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.core import DDSException, InstanceState, Listener, Policy, ReadCondition, SampleState, ViewState
+from cyclonedds.core import DDSException, InstanceState, Listener, Policy
 from cyclonedds.core import Qos as DdsQos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
@@ -41,8 +41,6 @@ from wbmpc.ros2.network import Network
 _LOG = logging.getLogger("wbmpc")
 idl_types: Any = idl_types_of_package  # its annotations say less than it can do
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-#: How old an answer about the graph may be [s].
-_GRAPH_AGE = 0.05
 #: Of more messages that wait for :meth:`DdsNode.work` the oldest are dropped.
 _MOST_DEFERRED = 100
 #: What stands before the body of a service's messages: client and number.
@@ -96,8 +94,8 @@ class DdsNode:
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
         ]
-        self._known: list[tuple[float, list[Any]]] = [(-np.inf, []), (-np.inf, [])]
-        self._graph_lock = threading.Lock()  # reading the graph takes milliseconds: callbacks do not wait for it
+        self._known: tuple[dict[Any, Any], dict[Any, Any]] = {}, {}
+        self._graph_lock = threading.Lock()  # callbacks do not wait for it
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
         self._announce()
@@ -207,17 +205,18 @@ class DdsNode:
 
     def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
         wanted, found = f"rt{full_name(topic)}", []
-        reader = self._graph[side]
-        alive = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Alive)
         with self._graph_lock:
-            read, samples = self._known[side]
-            if time.monotonic() - read > _GRAPH_AGE:
-                samples = reader.read(N=4096, condition=alive)
-                self._known[side] = time.monotonic(), samples
+            known = self._known[side]
+            # changes only: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs
+            for s in self._graph[side].take(N=4096):
+                if s.sample_info.instance_state == InstanceState.Alive:
+                    known[s.key] = s
+                else:
+                    known.pop(s.key, None)
+            samples = [s for s in known.values() if s.topic_name == wanted]
         for s in samples:
-            if getattr(s, "topic_name", None) == wanted:
-                own = s.participant_key == self._key
-                found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own))
+            own = s.participant_key == self._key
+            found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own))
         return found
 
     def _announce(self) -> None:

@@ -23,6 +23,8 @@ from wbmpc.ros2.settings import RosSettings
 _LOG = logging.getLogger("wbmpc")
 #: How long zeros are sent after the ramp of a stop [s].
 ZEROS = 1.0
+#: Two messages whose stamps differ by less than this [s] are of one moment.
+_TOGETHER = 1e-6
 #: How fast the difference of two machines' clocks may grow [s/s].
 _CLOCK_DRIFT = 1e-4
 
@@ -41,7 +43,7 @@ class BusRobot:
         self._reader = JointReader(pilot.robot, settings)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
-        self._fresh: list[Inertial] = []  # since the joint states that were read last
+        self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self._lock = threading.Lock()
@@ -81,7 +83,7 @@ class BusRobot:
             return
         with self._lock:
             self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
-            self._fresh.append(taken)
+            self._fresh.append((at, taken))
             del self._fresh[:-100]
 
     def _note(self, fault: str) -> None:
@@ -151,16 +153,24 @@ class BusRobot:
         return sample.stamp + self._behind - self.settings.state_age
 
     def _averaged(self, stamp: float) -> Inertial | None:
-        """Of what came since the joint states that were read before: filters integrate it over their interval."""
+        """Of what was measured since the joint states that were read before: filters integrate it over their interval.
+
+        What is stamped later than these joint states is for the next ones, unless the stamps are of another clock.
+        """
         with self._lock:
             if self._read is not None and self._read[0] == stamp:
                 return self._read[1]
-            fresh, self._fresh = self._fresh, []
-            if not fresh:
+            if not self._fresh:
                 return self._inertial[0] if self._inertial is not None else None
-            mean = fresh[0]
-            if len(fresh) > 1:
-                mean = Inertial(*(np.mean([getattr(i, n) for i in fresh], axis=0) for n in ("gyro", "accel")))
+            later = [k for k, (at, _) in enumerate(self._fresh) if at > stamp + _TOGETHER]
+            same_clock = abs(self._fresh[-1][0] - stamp) < self.settings.safety.watchdog
+            end = later[0] if later and same_clock else len(self._fresh)
+            due, self._fresh = [i for _, i in self._fresh[:end]], self._fresh[end:]
+            if not due:
+                return self._inertial[0] if self._inertial is not None else None
+            mean = due[0]
+            if len(due) > 1:
+                mean = Inertial(*(np.mean([getattr(i, n) for i in due], axis=0) for n in ("gyro", "accel")))
             self._read = stamp, mean
             return mean
 

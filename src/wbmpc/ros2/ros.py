@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 import re
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
@@ -34,6 +34,7 @@ class RosNode:
         self.name = name
         self.faults: list[str] = []
         self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
+        self._made: Counter[tuple[str, str]] = Counter()  # publishers and subscriptions of this node by topic
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(name, context=self._context)
@@ -51,6 +52,7 @@ class RosNode:
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
         """A publisher."""
         name, message = full_name(topic), get_message(kind)
+        self._made["publisher", name] += 1
         events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch("subscription", name, e))
         return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
 
@@ -60,6 +62,7 @@ class RosNode:
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on."""
         name = full_name(topic)
+        self._made["subscription", name] += 1
         events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch("publisher", name, e))
 
         def call(message: Any) -> None:
@@ -86,31 +89,38 @@ class RosNode:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """Everybody's publishers of a topic, this node's too."""
-        return [self._endpoint(topic, e) for e in self._node.get_publishers_info_by_topic(full_name(topic))]
+        return self._endpoints("publisher", topic, self._node.get_publishers_info_by_topic(full_name(topic)))
 
     def subscribers(self, topic: str) -> list[Endpoint]:
         """Everybody's subscriptions of a topic, this node's too."""
-        return [self._endpoint(topic, e) for e in self._node.get_subscriptions_info_by_topic(full_name(topic))]
+        return self._endpoints("subscription", topic, self._node.get_subscriptions_info_by_topic(full_name(topic)))
 
-    def _endpoint(self, topic: str, info: Any) -> Endpoint:
-        profile = info.qos_profile
-        qos = Qos(
-            profile.reliability != ReliabilityPolicy.BEST_EFFORT,
-            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-            int(profile.depth or 0),
-        )
-        return Endpoint(full_name(topic), info.topic_type, qos, info.node_name == self.name)
+    def _endpoints(self, side: str, topic: str, infos: list[Any]) -> list[Endpoint]:
+        """Of more endpoints with this node's name than it has itself, some are another node's of the same name."""
+        found, own = [], self._made[side, full_name(topic)]
+        for info in infos:
+            profile = info.qos_profile
+            qos = Qos(
+                profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+                profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+                int(profile.depth or 0),
+            )
+            mine = own > 0 and info.node_name == self.name
+            own -= mine
+            found.append(Endpoint(full_name(topic), info.topic_type, qos, mine))
+        return found
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus. Callbacks have ended when this returns."""
         self._executor.shutdown()
+        self._thread.join(5.0)
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
-        self._thread.join(5.0)
 
     def _mismatch(self, who: str, topic: str, event: Any) -> None:
         asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
-        sentence = f"{topic}: a {who} {asks} ({event.last_policy_kind}); no message will come through"
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        sentence = f"{topic}: a {who} {asks} ({policy}); no message will come through"
         if sentence not in self.faults:
             self.faults.append(sentence)
             _LOG.error("%s", sentence)

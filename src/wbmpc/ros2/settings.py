@@ -12,6 +12,7 @@ from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES
 from wbmpc.experiments.settings import MpcSettings, Settings
 from wbmpc.experiments.swerve_problem import SwerveCost
 from wbmpc.model import RobotModel
@@ -170,10 +171,10 @@ class RosSettings(Settings):
 
 
 class BallSettings(RosSettings):
-    """A ball robot's: torques, its own problem; weights of `rezero-steps`. ``observer``: of constant disturbances."""
+    """A ball robot's: torques, its own problem; rate and weights of `rezero-steps`. ``observer``: of constant disturbances."""
 
     mpc: MpcSettings = RezeroStepsSettings().mpc
-    cost: RezeroCost = RezeroCost()  # type: ignore[assignment]
+    cost: RezeroCost = STEPS_AND_PUSHES  # type: ignore[assignment]
     observer: bool = True
 
 

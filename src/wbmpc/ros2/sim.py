@@ -39,9 +39,10 @@ TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/
 class SimNode:
     """A plant on a bus, at ``rate`` [Hz].
 
-    ``lockstep``: after the first commands a period is simulated only when all commands to its beginning have come, so that
-    nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often it was too slow.
-    A robot that cannot stand by itself is held until the first commands come; only its time goes on.
+    In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
+    have come, so that nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often
+    it was too slow. Stamps say when the physics was sampled, whenever the message goes out: simulated time, by the wall's clock
+    from its beginning on. A robot that cannot stand by itself is held until the first commands come; only its time goes on.
     """
 
     def __init__(
@@ -53,7 +54,6 @@ class SimNode:
         perturbation: Perturbation | None = None,
         *,
         rate: float = 400.0,
-        lockstep: bool = False,
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
@@ -61,8 +61,13 @@ class SimNode:
         self.plant = self.side.plant
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep
-        self.lockstep, self.factor, self.behind, self.ticks = lockstep, factor, 0, 0
-        self.sim_time = settings.use_sim_time or lockstep
+        self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0
+        self.sim_time = settings.use_sim_time or self.lockstep
+        if factor != 1.0 and not self.sim_time:
+            raise InputError(
+                "factor: who runs faster or slower than the wall's clock needs simulated time (use_sim_time)"
+            )
+        self._began = time.time()  # the wall's time at which the simulated one was 0 [s]
         self._groups = self.side.rest()
         self._changed = threading.Condition()
         self._controllers = settings.command_topics(robot)
@@ -131,11 +136,12 @@ class SimNode:
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
-        return BEGIN + self.time if self.sim_time else time.time()
+        return self.time + (BEGIN if self.sim_time else self._began)
 
     def spin(self, ended: Callable[[], bool], seconds: float = np.inf) -> str:
         """Run until ``ended()``, for ``seconds`` of simulated time or until the robot falls; returns why it ended."""
         due = time.perf_counter()
+        self._began = time.time() - self.time
         while not ended():
             if self.time >= seconds:
                 return f"{seconds:g} s are over"
@@ -169,6 +175,7 @@ class SimNode:
             time.sleep(wait)
         elif wait < -LATE:
             self.behind += 1
+            self._began -= wait
             return time.perf_counter()
         return due
 

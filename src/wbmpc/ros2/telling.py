@@ -21,7 +21,8 @@ EVERY = 2
 
 
 class Teller:
-    """Publishes at the rates of the settings by the wall's clock, from the node's own thread."""
+    """Publishes at the rates of the settings by the wall's clock, from the node's own thread: piece by piece, each in the gap
+    between two ticks of the controller, which would wait for the interpreter."""
 
     def __init__(self, node: Node, controller: ControlNode) -> None:
         self.controller = controller
@@ -50,10 +51,12 @@ class Teller:
             due = self._due[key]
             if now >= due[0]:
                 due[0] = max(due[0] + due[1], now)
+                self.controller.breathe()
                 do()
 
     def _send(self, key: str, values: dict[str, Any]) -> None:
         if key in self._to:
+            self.controller.breathe()
             self._to[key].publish(values)
 
     def _odometry(self) -> None:
@@ -93,7 +96,10 @@ class Teller:
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
         base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
-        hand = [self._hand(x) for x in policy.x[nodes]]
+        hand = []
+        for x in policy.x[nodes]:
+            self.controller.breathe()
+            hand.append(self._hand(x))
         for key, poses in (("plan", base), ("hand_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))

@@ -6,11 +6,9 @@ that has died, changes nothing in the run.
 
 from __future__ import annotations
 
-import multiprocessing
-import socket
 import time
+from collections import deque
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -19,19 +17,20 @@ from wbmpc import lie
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
-from wbmpc.mpc.buffer import Board, Mailbox
 from wbmpc.recording.observer import Observer
-from wbmpc.view.process import BOARD, RATE, serve
+from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, fields, filled, ground
-from wbmpc.view.steering import ORDERS, Controls, Steering, no_orders, planar, spatial
+from wbmpc.view.steering import Controls, Steering, no_orders, planar, spatial
+from wbmpc.view.window import Window
 
 Array = np.ndarray
 #: A run that is late by more than this [s] gives up catching up with the clock.
 _LATEST = 0.2
-_START = 60.0
+#: Ticks of which figures are kept.
+_KEPT = 100_000
 
 
-class View:
+class View(Window):
     """A :class:`~wbmpc.loop.Watcher` that shows a run at ``url`` and paces it to the clock.
 
     ``reset``: whether the run can begin anew; ``wants_reset``: whether it ended for that. ``opened(url)`` is called once the
@@ -47,58 +46,20 @@ class View:
         reset: bool = False,
         opened: Callable[[str], None] = lambda url: None,
     ) -> None:
-        if find_spec("viser") is None:
-            raise InputError("view: this needs viser: pip install 'wbmpc[viz]'")
-        if not 0 < port < 65536:
-            raise InputError(f"--port: must be 1 to 65535, got {port}")
-        self.title, self.host, self.port, self.reset, self.opened = title, host, port, reset, opened
-        self.wants_reset = False
-        self._process: Any = None
+        super().__init__(title, host, port, opened)
+        self.reset, self.wants_reset = reset, False
         self._orders = no_orders()
-        #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused.
-        self.own_time: list[float] = []
-        self.lateness: list[float] = []
+        #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
+        self.own_time: deque[float] = deque(maxlen=_KEPT)
+        self.lateness: deque[float] = deque(maxlen=_KEPT)
 
-    @property
-    def url(self) -> str:
-        """Where a browser finds the view."""
-        return f"http://{'localhost' if self.host == '0.0.0.0' else self.host}:{self.port}"
-
-    # ------------------------------------------------------------------ the process
     def open(self, running: Running) -> None:
         """Start the server's process for the world of a run; returns when it answers."""
-        try:  # a process of its own would tell only after its time limit
-            socket.create_server((self.host, 0)).close()
-        except OSError as e:
-            raise InputError(
-                f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
-            ) from e
         scene = Observer(running).scene
         steering = Steering(running, np.zeros(3))
         names = tuple(cost.name for cost in steering.costs)
-        base = "state" in running.mpc.reference
-        controls = Controls(self.title, names, steering.has_legs, base, self.reset)
-        self._snapshots, self._answers = Mailbox.shared(fields(scene)), Mailbox.shared(ORDERS)
-        self._board = Board.shared(BOARD)
-        arguments = (scene.plain(), controls, self._snapshots, self._answers, self._board, self.host, self.port)
-        self._process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
-        self._process.start()
-        deadline = time.monotonic() + _START
-        while not self._board["ready"] and self._process.is_alive() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        if not self._board["ready"]:
-            raise InputError(f"view: the server did not start: {self._board.text or 'no answer'}")
-        self.port = int(self._board["port"])
-        self.opened(self.url)
-
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._board["end"] = 1.0
-            self._process.join(3.0)
-            if self._process.is_alive():
-                self._process.kill()
-            self._process = None
+        controls = Controls(self.title, names, steering.has_legs, "state" in running.mpc.reference, self.reset)
+        self.start(scene, controls, fields(scene))
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
@@ -106,7 +67,7 @@ class View:
         if running.mpc is None:
             raise InputError("view: this run has no MPC; watch its recording: wbmpc replay")
         self.running, self.wants_reset = running, False
-        if self._process is None:
+        if self.process is None:
             self.open(running)
         self._observer = Observer(running)
         velocity = running.plant.description.limits.velocity
@@ -125,7 +86,7 @@ class View:
         self._steering.apply(t, self._orders, self._drift)
         if start >= self._next:
             self._next = start + 1.0 / RATE
-            self._snapshots.write(**self._snapshot(t, plans))
+            self.shown.write(**self._snapshot(t, plans))
         self.own_time.append(time.perf_counter() - start)
         self._wait(t, plans)
 
@@ -152,7 +113,7 @@ class View:
 
     def _pause(self, t: float, plans: Plans) -> None:
         while self._orders["paused"] and int(self._orders["steps"]) == self._steps:
-            if not self._process.is_alive():
+            if not self.process.is_alive():
                 self._orders["paused"][...] = 0.0  # nobody could ever let go again
                 return
             if self.running.interrupted():
@@ -160,11 +121,11 @@ class View:
             time.sleep(0.02)
             self._take_orders()
             self._steering.apply(t, self._orders, self._drift)
-            self._snapshots.write(**self._snapshot(t, plans))
+            self.shown.write(**self._snapshot(t, plans))
         self._steps = int(self._orders["steps"])
 
     def _take_orders(self) -> None:
-        message = self._answers.read()
+        message = self.orders.read()
         if message is None:
             return
         self._orders = message.values
@@ -184,7 +145,7 @@ class View:
         numbers = {
             "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": running.mpc.solve_time,
             "deadline": running.mpc.period, **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
-            "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0),
+            "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0), "late": np.nan,
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,

@@ -62,11 +62,12 @@ class Panel:
     def _run(self) -> None:
         gui = self.server.gui
         with gui.add_folder("Run"):
-            pause = gui.add_checkbox("Pause", False)
-            pause.on_update(lambda _: self._send(paused=float(pause.value)))
-            self._button("Single step", "steps")
-            speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
-            speed.on_update(lambda _: self._send(speed=speed.value))
+            if self.controls.paced:
+                pause = gui.add_checkbox("Pause", False)
+                pause.on_update(lambda _: self._send(paused=float(pause.value)))
+                self._button("Single step", "steps")
+                speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
+                speed.on_update(lambda _: self._send(speed=speed.value))
             if self.controls.reset:
                 self._button("Reset", "resets")
             self._button("End the run", "ends")
@@ -80,6 +81,8 @@ class Panel:
                 group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
                 brakes = gui.add_checkbox("Brakes open", False)
                 brakes.on_update(lambda _: self._click("brake_clicks", brakes_open=float(brakes.value)))
+        if not self.controls.pushes:
+            return
         with gui.add_folder("Push"):
             force = gui.add_slider("Force [N]", 0.0, 300.0, 5.0, 60.0)
             angle = gui.add_slider("Direction [deg]", -180.0, 180.0, 5.0, 0.0)
@@ -127,11 +130,13 @@ class Panel:
         self._rows: deque[Array] = deque(maxlen=_SAMPLES)
         self._count, empty = 0, np.zeros(1)
         line = lambda label, colour: uplot.Series(label=label, stroke=colour, width=1.5)
-        figures = {
+        figures: dict[str, tuple[tuple[str, str, float], ...]] = {
             "Hand error [mm]": (("error", "#d1495b", 1e3),),
             "Solve time and deadline [ms]": (("solve", "#1f5fa8", 1e3), ("deadline", "#b7791f", 1e3)),
             "Largest joint speed / limit": (("speed", "#2a9d6f", 1.0),),
         }
+        if not self.controls.paced:
+            figures["Tick begins late [ms]"] = (("late", "#8a5fbf", 1e3),)
         self._figures = []
         with self.server.gui.add_folder("Plots"):
             for title, lines in figures.items():

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 from wbmpc.mpc.buffer import Board, Mailbox
@@ -15,27 +16,32 @@ from wbmpc.plant.scene import Scene
 RATE = 30.0
 #: What the process (``ready``, ``port``) and the run (``end``) tell each other.
 BOARD = ("ready", "port", "end")
+#: Makes, in this process, what turns messages into snapshots.
+Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
 
 
 def serve(
-    scene: dict[str, Any], controls: Any, snapshots: Mailbox, orders: Mailbox, board: Board, host: str, port: int
-) -> None:
+    scene: dict[str, Any], controls: Any, shown: Mailbox, orders: Mailbox, board: Board, host: str, port: int,
+    drawer: Drawer | None,
+) -> None:  # fmt: skip
     """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
     parent = os.getppid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which then says ``end``
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
     try:
+        draw = None if drawer is None else drawer()
         stage, panel = _open(Scene.of_plain(scene), controls, orders, host, port)
     except Exception as error:
         board.text = f"{type(error).__name__}: {error}"
         return
     board["port"], board["ready"] = stage.server.get_port(), 1.0
     while not board["end"] and os.getppid() == parent:
-        message = snapshots.read()
+        message = shown.read()
         if message is not None:
-            stage.show(message.values)
-            panel.show(message.values)
-            stage.follow(message.values["poses"], panel.follows)
+            snapshot = message.values if draw is None else draw(message.values)
+            stage.show(snapshot)
+            panel.show(snapshot)
+            stage.follow(snapshot["poses"], panel.follows)
         time.sleep(1.0 / RATE)
     stage.server.stop()
 

@@ -39,6 +39,10 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
     moments = np.array([start]) if kind == ".png" else np.arange(start, end + 1e-9, speed / RATES[kind])
     pictures = _pictures(film, moments, size)
     first = next(pictures)  # whether there are graphics at all shows before a file is begun
+    existed = path.exists()
+    path.open("ab").close()  # and whether it can be written, before all is drawn
+    if not existed:
+        path.unlink()
     import imageio.v3 as imageio
 
     if kind == ".png":

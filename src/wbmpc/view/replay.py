@@ -181,12 +181,12 @@ def write_page(film: Film, path: Path, port: int) -> None:
 
     server = viser.ViserServer(host="127.0.0.1", port=port, label=film.recording.title, verbose=False)
     try:
-        stage, serializer = Stage(server, film.scene), None
+        stage, serializer = Stage(server, film.scene, carried=True), None
         for t in np.arange(film.times[0], film.times[-1] + 1e-9, 1.0 / PAGE_RATE):
             s = film.snapshot(float(t))
             stage.show(s)
+            stage.follow(s["poses"])
             if serializer is None:
-                stage.follow(s["poses"])
                 serializer = server.get_scene_serializer()
             serializer.insert_sleep(1.0 / PAGE_RATE)
         assert serializer is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,45 +16,101 @@ from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
 from wbmpc.loop import Ending, Timing, Watch, run_lockstep
 from wbmpc.model import RobotModel, load_robot
+from wbmpc.mpc import MPC, RealTime, Runner, WallClock
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant, SwervePlant
 from wbmpc.robots import BallBaseDescription, SwerveBaseDescription
+from wbmpc.view.departure import Departure
 from wbmpc.view.live import View
+from wbmpc.view.physics import Simulated
+from wbmpc.view.realtime import RealtimeView
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
 _CONTROL, _LAG = 400.0, 0.020
+#: A machine that draws pictures beside it may hold the controller up for so long [s] without a stop.
+_PATIENT = 0.5
 #: A session ends by itself after this long [s].
 LONGEST = 24 * 3600.0
 #: Legs pull harder than in tracking: their configuration is asked for, not left over.
 _LEG_WEIGHT = 20.0
 
 
-def run_session(robot_name: str, seed: int, view: View) -> Ending:
-    """Run until the user ends it. A reset, or a fall, begins anew.
-
-    Raises :class:`InputError` for a robot whose base has no plant.
-    """
-    robot = load_robot(robot_name)
+def kind_of(robot: RobotModel) -> Callable[[RobotModel, int], tuple[Any, Any, MPC, Timing]]:
+    """Makes plant, agent, MPC and timing of a robot from a seed. Raises :class:`InputError` for bases that have no plant."""
     base = robot.description.base
     kinds: dict[type, Callable[..., Any]] = {SwerveBaseDescription: _swerve, BallBaseDescription: _ball}
     if type(base) not in kinds:
-        raise InputError(f"view: '{robot_name}' has a base of type '{base.type}'; valid: swerve, ball")
+        raise InputError(f"view: '{robot.description.name}' has a base of type '{base.type}'; valid: swerve, ball")
+    return kinds[type(base)]
+
+
+def run_session(robot_name: str, seed: int, view: View) -> Ending:
+    """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, begins anew."""
+    robot = load_robot(robot_name)
+    make = kind_of(robot)
     while True:
-        plant, agent, mpc, timing = kinds[type(base)](robot, seed)
+        plant, agent, mpc, timing = make(robot, seed)
         watch = Watch(None, (view,))
         ending = run_lockstep(plant, agent, mpc, timing, LONGEST, lambda t, command, plans: None, watch)
         if not (view.wants_reset or ending.fell):
             return ending
 
 
+def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
+    """Run the real-time runner on a simulated robot, which has a process of its own, until the user ends it; returns why.
+
+    A reset, or a fall, begins anew. Nothing waits for anybody here: controller, MPC, physics and view go by the clock.
+    """
+    while True:
+        runner, robot = runner_of(robot_name, seed, view)
+        try:
+            reason = view.follow(runner)
+        finally:
+            robot.close()
+        if not (view.wants_reset or robot.board["fell"]):
+            return reason
+
+
+def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[Runner, Simulated]:
+    """A runner on a simulated robot, shown and steered by ``view``, which is opened if it is not open yet."""
+    robot = load_robot(robot_name)
+    make = kind_of(robot)
+    # the agent's model is the first MPC: the memory of the runner's own belongs to its thread
+    (plant, agent, model, timing), (_, _, mpc, _) = make(robot, seed), make(robot, seed)
+    clock = WallClock()
+    simulated = Simulated(partial(_plant_of, robot_name, seed), plant.measure(), agent.stop(), clock, None)
+    if view.process is None:
+        view.open(mpc, simulated.seen)
+    view.guide(mpc, agent, simulated.push)
+    slices, memory = model.solver.problem.constant.slices, model.solver.ws.w
+    times = RealTime(
+        1.0 / timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
+        keep=isinstance(robot.description.base, BallBaseDescription),
+    )  # fmt: skip
+    parameters = lambda: memory[slices["parameters"]]
+    return Runner(simulated, agent, mpc, times, clock, parameters=parameters, watch=view.watch), simulated
+
+
+def _plant_of(robot_name: str, seed: int) -> RezeroPlant | SwervePlant:
+    return _plant(load_robot(robot_name), seed)
+
+
+def _plant(robot: RobotModel, seed: int) -> RezeroPlant | SwervePlant:
+    """The simulated robot at home, perturbed against the model."""
+    if isinstance(robot.description.base, BallBaseDescription):
+        home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+        return RezeroPlant(robot.description, home, torque, None, seed)
+    return SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
+
+
 def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     settings = MpcSettings(horizon=4.0, intervals=40)
-    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)))
+    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)), Departure(robot))
     position, orientation = robot.pose(robot.home)
     mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
-    plant = SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
+    plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
     agent = SwerveAgent(robot, plant.truth().pose, timing.period, lag=_LAG)
     mpc.reset(robot.home)
@@ -66,7 +123,7 @@ def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
-    plant = RezeroPlant(robot.description, home, torque, None, seed)
+    plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
     agent = RezeroAgent(robot, mpc, torque, timing.period, _LAG)
     mpc.reset(home, torque)

@@ -17,7 +17,13 @@ REFERENCE, PLAN, CONTACTS = 200, 31, 8
 ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit;
 #: ``margin``, ``triangle_margin``: of the point of pressure inside the support polygon and the active triangle.
-NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin", "triangle_margin")
+#: ``late``: by how much a tick of a real-time run began late.
+NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin", "triangle_margin", "late")
+#: Shapes of what :func:`ground` finds.
+GROUND: dict[str, tuple[int, ...]] = {
+    "forces": (CONTACTS, 2, 3), "support": (CONTACTS, 3), "triangle": (3, 3), "pressure": (3,), "margin": (),
+    "triangle_margin": (),
+}  # fmt: skip
 
 
 def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
@@ -28,10 +34,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         "reference": (REFERENCE, 3),
         "hand_plan": (PLAN, 3),
         "base_plan": (PLAN, 3),
-        "support": (CONTACTS, 3),
-        "triangle": (3, 3),
-        "pressure": (3,),
-        "forces": (CONTACTS, 2, 3),
+        **{name: GROUND[name] for name in ("forces", "support", "triangle", "pressure")},
         "goal": (7,),
         "base_goal": (3,),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,19 +20,30 @@ REFERENCE, HAND, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE = (
 _THICKNESS = 0.008
 #: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
 CAMERA, FOLLOW = np.array([1.9, 2.3, 1.5]), 0.02
+#: How long a new browser's camera is left alone [s].
+_SETTLING = 1.5
 
 
 class Stage:
-    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server."""
+    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server.
 
-    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
+    ``carried``: the world moves, so that the robot stays where it is: for pages, whose cameras nobody can move.
+    """
+
+    def __init__(self, server: viser.ViserServer, scene: Scene, carried: bool = False) -> None:
         self.server, self.scene = server, scene
         server.scene.set_up_direction("+z")
-        server.scene.add_grid("/floor", 40.0, 40.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001))
-        self._bodies = [server.scene.add_frame(f"/bodies/{b.name}", show_axes=False) for b in scene.bodies]
+        self._map = server.scene.add_frame("/map", show_axes=False) if carried else None
+        self._root = "/map" if carried else ""
+        server.scene.add_grid(
+            f"{self._root}/floor", 60.0, 60.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001)
+        )
+        self._bodies = [server.scene.add_frame(f"{self._root}/bodies/{b.name}", show_axes=False) for b in scene.bodies]
         for i, shape in enumerate(scene.shapes):
             self._shape(i, shape)
         self._followed: Array | None = None
+        #: By browser: where the robot was when its camera was moved last, and from when on it may be moved [s].
+        self._cameras: dict[int, tuple[Array, float]] = {}
         self._light()
         self._lines: dict[str, Any] = {}
         self._shown: dict[str, Array] = {}
@@ -42,7 +54,7 @@ class Stage:
         mesh = _mesh(shape)
         if mesh is None:
             return
-        parent = "/world" if shape.body == "world" else f"/bodies/{shape.body}"
+        parent = f"{self._root}/world" if shape.body == "world" else f"{self._root}/bodies/{shape.body}"
         pose = np.array(shape.pose)
         self.server.scene.add_mesh_simple(
             f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.colour[:3]),
@@ -57,22 +69,38 @@ class Stage:
         scene.add_light_directional("/light/sun", intensity=2.2, position=(2.0, -3.0, 5.0))
 
     def follow(self, poses: Array, on: bool = True) -> None:
-        """Move every camera by as much as the robot has moved along the floor since it was followed last; ``poses`` (n, 7)."""
-        place = poses[self.scene.index, :3]
+        """Move every camera by as much as the robot has moved along the floor since it was moved last; ``poses`` (n, 7).
+
+        A browser that has just come is given its camera, and a moment to take it, before it is moved.
+        """
+        place = poses[self.scene.index, :3] * [1.0, 1.0, 0.0]
+        camera = self.server.initial_camera
         if self._followed is None:
-            self.server.initial_camera.position = tuple(place + camera_offset(poses, self.scene.index))
-            self.server.initial_camera.look_at = tuple(place)
-            self._followed = place.copy()
-        moved = (place - self._followed) * [1.0, 1.0, 0.0]
-        if np.linalg.norm(moved) < FOLLOW:
-            return
-        self._followed = place.copy()
-        self.server.initial_camera.position = tuple(np.array(self.server.initial_camera.position) + moved)
-        self.server.initial_camera.look_at = tuple(np.array(self.server.initial_camera.look_at) + moved)
-        for client in self.server.get_clients().values() if on else ():
-            with client.atomic():
-                position, target = client.camera.position + moved, client.camera.look_at + moved
-                client.camera.position, client.camera.look_at = position, target
+            where = poses[self.scene.index, :3]
+            camera.position, camera.look_at = tuple(where + camera_offset(poses, self.scene.index)), tuple(where)
+            self._followed = place
+        if self._map is not None:
+            self._map.position = tuple(self._followed - place)
+        elif _far(place - self._followed):
+            moved, self._followed = place - self._followed, place
+            camera.position = tuple(np.array(camera.position) + moved)
+            camera.look_at = tuple(np.array(camera.look_at) + moved)
+        clients, now = self.server.get_clients(), time.monotonic()
+        self._cameras = {i: c for i, c in self._cameras.items() if i in clients}
+        for i, client in clients.items():
+            if i not in self._cameras:
+                with client.atomic():
+                    client.camera.position, client.camera.look_at = np.array(camera.position), np.array(camera.look_at)
+                self._cameras[i] = (self._followed, now + _SETTLING)
+            followed, ready = self._cameras[i]
+            if not on:
+                self._cameras[i] = (place, ready)
+            elif now > ready and _far(place - followed):
+                with client.atomic():
+                    moved = place - followed
+                    position, target = client.camera.position + moved, client.camera.look_at + moved
+                    client.camera.position, client.camera.look_at = position, target
+                self._cameras[i] = (place, ready)
 
     def show(self, s: Mapping[str, Array]) -> None:
         """Draw a snapshot; only what has changed is sent."""
@@ -115,7 +143,11 @@ class Stage:
             if len(segments):
                 self._lines[name].points = segments
         elif len(segments):
-            self._lines[name] = add(f"/over/{name}", segments, colour, **style)
+            self._lines[name] = add(f"{self._root}/over/{name}", segments, colour, **style)
+
+
+def _far(moved: Array) -> bool:
+    return float(np.linalg.norm(moved)) >= FOLLOW
 
 
 def camera_offset(poses: Array, robot: int) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.loop import Running
+from wbmpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
 
 Array = np.ndarray
@@ -40,13 +41,16 @@ def no_orders() -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Controls:
-    """What there is to control: a title, names of weights, whether legs, a base goal, a reset."""
+    """What there is to control: a title, names of weights, whether legs, a base goal, a reset; ``paced``: whether time can be
+    held, ``pushes``: whether somebody can push."""
 
     title: str
     weights: tuple[str, ...]
     legs: bool
     base: bool
     reset: bool
+    paced: bool = True
+    pushes: bool = True
 
 
 class Steering:
@@ -58,12 +62,17 @@ class Steering:
         self._weights = np.ones(MOST_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
-        self.costs = [t for t in self.mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
+        self.costs, self.has_legs = self.costs_of(self.mpc), self.legs_of(self.mpc)
 
-    @property
-    def has_legs(self) -> bool:
+    @staticmethod
+    def costs_of(mpc: MPC) -> list[Cost]:
+        """The costs whose weights can be changed."""
+        return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
+
+    @staticmethod
+    def legs_of(mpc: MPC) -> bool:
         """Whether there are four passive legs with brakes that the problem knows as modes."""
-        d = self.mpc.ocp.dynamics
+        d = mpc.ocp.dynamics
         return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
 
     def skip(self, orders: dict[str, Array]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -14,11 +15,16 @@ import numpy as np
 from wbmpc.errors import RunAborted
 from wbmpc.mpc import WallClock
 from wbmpc.mpc.buffer import Board, Mailbox
+from wbmpc.plant.scene import SceneReader
+from wbmpc.view.process import RATE
+from wbmpc.view.snapshot import GROUND, ground
 
 #: What the physics tells: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
 NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
 #: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
 LOOK, EVERY = 1e-3, 10
+#: What the physics shows: pose of the base, and what acts between robot and floor, all in the world.
+SEEN = {"base": (7,), **GROUND}
 #: Physics that is later than this [s] lets the time go, and counts it.
 PATIENCE = 0.05
 
@@ -59,8 +65,10 @@ class Simulated:
     ) -> None:
         self.clock, self._stop, self._kind = clock, stop, type(measurement)
         self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
+        self.pushes, self.seen = Mailbox.shared({"force": (3,)}), Mailbox.shared(SEEN)
         self.board, self._started, self._measured = Board.shared(NUMBERS, RECORDS, record), False, measurement
-        arguments = (make, type(stop), self.measurements, self.commands, self.board, core, fifo)
+        boxes = (self.measurements, self.commands, self.pushes, self.seen)
+        arguments = (make, type(stop), boxes, self.board, core, fifo)
         self.process = multiprocessing.get_context("spawn").Process(target=simulate, args=arguments, daemon=True)
         self.process.start()
         while not self.board["ready"]:
@@ -90,6 +98,10 @@ class Simulated:
         if self._started:
             self.commands.write(**values(self._stop))
 
+    def push(self, force: np.ndarray) -> None:
+        """A force (3) [N] on the base in world axes from now on."""
+        self.pushes.write(force=force)
+
     def close(self) -> None:
         """End the process."""
         self.board["end"] = 1.0
@@ -104,20 +116,25 @@ class Simulated:
 def simulate(
     make: Callable[[], Any],
     kind: type,
-    measurements: Mailbox,
-    commands: Mailbox,
+    boxes: tuple[Mailbox, ...],
     board: Board,
     core: int | None,
     fifo: bool,
 ) -> None:
-    """The process: physics as fast as the wall clock, a measurement at every look."""
+    """The process: physics as fast as the wall clock, a measurement at every look; until the runner's process ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the runner, which then ends this
+    parent, (measurements, commands, pushes, seen) = os.getppid(), boxes
     if core is not None:
         os.sched_setaffinity(0, {core})
     if fifo:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))  # after controller and MPC
     plant, clock, command, offset, looks = make(), WallClock(origin=0.0, spin=0.0), None, 0.0, 0
-    due = clock.now()
-    while not board["end"]:
+    due, shown = clock.now(), -np.inf
+    reader = SceneReader(plant.model, plant.description.base.body)
+    while not board["end"] and os.getppid() == parent:
+        push = pushes.read()
+        if push is not None:
+            plant.push(push.values["force"])
         message = commands.read()
         if message is not None:
             offset = clock.now() - plant.time if command is None else offset
@@ -137,9 +154,16 @@ def simulate(
         measurements.write(**measured)
         if command is not None and looks % EVERY == 0:
             _record(plant, board, measured["time"])
+        if now - shown > 1.0 / RATE:
+            shown = now
+            _show(plant, reader, seen)
         board["ready"] = 1.0
         looks, due = looks + 1, max(due + LOOK, clock.now())
         clock.wait(due)
+
+
+def _show(plant: Any, reader: SceneReader, seen: Mailbox) -> None:
+    seen.write(base=reader.poses(plant.data)[reader.scene.index], **ground(reader.contacts(plant.data)))
 
 
 def _record(plant: Any, board: Board, time: float) -> None:

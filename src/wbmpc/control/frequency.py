@@ -1,0 +1,56 @@
+"""The ball robot's controller for a frequency-aware MPC: the filters' states go along with what acts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from wbmpc.control.rezero import RezeroAgent
+from wbmpc.mpc import FilterMemory, Observation, Plans, Policy
+from wbmpc.plant import RezeroCommand
+
+
+class FrequencyAwareAgent(RezeroAgent):
+    """A :class:`RezeroAgent` whose policies decide what filters make of the torques (:func:`wbmpc.ocp.frequency_aware`)."""
+
+    def __init__(self, robot: Any, mpc: Any, torque: np.ndarray, *more: Any) -> None:
+        super().__init__(robot, mpc, torque, *more)
+        self.memory = FilterMemory(mpc.ocp.dynamics, torque)
+
+    def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        # with its filters at rest for u the wrapped model holds u, as the drives do
+        return self.mpc.solver.simulate(*self.memory.dynamics.equilibrium(x, u), h)[: x.size]
+
+    def _torques_of(self, policy: Policy, memory: FilterMemory, t: float, x: np.ndarray) -> np.ndarray:
+        return memory.input(policy(t, memory.state(x)))[: self.limit.size]
+
+    def predict(self, t: float, until: float, plans: Plans) -> Observation:
+        """State and filters at time ``until`` under the policies that will be in force, through the drives' lag."""
+        x, torque, memory = self.state(), self._torques[-1], self.memory.copy()
+        for k in range(round((until - t) / self.period)):
+            now = t + k * self.period
+            policy = plans.at(now)
+            if policy is None:
+                break
+            wanted = self._possible(self._torques_of(policy, memory, now, x))
+            memory.advance(wanted, self.period)
+            torque = torque + self._blend * (wanted - torque)
+            x = self._step(x, torque, self.period)
+        return memory.observation(until, x)
+
+    def command(self, t: float, plans: Plans) -> RezeroCommand:
+        """Torques of the feedback policy at the predicted present state; the filters take in what is sent."""
+        assert plans.current is not None
+        if self.forecast is not None:
+            self.forecast.look(plans.current)
+        x = self.state()
+        self.feedforward = self.memory.dynamics.acting(
+            plans.current.state(t)[x.size :], plans.current.feedforward(t)
+        )[: self.limit.size]  # fmt: skip
+        self.wanted = self._torques_of(plans.current, self.memory, t, x)
+        torque = self._possible(self.wanted)
+        self.clamped = bool(np.any(torque != self.wanted))
+        self.memory.advance(torque, self.period)
+        self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
+        return RezeroCommand(torque)

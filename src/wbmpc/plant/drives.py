@@ -1,0 +1,84 @@
+"""Series elastic drives: a rotor, a spring and a torque loop between the command and the joint.
+
+The rotor (inertia J reflected to the joint) turns at θ̇ against the housing, the joint at ψ̇; the spring between them has the
+twist δ = θ − ψ:
+
+    J θ̈ = τ_m − τ_s,    τ_s = k δ + d (θ̇ − ψ̇),    τ_m = τ_d + g (τ_d − k δ) − c (θ̇ − ψ̇),
+
+τ_s acts on the joint. The same as two collinear hinges, rotor and spring, in MuJoCo; here without their joints, so that it also
+fits drives that act on a ball joint. As in MuJoCo's ``armature`` the rotor's reaction on the housing is left out: with a gear
+of ratio n it is 1 / n of the reflected torque.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+#: What the motors can give, over the drive's limit: head room for the torque loop (assumed).
+HEAD_ROOM = 2.0
+
+
+class ElasticDrives:
+    """Drives side by side; every argument has one entry per drive.
+
+    ``stiffness`` k [N m/rad], ``rotor`` J [kg m²]. With the joint held, ``spring_damping`` is the damping ratio of the rotor on
+    its spring without a loop, which gives d; ``gain`` g and ``loop_damping`` (ratio that the loop adds to that of the spring,
+    which gives c) are the torque loop's. ``limit`` [N m] cuts the wanted torques, ``lag`` [s] is their first-order lag,
+    ``timestep`` [s] that of the physics: the loop runs once a step. Raises :class:`InputError` for a spring without a rotor.
+    """
+
+    def __init__(
+        self,
+        stiffness: ArrayLike,
+        rotor: ArrayLike,
+        spring_damping: float,
+        gain: float,
+        loop_damping: float,
+        limit: ArrayLike,
+        lag: ArrayLike,
+        timestep: float,
+    ) -> None:
+        self.stiffness, self.rotor = np.asarray(stiffness, float), np.asarray(rotor, float)
+        if not ((self.stiffness > 0.0).all() and (self.rotor > 0.0).all()):
+            raise InputError(
+                "elastic drives: stiffness and rotor inertia must be positive (plant.wheel_rotor, .arm_rotor)"
+            )
+        self.gain, self.limit, self._h = gain, np.asarray(limit, float), timestep
+        self.damping = 2.0 * spring_damping * np.sqrt(self.stiffness * self.rotor)
+        self.loop_damping = 2.0 * loop_damping * np.sqrt(self.stiffness * (1.0 + gain) * self.rotor)
+        lags = np.asarray(lag, float)
+        self._blend = np.where(lags > 0.0, 1.0 - np.exp(-timestep / np.where(lags > 0.0, lags, 1.0)), 1.0)
+        steps = [self._exact(k, j, d) for k, j, d in zip(self.stiffness, self.rotor, self.damping, strict=True)]
+        self._step = np.array(steps).reshape(-1, 2, 4)
+        self.reset(np.zeros(self.stiffness.size), np.zeros(self.stiffness.size))
+
+    def _exact(self, k: float, j: float, d: float) -> Array:
+        """One step of (δ, θ̇) for held (τ_m, ψ̇), (2, 4): the exponential of the linear equations."""
+        a, b = np.array([[0.0, 1.0], [-k / j, -d / j]]), np.array([[0.0, -1.0], [1.0 / j, d / j]])
+        whole = scipy.linalg.expm(self._h * np.block([[a, b], [np.zeros((2, 4))]]))
+        return np.asarray(whole[:2])
+
+    def reset(self, torque: ArrayLike, speed: ArrayLike) -> None:
+        """Springs wound up for ``torque`` (n) [N m], rotors at the joints' speed (n) [rad/s]."""
+        self.wanted, self.speed = np.array(torque, float), np.array(speed, float)
+        self.twist = self.wanted / self.stiffness
+        self.torque = self.wanted.copy()
+
+    def step(self, command: ArrayLike, speed: ArrayLike) -> Array:
+        """Torques (n) [N m] on the joints over the next step, for commands (n) and the joints' speeds (n) [rad/s] now."""
+        joint = np.asarray(speed, float)
+        self.wanted += self._blend * (np.clip(command, -self.limit, self.limit) - self.wanted)
+        before = self.stiffness * self.twist
+        relative = self.speed - joint
+        motor = self.wanted + self.gain * (self.wanted - before) - self.loop_damping * relative
+        motor = np.clip(motor, -HEAD_ROOM * self.limit, HEAD_ROOM * self.limit)
+        self.twist, self.speed = np.einsum("nij,jn->in", self._step, np.array([self.twist, self.speed, motor, joint]))
+        # the mean over the step: what acts is not half a step old
+        spring = 0.5 * (before + self.stiffness * self.twist)
+        self.torque = spring + 0.5 * self.damping * (relative + self.speed - joint)
+        return self.torque

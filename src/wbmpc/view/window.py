@@ -1,0 +1,65 @@
+"""The process that shows a run: how it is started and ended. What it draws comes over a mailbox, orders go back over another."""
+
+from __future__ import annotations
+
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+from wbmpc.errors import InputError
+from wbmpc.mpc.buffer import Board, Fields, Mailbox
+from wbmpc.plant.scene import Scene
+from wbmpc.view.process import BOARD, Drawer, serve
+from wbmpc.view.steering import ORDERS, Controls
+
+_START = 60.0
+
+
+class Window:
+    """A view at ``url``. ``opened(url)`` is called once the server answers; no browser is waited for."""
+
+    def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None]) -> None:
+        if find_spec("viser") is None:
+            raise InputError("view: this needs viser: pip install 'wbmpc[viz]'")
+        if not 0 < port < 65536:
+            raise InputError(f"--port: must be 1 to 65535, got {port}")
+        self.title, self.host, self.port, self.opened = title, host, port, opened
+        self.process: Any = None
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the view."""
+        return f"http://{'localhost' if self.host == '0.0.0.0' else self.host}:{self.port}"
+
+    def start(self, scene: Scene, controls: Controls, shown: Fields, drawer: Drawer | None = None) -> None:
+        """Start the server's process; returns when it answers. ``shown``: shapes of the messages that are drawn;
+        ``drawer``: called there, makes what turns such messages into snapshots (left out: they are snapshots)."""
+        try:  # a process of its own would tell only after its time limit
+            socket.create_server((self.host, 0)).close()
+        except OSError as e:
+            raise InputError(
+                f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
+            ) from e
+        self.shown, self.orders, self.board = Mailbox.shared(shown), Mailbox.shared(ORDERS), Board.shared(BOARD)
+        arguments = (scene.plain(), controls, self.shown, self.orders, self.board, self.host, self.port, drawer)
+        self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
+        self.process.start()
+        deadline = time.monotonic() + _START
+        while not self.board["ready"] and self.process.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if not self.board["ready"]:
+            raise InputError(f"view: the server did not start: {self.board.text or 'no answer'}")
+        self.port = int(self.board["port"])
+        self.opened(self.url)
+
+    def close(self) -> None:
+        """End the process."""
+        if self.process is not None:
+            self.board["end"] = 1.0
+            self.process.join(3.0)
+            if self.process.is_alive():
+                self.process.kill()
+            self.process = None

@@ -1,0 +1,130 @@
+"""Elastic drives, dead time. Truth: two collinear hinges in MuJoCo (armature, spring); SciPy's frequency response; statics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import scipy.signal
+
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot
+from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
+from wbmpc.plant.drives import ElasticDrives
+
+STEP = 5e-4
+K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
+ROBOT = load_robot("rezero")
+HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+
+
+def drives(n: int = 1, limit: float = 1e3, lag: float = 0.0, step: float = STEP) -> ElasticDrives:
+    each = np.ones(n)
+    return ElasticDrives(K * each, J * each, ZETA, GAIN, LOOP, limit * each, lag * each, step)
+
+
+def hinges(load: float, elastic: bool, timestep: float = STEP) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A load on a hinge; ``elastic``: behind a rotor (armature of a first hinge) and a spring (the second hinge)."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = timestep, [0, 0, 0]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    body = spec.worldbody.add_body(name="load", explicitinertial=True, mass=1.0, ipos=[0, 0, 0], inertia=[load] * 3)
+    if elastic:
+        body.add_joint(name="motor", axis=[0, 0, 1], armature=J)
+        body.add_joint(name="spring", axis=[0, 0, 1], stiffness=[K, 0, 0], damping=[2 * ZETA * np.sqrt(K * J), 0, 0])
+    else:
+        body.add_joint(name="motor", axis=[0, 0, 1])
+    spec.add_actuator(name="motor", target="motor", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+def test_against_two_collinear_hinges() -> None:
+    """A step and a sine into a load of the ball's size: its speed, the same within a hundredth of its largest."""
+    command = lambda t: 2.0 + np.sin(60.0 * t)
+    fine = STEP / 10
+    model, data = hinges(0.04, elastic=True, timestep=fine)
+    loop = 2.0 * LOOP * np.sqrt(K * (1.0 + GAIN) * J)
+    truth = []
+    for i in range(6000):
+        t = fine * i
+        wanted, spring = command(STEP * (i // 10)), -K * data.qpos[1]
+        data.ctrl[0] = wanted + GAIN * (wanted - spring) + loop * data.qvel[1]
+        mujoco.mj_step(model, data)
+        if i % 10 == 9:
+            truth.append(data.qvel.sum())
+    model, data = hinges(0.04, elastic=False)
+    ours, drive = [], drives()
+    for i in range(600):
+        t = STEP * i
+        data.ctrl[0] = drive.step([command(t)], data.qvel)[0]
+        mujoco.mj_step(model, data)
+        ours.append(data.qvel[0])
+    assert np.abs(np.array(ours) - truth).max() < 0.01 * np.abs(truth).max()
+    assert drive.torque[0] != pytest.approx(command(STEP * 599), rel=0.01)  # it is not a rigid drive
+
+
+@pytest.mark.parametrize("hertz", [3.0, 14.0, 40.0])
+def test_frequency_response_with_the_joint_held(hertz: float) -> None:
+    step, omega = 1e-4, 2 * np.pi * hertz  # fine: the loop's own sampling is not in the truth
+    drive, seen = drives(2, step=step), []
+    for i in range(round(2.0 / step)):
+        seen.append(drive.step(np.full(2, np.sin(omega * step * i)), np.zeros(2))[0])
+    t = step * (np.arange(len(seen)) + 0.5)
+    late = t > 1.0
+    fit = np.linalg.lstsq(
+        np.array([np.sin(omega * t[late]), np.cos(omega * t[late])]).T, np.array(seen)[late], rcond=None
+    )
+    d, c = 2 * ZETA * np.sqrt(K * J), 2 * LOOP * np.sqrt(K * (1 + GAIN) * J)
+    _, (response,) = scipy.signal.freqs([d * (1 + GAIN), K * (1 + GAIN)], [J, d + c, K * (1 + GAIN)], [omega])
+    assert np.hypot(*fit[0]) == pytest.approx(abs(response), rel=0.02)
+
+
+def test_limits_and_lag() -> None:
+    drive = drives(1, limit=3.0, lag=0.02)
+    for _ in range(round(0.02 / STEP)):
+        drive.step([5.0], [0.0])
+    assert drive.wanted[0] == pytest.approx(3.0 * (1.0 - np.exp(-1.0)))
+    for _ in range(round(2.0 / STEP)):
+        drive.step([5.0], [0.0])
+    assert drive.torque[0] == pytest.approx(3.0, rel=1e-6)
+
+
+def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
+    """Statics: at the equilibrium's torques the springs are wound up from the start, and the arm stays."""
+    elastic = Perturbation.none(
+        drive_lag=0.0, wheel_spring=40.0, arm_spring=300.0, wheel_rotor=0.01, arm_rotor=0.05, torque_gain=1.0
+    )
+    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic)
+    plant.step(RezeroCommand(TORQUE), 50)
+    np.testing.assert_allclose(plant.torque, TORQUE, atol=0.03)  # the ball sinks a little into the floor
+    np.testing.assert_allclose(plant.state()[5:8], HOME[5:8], atol=1e-4)
+
+
+def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
+    elastic = Perturbation.none(drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
+    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic)
+    command = RezeroCommand(TORQUE + 1.0)
+    np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-9)
+    plant.step(command)
+    np.testing.assert_allclose(plant.torque[3:], TORQUE[3:] + 1.0, atol=1e-9)
+    assert np.abs(plant.torque[:3] - TORQUE[:3]).max() < 0.05
+    plant.step(command, 200)
+    assert plant.torque[:3].min() > 0.5
+
+
+def test_dead_time() -> None:
+    """A torque acts after the dead time, not before."""
+    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(drive_lag=0.0, dead_time=0.003))
+    plant.step(RezeroCommand(TORQUE + 1.0), 6)
+    np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-12)
+    plant.step(RezeroCommand(TORQUE + 1.0), 1)
+    np.testing.assert_allclose(plant.torque, TORQUE + 1.0, atol=1e-12)
+
+
+def test_bad_drives() -> None:
+    with pytest.raises(InputError, match=r"plant\.wheel_rotor"):
+        RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
+    for name in ("dead_time", "wheel_spring", "arm_spring"):
+        with pytest.raises(InputError, match=f"plant.{name}: is for ball robots only"):
+            SwervePlant(load_robot("swerve-ur10").description, perturbation=Perturbation.none(**{name: 0.1}))

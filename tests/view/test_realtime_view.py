@@ -1,0 +1,132 @@
+"""The view of the real-time runner. Truth: symbolic kinematics against MuJoCo's bodies; the physics, which is another process
+and knows nothing of the view's orders, shows where the robot has gone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from test_live import free_port, panel_of
+
+from wbmpc import lie
+from wbmpc.model import load_robot
+from wbmpc.mpc.buffer import Mailbox
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
+from wbmpc.view.steering import no_orders
+
+pytest.importorskip("viser")
+realtime = pytest.importorskip("wbmpc.view.realtime")
+session = pytest.importorskip("wbmpc.view.session")
+physics = pytest.importorskip("wbmpc.view.physics")
+
+
+def moved(robot: Any) -> np.ndarray:
+    """A state away from home: every place of the arm, the base and (swerve) the steering is another."""
+    x = robot.home.copy()
+    x[robot.state["base"]] += [1.0, -0.5, 0.7, 0.05, -0.04][: x[robot.state["base"]].size]
+    x[robot.state["arm"]] += 0.2
+    if "steer" in robot.state:
+        x[robot.state["steer"]] += 0.4
+    return x
+
+
+@pytest.mark.parametrize("name", ["swerve-ur10", "rezero"])
+def test_pictures_show_the_estimated_state(name: str) -> None:
+    robot = load_robot(name)
+    puppet, reader = realtime.scene_of(robot)
+    x = moved(robot)
+    puppet.arrange(x)
+    frames = puppet.world.frames(height=0.0)
+    position, orientation = robot.pose(x)
+    lift = [0.0, 0.0, getattr(robot.description.base, "ball_radius", 0.0)]
+    np.testing.assert_allclose(frames["tool"], position + lift, atol=2e-3)
+    turned = lie.rotation_to_quaternion(frames["tool_rotation"])
+    assert abs(turned @ orientation) == pytest.approx(1.0, abs=1e-6)
+    assert reader.poses(puppet.data).shape == (len(reader.scene.bodies), 7)
+
+
+def test_contacts_are_drawn_where_the_estimate_is() -> None:
+    """The world's base is 0.5 m ahead of the estimate: what acts at its feet is shown 0.5 m back, forces as long as before."""
+    robot = load_robot("swerve-ur10")
+    moments = Mailbox({"t": (), "late": (), "x": (robot.home.size,)})
+    picture = realtime.Picture("swerve-ur10", moments, seen := Mailbox(physics.SEEN))
+    moments.write(t=1.0, late=0.002, x=robot.home)
+    picture._puppet.arrange(robot.home)
+    base = picture._reader.poses(picture._puppet.data)[picture._reader.scene.index].copy()
+    base[0] += 0.5
+    arrow, point = np.array([[1.2, 0.0, 0.0], [1.2, 0.0, 0.3]]), np.array([0.6, 0.1, 0.0])
+    nothing = {name: np.full(shape, np.nan) for name, shape in physics.SEEN.items()}
+    seen.write(**{**nothing, "base": base, "forces": np.tile(arrow, (8, 1, 1)), "pressure": point, "margin": 0.1})
+    plan = np.tile(robot.home, (PLAN, 1))
+    message = {
+        "plan": plan, "reference": np.zeros((REFERENCE, 3)), "goal": np.array([*robot.pose(robot.home)[0], 1.0, 0, 0, 0]),
+        "base_goal": np.zeros(3), "solve": np.array(0.001), "deadline": np.array(0.02),
+    }  # fmt: skip
+    shown = picture(message)
+    np.testing.assert_allclose(shown["forces"][0], arrow - [0.5, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(shown["pressure"], point - [0.5, 0, 0], atol=1e-9)
+    numbers = dict(zip(NUMBERS, shown["numbers"], strict=True))
+    assert numbers["late"] == 0.002 and numbers["margin"] == 0.1 and numbers["error"] < 1e-9
+    np.testing.assert_allclose(shown["hand_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
+
+
+def test_the_runner_is_watched_and_steered() -> None:
+    """Goals, weights, a push and the legs' brakes change a run of three processes that goes on meanwhile; a reset begins it
+    anew, and the end ends it."""
+    view = realtime.RealtimeView("test", "swerve-ur10", "127.0.0.1", free_port())
+    orders, runs, seen = no_orders(), [], {}  # type: ignore[var-annotated]
+    make = session.runner_of
+
+    def kept(*arguments: Any) -> Any:
+        runs.append(make(*arguments))
+        if len(runs) == 1:
+            threading.Thread(target=act, daemon=True).start()
+        return runs[-1]
+
+    def give(**values: Any) -> None:
+        for name, value in values.items():
+            orders[name][...] = value
+        panel_of(view).write(**orders)
+
+    def until(true: Callable[[], bool], seconds: float = 25.0) -> bool:
+        deadline = time.monotonic() + seconds
+        while not true() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return true()
+
+    def act() -> None:
+        runner, world = runs[0]
+        hand = lambda: np.array([world.board.samples(n)[-1] for n in "xyz"])
+        seen["running"] = until(lambda: runner.state == "running" and world.board["time"] > 50)
+        home, weights, memory = hand(), np.ones_like(orders["weights"]), runner.mpc.solver.ws.w
+        goal = np.array([*(home + [0.0, 0.2, 0.1]), *load_robot("swerve-ur10").pose(runner.agent.robot.home)[1]])
+        give(goals=1, goal=goal)
+        seen["hand"] = until(lambda: float(np.linalg.norm(hand() - goal[:3])) < 0.02)
+        give(base_goals=1, base_goal=np.array([0.25, 0.2, 0.0]))
+        seen["base"] = until(lambda: bool(runner.agent.state()[0] > 0.1))
+        weights[0] = 10.0
+        before = memory.copy()
+        give(weights=weights)
+        seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * before) & (before > 0.0))))
+        at = hand()
+        give(pushes=1, push=np.array([300.0, 0.0, 0.0]), push_time=1.0)
+        seen["push"] = until(lambda: float(np.linalg.norm(hand() - at)) > 5e-4)
+        give(brake_clicks=1, brakes_open=1.0)
+        seen["brakes"] = until(lambda: bool(runner.agent.brakes(0.0).all()))
+        give(resets=1)
+        seen["reset"] = until(lambda: len(runs) == 2 and runs[1][0].state == "running")
+        give(ends=1)
+
+    session_runner, session.runner_of = session.runner_of, kept
+    try:
+        reason = session.run_realtime("swerve-ur10", 1, view)
+    finally:
+        session.runner_of = session_runner
+        view.close()
+    assert seen == dict.fromkeys(("running", "hand", "base", "weights", "push", "brakes", "reset"), True)
+    assert reason == "ended in the view" and not runs[1][0].stopped
+    assert not runs[0][1].process.is_alive() and not runs[1][1].process.is_alive()
