@@ -101,7 +101,7 @@ def test_no_steady_error_in_closed_loop(case: str) -> None:
     """The mean over 2 s is within what noise of 1e-3 leaves of it; without the estimate the error is tens of that."""
     for seed in (0, 1):
         error, estimate = steady_error(case, True, seed)
-        assert abs(error) < 0.4 * NOISE, (error, seed)
+        assert abs(error) < 0.2 * NOISE, (error, seed)
         assert abs(estimate) < 0.05, estimate
     without, _ = steady_error(case, False, 0)
     assert abs(without) > 20 * NOISE
