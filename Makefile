@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals door push-map rates frequency lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -44,7 +44,8 @@ reproduce: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
 
-# README's table and clip from a site of reproduced runs, which is completed first
+# README's figures (between their marks) and clip from a site of reproduced runs, which is completed first;
+# README_ARGS="--only swerve-track --only rezero-steps"
 readme: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(README_ARGS)
@@ -66,6 +67,16 @@ limits: $(VENV)/.installed
 # the swerve robot under loads, on a slope, with other delays (hours; goes on where it stopped; ROBUSTNESS_ARGS="--seeds 200-201")
 robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py $(ROBUSTNESS_ARGS)
+
+# the ball robot on other floors, with masses in its hand, over cables, with late drives (hours; goes on where it stopped)
+ball-robustness: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/ball-robustness --only \
+	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle $(ROBUSTNESS_ARGS)
+
+# gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on)
+ball-rivals: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --search all --file runs/ball-rivals.jsonl
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --file runs/ball-rivals.jsonl $(RIVALS_ARGS)
 
 # the swerve experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
 swerve: $(VENV)/.installed

@@ -67,21 +67,22 @@ def draw(found: dict[str, dict[str, list[Figures]]], seed: int, path: Path) -> N
     """The trade-off, and one run of each variant: torque of a wheel and its error."""
     names = {"plain": "plain, torque weights × 1 to 30", "shaped": "frequency-aware, zero and pole in rad/s"}
     log = REGISTRY[NAME].run(configure(RezeroFrequencySettings, [], NAME), seed, None).log
+    wheel = int(np.argmax(np.ptp(log.array("asked_plain")[:, :3], axis=0)))
     with drawing(path, 3) as (trade, torque, error):
         for curve, by in found.items():
             rise = [median(runs, f"rise_time_{curve}") for runs in by.values()]
             rms = [1e3 * median(runs, f"torque_error_rms_{curve}") for runs in by.values()]
             trade.plot(rise, rms, "o" if curve == "shaped" else "s-", label=names[curve])
             for label, x, y in zip(by, rise, rms, strict=True):
-                trade.annotate(label, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
+                trade.annotate(label, (x, y), xytext=(6, -2), textcoords="offset points", fontsize=7)
         trade.set(xlabel="rise time of the hand [s]", ylabel="rms torque error of the wheels [mN m]", ylim=(0, None))
         trade.legend(fontsize=7)
         for name in ("plain", "shaped"):
             t = log.times(f"asked_{name}")
             window = (t > 1.5) & (t < 4.5)
-            torque.plot(t[window], log.array(f"acting_{name}")[window, 0], linewidth=0.9, label=name)
-            error.plot(t[window], 1e3 * torque_error(log, name)[window, 0], linewidth=0.7, label=name)
-        torque.set(xlabel="time [s]", ylabel="acting torque of wheel 0 [N m]")
+            torque.plot(t[window], log.array(f"acting_{name}")[window, wheel], linewidth=0.9, label=name)
+            error.plot(t[window], 1e3 * torque_error(log, name)[window, wheel], linewidth=0.7, label=name)
+        torque.set(xlabel="time [s]", ylabel=f"acting torque of wheel {wheel} [N m]")
         error.set(xlabel="time [s]", ylabel="its error [mN m]")
         torque.legend(fontsize=8)
 

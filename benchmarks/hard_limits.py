@@ -35,6 +35,7 @@ OUTSIDE = 1e-3
 #: Figure: (heading, unit, factor, goal for the worst run or None); less is better.
 FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "command_excess": ("commands over", "%", 100.0, 1e-3),
+    "acceleration_excess": ("accelerations over", "%", 100.0, 1e-3),
     "plan_input_excess": ("planned inputs over", "%", 100.0, 1e-3),
     "plan_state_excess": ("planned states over", "%", 100.0, 1e-3),
     "state_excess": ("states over", "%", 100.0, None),
@@ -72,6 +73,7 @@ class Recorder:
     times: list[float] = field(default_factory=list)
     command: list[float] = field(default_factory=list)
     clamped: list[float] = field(default_factory=list)
+    acceleration: float = 0.0
     state: list[np.ndarray] = field(default_factory=list)
     plan_state: float = 0.0
     plan_input: float = 0.0
@@ -88,6 +90,7 @@ class Recorder:
             upper[self.rig.robot.input["steer"]] = STEER_SPEED
             self.drive = Bounds(-upper, upper)
         self._plan: Any = None
+        self._last: np.ndarray | None = None
         self._pending = sorted(self.rig.events, key=lambda e: e[0])
 
     def __call__(self, t: float, command: Any, plans: Any) -> None:
@@ -103,9 +106,21 @@ class Recorder:
         planned = float(self.u.excess(plan.feedforward(self._clock(t))).max())
         self.command.append(max(planned, float(self.drive.excess(self._sent(command)).max())))
         self.clamped.append(self._cut(command))
+        self._accelerate(command)
         self.state.append(self.x.excess(self._measured()))
         if len(self.times) % 4 == 0:
             self.error.append(float(np.linalg.norm(self._hand() - rig.goal(t))))
+
+    def _accelerate(self, command: Any) -> None:
+        """Excess of what the drives' commands change by from tick to tick over what accelerations allow (swerve robot)."""
+        if not self.swerve:
+            return
+        given, most = self.rig.robot.input, self.rig.robot.limits.input_change * self.rig.timing.period
+        now = np.concatenate([command.steer, command.wheel, command.arm])
+        if self._last is not None:
+            allowed = np.concatenate([most[given[g]] for g in ("steer", "wheel", "arm")])
+            self.acceleration = max(self.acceleration, float(np.max(np.abs(now - self._last) / allowed)) - 1.0)
+        self._last = now
 
     def _clock(self, t: float) -> float:
         """The plan's time: a swerve robot's runs ahead by the drives' lag."""
@@ -181,6 +196,7 @@ def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
     state = np.array(record.state)
     return {
         "command_excess": max(record.command),
+        "acceleration_excess": record.acceleration,
         "plan_input_excess": record.plan_input,
         "plan_state_excess": record.plan_state,
         "state_excess": float(state.max()),

@@ -176,7 +176,7 @@ def _swerve(
     leg_weight: float = 1.0,
 ) -> Rig:  # fmt: skip
     settings, cost = MpcSettings(barrier_mu=SWERVE_MU), SwerveCost(state=StateCost(leg=leg_weight))
-    mpc = variant.mpc(lambda s: swerve_problem(robot, s, cost), settings)
+    mpc = variant.mpc(lambda s: swerve_problem(robot, s, cost, accelerations=True), settings)
     plant = SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
     timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
     brakes = None
@@ -243,6 +243,16 @@ def swerve_jump(variant: Variant, seed: int) -> Rig:
     return rig
 
 
+def swerve_push(variant: Variant, seed: int) -> Rig:
+    """Two pushes of the base, 0.2 s, 300 to 500 N, any horizontal direction, while the hand follows a sine."""
+    rng = np.random.default_rng([seed, 8])
+    rig = _swerve(load_robot("swerve-ur10"), variant, seed, 5.0)
+    _follow(rig, *_sine(0.255, 0.3, 2.66, 5.0))
+    for start in (1.0, 2.7):
+        rig.events += _push(rig, start, rng.uniform(300.0, 500.0) * direction(rng))
+    return rig
+
+
 def swerve_brakes(variant: Variant, seed: int) -> Rig:
     """Two legs, then the other two, are opened for 1.6 to 2 s and asked to turn at 0.48 rad/s (limit 0.4) while driving."""
     rng = np.random.default_rng([seed, 6])
@@ -287,6 +297,7 @@ SCENARIOS: dict[str, Callable[[Variant, int], Rig]] = {
     "rezero-arm": rezero_arm,
     "swerve-fast": swerve_fast,
     "swerve-jump": swerve_jump,
+    "swerve-push": swerve_push,
     "swerve-brakes": swerve_brakes,
     "swerve-reach": swerve_reach,
 }

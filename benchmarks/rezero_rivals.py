@@ -1,95 +1,201 @@
-"""The ball robot's MPC against its rivals: gains by the same search on tuning seeds, one table on reporting seeds.
+"""The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr|scheduled-lqr] [--seeds 200-203] [--json FILE].
-Without --search: the table; runs that are in FILE are not repeated.
+Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--draws 3] [--seeds 200-203] [--runs NAME …] [--only CONTROLLER …]
+       [--file FILE] [--report]
+Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
+from wbmpc.reproduce import parse_seeds
 
-CONTROLLERS = ("mpc", "lqr", "scheduled-lqr")
-GRID: dict[str, tuple[float, ...]] = {
-    "hand": (1.0, 0.3, 0.1, 0.03),
-    "torque": (1.0, 3.0, 10.0),
-    "damping": (1.0, 3.0, 10.0),
-    "most": (0.1, 0.3, 0.03),
+REGULATOR = {"hand": (0.01, 1.0), "torque": (0.3, 30.0), "damping": (0.3, 30.0), "most": (0.03, 0.5)}
+SEPARATE = {
+    "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.02, 2.0), "pace": (4.0, 25.0),
+    "integral": (0.1, 3.0),
+}  # fmt: skip
+#: What is searched, by controller: lowest and highest value of each gain, on a logarithmic scale.
+SPACE: dict[str, dict[str, tuple[float, float]]] = {
+    "lqr": REGULATOR,
+    "scheduled-lqr": REGULATOR,
+    "separate": SEPARATE,
+    "separate-integral": SEPARATE,
+    "separate-aware": SEPARATE,
+    "taskspace": {
+        "hand": (1.5, 10.0), "turn": (1.5, 10.0), "ball": (5.0, 500.0), "ball_speed": (1.0, 50.0), "tilt": (5.0, 500.0),
+        "wheel_torque": (0.1, 10.0), "balance": (0.1, 10.0),
+    },
+}  # fmt: skip
+#: Controllers of the tables by name: settings.
+CONTROLLERS: dict[str, tuple[str, ...]] = {
+    "mpc": (),
+    **{name: (f"controller={name}",) for name in SPACE},
+    "mpc-actuators": ("tracking.kind=actuators",),
 }
-RUNS: dict[str, tuple[str, list[str]]] = {
-    "pushes, hand held": ("rezero-push-hand", []),
-    "pushes, ball held": ("rezero-push-ball", []),
-    "steps": ("rezero-steps", []),
+DEG = 180.0 / np.pi
+STEPS = (("rise_time_max", 1.0, "s"), ("steady_position_error_max", 1e3, "mm"), ("tilt_max", DEG, "deg"))
+#: Runs of the tables by name: experiment, settings, and what is shown: (metric, factor, unit).
+RUNS: dict[str, tuple[str, tuple[str, ...], tuple[tuple[str, float, str], ...]]] = {
+    "steps unseen": ("rezero-steps", ("preview=false",), STEPS),
+    "push-hand": (
+        "rezero-push-hand",
+        (),
+        (("not_recovered", 1.0, "of 6"), ("hand_error_max", 1e3, "mm"), ("tilt_max", DEG, "deg")),
+    ),
+    "push-ball": (
+        "rezero-push-ball",
+        (),
+        (("not_recovered", 1.0, "of 6"), ("ball_travel_max", 1e3, "mm"), ("tilt_max", DEG, "deg")),
+    ),
+    "steps": ("rezero-steps", (), STEPS),
+    "wholebody": (
+        "rezero-wholebody",
+        (),
+        (("ball_error_rms_wholebody", 1e3, "mm"), ("hand_error_rms", 1e3, "mm"), ("feedback_share", 100.0, "%")),
+    ),
+    "circle": ("rezero-circle", (), (("hand_error_rms", 1e3, "mm"), ("ball_error_rms", 1e3, "mm"))),
 }
-SHOWN = ("not_recovered", "rise_time_max", "steady_position_error_max", "hand_error_max", "tilt_max", "fell")
 
 
-def run(name: str, seed: int, controller: str, assignments: list[str]) -> dict[str, Any]:
-    """Metrics of one run, and why it ended."""
-    experiment = REGISTRY[name]
-    settings = configure(experiment.config_type, [f"controller={controller}", *assignments], name)
-    result = experiment.run(settings, seed, None)
-    return {"reason": result.reason, **{k: m.value for k, m in result.metrics.items()}}
+class Store:
+    """Finished runs in a file of JSON lines: by experiment, seed and settings."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        lines = file.read_text().splitlines() if file.exists() else []
+        self.done: dict[tuple[Any, ...], dict[str, Any]] = {}
+        for row in map(json.loads, lines):
+            self.done[self._key(row)] = row
+
+    @staticmethod
+    def _key(row: dict[str, Any]) -> tuple[Any, ...]:
+        return row["name"], row["seed"], tuple(row["settings"])
+
+    def run(self, name: str, seed: int, settings: Iterable[str]) -> dict[str, Any]:
+        """Metrics (None for infinite) of a run, from the file if it is there."""
+        row: dict[str, Any] = {"name": name, "seed": seed, "settings": list(settings)}
+        if self._key(row) not in self.done:
+            experiment = REGISTRY[name]
+            result = experiment.run(configure(experiment.config_type, row["settings"], name), seed, None)
+            values = {k: m.value if np.isfinite(m.value) else None for k, m in result.metrics.items()}
+            self.done[self._key(row)] = row | {"reason": result.reason, "metrics": values}
+            with self._file.open("a") as file:
+                file.write(json.dumps(self.done[self._key(row)]) + "\n")
+        return self.done[self._key(row)]
 
 
-def loss(controller: str, gains: dict[str, float], seeds: range) -> float:
-    """Pushes after which the hand was not back, and how far [m] it was pushed away at most, summed over the seeds."""
-    given = ["forces=[100, 150, 200]", "settle=2", "pause=5", *(f"rival.{k}={v}" for k, v in gains.items())]
-    found = [run("rezero-push-hand", seed, controller, given) for seed in seeds]
-    return sum(f["not_recovered"] + f["hand_error_max"] for f in found)
+def value(row: dict[str, Any], metric: str) -> float:
+    """A figure of a run; infinite for one that is not finite."""
+    found = row["metrics"].get(metric)
+    return float("inf") if found is None else float(found)
 
 
-def search(controller: str, seeds: range) -> None:
-    """Coordinate search from ones."""
-    gains = {key: values[0] for key, values in GRID.items()}
-    best = loss(controller, gains, seeds)
-    print(f"{controller} {gains}: {best:.2f}", flush=True)
-    for key, values in GRID.items():
-        for value in values[1:]:
-            found = loss(controller, {**gains, key: value}, seeds)
-            print(f"{controller} { ({**gains, key: value}) }: {found:.2f}", flush=True)
-            if found < best:
-                best, gains = found, {**gains, key: value}
-    print(f"best: {gains}: {best:.2f}")
+def loss(store: Store, controller: str, gains: dict[str, float], seed: int) -> float:
+    """Of the steps (nobody sees one before it comes) and of pushes of 200 N while the hand is held, shortened, with the state of
+    the simulator and noise: falls and pushes without recovery, rise time [s], powers of ten of the steady error over 1 mm, how
+    far [m] the hand was pushed."""
+    key = controller.replace("-", "_")
+    given = [f"controller={controller}", "estimator=truth", *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())]
+    steps = store.run("rezero-steps", seed, [*given, "preview=false", "hold=2", "settle=1", "rest=0"])
+    pushed = store.run("rezero-push-hand", seed, [*given, "forces=[200]", "settle=1", "pause=4"])
+    total = 4.0 * (value(steps, "fell") + value(pushed, "fell")) + min(value(steps, "rise_time_max"), 3.0)
+    total += np.log10(np.clip(value(steps, "steady_position_error_max") / 1e-3, 1.0, 1e3))
+    return float(total + value(pushed, "not_recovered") + min(value(pushed, "hand_error_max"), 2.0))
 
 
-def table(seeds: range, file: Path) -> None:
-    """Worst of the seeds for each controller and run."""
-    done: dict[str, dict[str, Any]] = json.loads(file.read_text()) if file.exists() else {}
-    for label, (name, given) in RUNS.items():
-        for controller in CONTROLLERS:
-            for seed in seeds:
-                key = f"{label}, {controller}, {seed}"
-                if key not in done:
-                    done[key] = run(name, seed, controller, given)
-                    file.write_text(json.dumps(done, indent=1) + "\n")
-            rows = [done[f"{label}, {controller}, {seed}"] for seed in seeds]
-            worst = {k: max(r[k] for r in rows) for k in SHOWN if k in rows[0]}
-            fallen = sum(r["fell"] for r in rows)
-            print(
-                f"{label:20s} {controller:14s} fell {fallen:.0f} of {len(rows)}; worst: "
-                + ", ".join(f"{k} {v:.4g}" for k, v in worst.items()),
-                flush=True,
-            )
+def candidate(
+    space: dict[str, tuple[float, float]], rng: np.random.Generator, best: dict[str, float] | None
+) -> dict[str, float]:
+    """Gains drawn from the whole space, or within a factor of 2 or so about ``best``, to three digits."""
+    out = {}
+    for key, (low, high) in space.items():
+        drawn = rng.uniform(np.log(low), np.log(high))
+        if best is not None:
+            drawn = np.clip(np.log(best[key]) + 0.4 * rng.normal(), np.log(low), np.log(high))
+        out[key] = float(f"{np.exp(drawn):.3g}")
+    return out
+
+
+def search(store: Store, controller: str, seeds: list[int], draws: int) -> dict[str, float]:
+    """The best gains for a controller: those that there are, ``draws`` from the whole space, as many about the best so far.
+    Controllers with the same space get the same draws."""
+    space, rng = SPACE[controller], np.random.default_rng(0)
+    kind = REGISTRY["rezero-steps"].config_type()
+    own = getattr(kind.rival, controller.replace("-", "_"))
+    best = {k: float(getattr(own, k)) for k in space}
+    least = float("inf")
+    for k in range(1 + 2 * draws):
+        gains = candidate(space, rng, best if k > draws else None) if k else best
+        found = sum(loss(store, controller, gains, seed) for seed in seeds)
+        print(f"{controller} {k} {gains}: {found:.3f}", flush=True)
+        if found < least:
+            least, best = found, gains
+    print(f"{controller} best: {best}: {least:.3f}", flush=True)
+    return best
+
+
+def markdown(rows: dict[str, list[dict[str, Any]]], label: str) -> str:
+    """Controllers down, figures across: median (worst) of the seeds; how many fell."""
+    shown = RUNS[label][2]
+    heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
+    lines = ["| controller | seeds | fell | " + " | ".join(heads) + " |", "| --- " * (3 + len(heads)) + "|"]
+    for controller, found in rows.items():
+        figures = []
+        for metric, factor, _ in shown:
+            values = factor * np.array([value(r, metric) for r in found])
+            middle = float(np.quantile(values, 0.5, method="nearest"))
+            figures.append(" (".join("∞" if np.isinf(v) else f"{v:.3g}" for v in (middle, float(values.max()))) + ")")
+        fell = sum(value(r, "fell") > 0.0 for r in found)
+        lines.append(f"| {controller} | {len(found)} | {fell} | " + " | ".join(figures) + " |")
+    return f"{label}, median (worst):\n\n" + "\n".join(lines)
+
+
+def table(store: Store, labels: list[str], controllers: list[str], seeds: list[int], report: bool) -> str:
+    """Runs what is missing (seed by seed) and writes the tables."""
+    given = lambda label, controller: (*CONTROLLERS[controller], *RUNS[label][1])
+    if not report:
+        for seed in seeds:
+            for label in labels:
+                for controller in controllers:
+                    row = store.run(RUNS[label][0], seed, given(label, controller))
+                    print(f"{label} {seed} {controller}: {row['reason'] or 'completed'}", flush=True)
+    parts = []
+    for label in labels:
+        have = {
+            c: [r for s in seeds if (r := store.done.get((RUNS[label][0], s, given(label, c)))) is not None]
+            for c in controllers
+        }
+        parts.append(markdown({c: rows for c, rows in have.items() if rows}, label))
+    return "\n\n".join(parts)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--search", choices=CONTROLLERS[1:])
-    parser.add_argument("--seeds", help="first-last; left out: 0-0 for the search, 200-203 for the table")
-    parser.add_argument("--json", type=Path, default=Path("rezero_rivals.json"))
+    parser.add_argument("--search", nargs="+", choices=["all", *SPACE])
+    parser.add_argument("--seeds", help="as 200-203 or 200,205; left out: 0 for the search, 200-203 for the table")
+    parser.add_argument("--draws", type=int, default=3, help="of the search: twice as many runs and one more")
+    parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS)[:3])
+    parser.add_argument("--only", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
+    parser.add_argument("--file", type=Path, default=Path("rezero_rivals.jsonl"))
+    parser.add_argument("--report", action="store_true", help="run nothing, write the table of what there is")
     given = parser.parse_args()
-    first, last = (int(s) for s in (given.seeds or ("0-0" if given.search else "200-203")).split("-"))
-    seeds = range(first, last + 1)
+    store = Store(given.file)
     if given.search:
-        search(given.search, seeds)
+        for controller in SPACE if "all" in given.search else given.search:
+            search(store, controller, list(parse_seeds(given.seeds or "0")), given.draws)
     else:
-        table(seeds, given.json)
+        seeds = list(parse_seeds(given.seeds or "200-203"))
+        print(table(store, given.runs, given.only, seeds, given.report))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""The swerve experiments over seeds and under burdens that the controller does not know of: masses, a slope, delays.
+"""Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
 Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
-was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures.
+was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
+all swerve experiments; conditions of the other kind of robot are passed over.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
 
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
-CONDITIONS: dict[str, tuple[str, ...]] = {
+SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
     "hand 5 kg": ("plant.payload=5",),
     "hand 10 kg": ("plant.payload=10",),
@@ -34,6 +35,25 @@ CONDITIONS: dict[str, tuple[str, ...]] = {
     "delay 25 ms": ("mpc.delay=0.025",),
     "all at once": ("plant.payload=10", "plant.load=150", "plant.slope=0.05236", "mpc.delay=0.025"),
 }
+BALL: dict[str, tuple[str, ...]] = {
+    "protocol": (),
+    "floor 0.4": ("plant.friction=0.4",),
+    "floor 1.1": ("plant.friction=1.1",),
+    "hand 0.5 kg": ("payload=0.5",),
+    "hand 1 kg": ("payload=1.0",),
+    "cables 5 mm": ("plant.cables=0.005",),
+    "late 2 ms": ("plant.dead_time=0.002",),
+    "late 8 ms": ("plant.dead_time=0.008",),
+    "late 15 ms": ("plant.dead_time=0.015",),
+}
+CONDITIONS = {**SWERVE, **BALL}
+
+
+def conditions_of(name: str) -> dict[str, tuple[str, ...]]:
+    """The conditions of an experiment's robot."""
+    return BALL if name.startswith("rezero") else SWERVE
+
+
 #: Figures that are shown beside all with a goal: (metric, factor, unit).
 SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
     "swerve-track": (
@@ -47,6 +67,31 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
         ("tracking_error_rms_ik", 1e3, "mm"),
         ("wheel_slip_max_mpc", 1.0, "m/s"),
     ),
+    "rezero-steps": (
+        ("steady_position_error_max", 1e3, "mm"),
+        ("steady_position_error_world_max", 1e3, "mm"),
+        ("rise_time_max", 1.0, "s"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-push-hand": (
+        ("not_recovered", 1.0, "1"),
+        ("hand_error_max", 1e3, "mm"),
+        ("tilt_max", 180.0 / np.pi, "deg"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-push-ball": (
+        ("not_recovered", 1.0, "1"),
+        ("ball_travel_max", 1e3, "mm"),
+        ("tilt_max", 180.0 / np.pi, "deg"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-wholebody": (
+        ("ball_error_rms_wholebody", 1e3, "mm"),
+        ("steady_hand_error_max", 1e3, "mm"),
+        ("steady_ball_offset_max", 1e3, "mm"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-circle": (("hand_error_rms", 1e3, "mm"), ("ball_error_rms", 1e3, "mm"), ("fell", 1.0, "1")),
     "swerve-drive": (
         ("base_position_error_rms", 1e3, "mm"),
         ("baseline_position_error_rms", 1e3, "mm"),
@@ -104,7 +149,7 @@ def jobs(out: Path, conditions: Iterable[str], names: Iterable[str], seeds: Iter
         for seed in seeds
         for condition in conditions
         for name in names
-        if condition == "protocol" or name not in PROTOCOL_ONLY
+        if condition == "protocol" or (name not in PROTOCOL_ONLY and condition in conditions_of(name))
     }
 
 
@@ -212,7 +257,7 @@ def figure(found: list[Cell], path: Path) -> None:
     names = [n for n in SHOWN if any(c.experiment == n for c in found)]
     if not names:
         return
-    conditions = list(CONDITIONS)
+    conditions = [c for c in CONDITIONS if any(cell.condition == c for cell in found)]
     drawing, axes = plt.subplots(
         len(names), figsize=(10, 2.4 * len(names)), sharex=True, squeeze=False, layout="constrained"
     )
@@ -242,7 +287,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
     parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=list(CONDITIONS), metavar="NAME")
     parser.add_argument(
-        "--only", nargs="*", default=list(SHOWN), choices=[n for n in REGISTRY if n.startswith("swerve")]
+        "--only", nargs="*", default=[n for n in SHOWN if n.startswith("swerve")], choices=list(REGISTRY)
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))

@@ -293,6 +293,15 @@ def inside(settings: SwerveTrackSettings, seed: int) -> float:
     return result.metrics["hand_error_mean_odometry"].value
 
 
+def on_grid(t: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers (n) of the periods to which times t (n) [s] belong, and how far they are off [s]. Where the grid lies all of them
+    say, as a mean direction: a single one that was late, the first above all, says nothing."""
+    phase = period * np.angle(np.mean(np.exp(2j * np.pi * t / period))) / (2.0 * np.pi)
+    ticks = np.round((t - phase) / period)
+    off = t - phase - ticks * period
+    return ticks, off - np.median(off)
+
+
 def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> dict[str, float]:
     """Times of the wheels' commands and of the joint states as they come to a third process, from the goal that ``send`` sends."""
     arrivals: dict[str, list[float]] = {"command": [], "state": []}
@@ -319,9 +328,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     before = bus.figures
     bus.wait_for(lambda: bus.figures is not before, 5.0)
     sent, received = int(bus.figures["commands sent"]), len(arrivals["command"])
-    ticks = np.round((t - t[0]) / period)
-    off = t - t[0] - ticks * period
-    off -= np.median(off)
+    ticks, off = on_grid(t - t[0], period)
     last = states[np.maximum(np.searchsorted(states, t) - 1, 0)]
     expected = round((t[-1] - t[0]) / period) + 1
     return {

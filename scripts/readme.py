@@ -1,17 +1,29 @@
-"""The README's table and clip, from a site that `wbmpc reproduce` made: figures of merit over all finished runs beside the
-papers', between two marks in the README (before "The problem" when it has none yet)."""
+"""The README's figures and clip, from finished runs: the words stay as they are, marks say which figure goes where.
+
+A mark is a comment that nobody sees, before the figure and after it:
+
+    <!--= swerve-track hand_error_mean_odometry mm -->1.2 mm (2.1)<!--/-->
+
+names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
+``count`` (in how many runs a metric is not 0). Figures come from sites of `wbmpc reproduce` (--site, may be repeated; a later
+one wins) and from tables of `make study` (--study FILE, made with --json). Marks without figures keep what they have; which ones
+is told.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 from wbmpc.reproduce import Job, summarise
 
 ROOT = Path(__file__).parents[1]
-BEGIN, END = "<!-- figures: made by 'make readme' -->\n", "<!-- end of figures -->\n"
-BEFORE = "## The problem\n"
+MARK = re.compile(r"(<!--= (?P<what>[^>]*?) -->)(?P<text>.*?)(<!--/-->)")
+#: How a unit of the README is made of a metric's own.
+UNITS = {"mm": 1e3, "m": 1.0, "%": 100.0, "s": 1.0, "rad": 1.0, "N": 1.0, "1": 1.0}
 CLIP = "swerve-track"
 SPEED, SIZE, LONGEST = 6.0, (360, 200), 60.0
 
@@ -22,69 +34,81 @@ def jobs_of(site: Path) -> list[Job]:
     return sorted(found, key=lambda job: (job.name, job.seed))
 
 
-def number(value: float | None) -> str:
-    """Three digits; nothing for what nobody has published or asked for."""
-    return "" if value is None else f"{value:.3g}"
+def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
+    """By experiment and metric: median, worst, and the values of all runs."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for site in sites:
+        for name, entry in summarise(jobs_of(site)).items():
+            runs = [run["metrics"] for run in entry["runs"].values()]
+            values = {m: [r[m]["value"] for r in runs if m in r] for m in entry["metrics"]}
+            found[name] = {m: {**figures, "values": values[m]} for m, figures in entry["metrics"].items()}
+    return found
 
 
-def table(site: Path) -> str:
-    """Markdown: every metric that a paper gives or a goal asks for."""
-    found = summarise(jobs_of(site))
-    if not found:
-        raise SystemExit(f"readme: {site} holds no finished runs: wbmpc reproduce --out {site}")
-    versions = {r["versions"].get("wbmpc", "?") for e in found.values() for r in e["runs"].values()}
-    about = f"wbmpc {', '.join(sorted(versions))}, simulated; the papers' figures are of the real robots."
-    rows = [
-        "| experiment | figure | median | largest | paper | goal (at most) | |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name, entry in found.items():
-        title = f"`{name}`, {len(entry['runs'])} seeds"
-        for metric, m in entry["metrics"].items():
-            if m["paper"] is None and m["goal"] is None:
-                continue
-            verdict = {True: "pass", False: "falls short", None: ""}[m["met"]]
-            figures = " | ".join(number(m[key]) for key in ("median", "worst", "paper", "goal"))
-            rows.append(f"| {title} | {metric} [{m['unit']}] | {figures} | {verdict} |")
-            title = ""
-    return f"{about}\n\n" + "\n".join(rows) + "\n"
+def short(value: float) -> str:
+    """Two digits."""
+    return "not a number" if value != value else f"{value:.0f}" if abs(value) >= 9.95 else f"{value:#.2g}".rstrip(".")
 
 
-def put(readme: Path, text: str) -> None:
-    """Put the text between the marks."""
-    old = readme.read_text()
-    if BEGIN in old and END in old:
-        head, rest = old.split(BEGIN, 1)
-        tail = rest.split(END, 1)[1]
-    elif BEFORE in old:
-        head, after = old.split(BEFORE, 1)
-        tail = "\n" + BEFORE + after
-    else:
-        raise SystemExit(f"readme: {readme} has neither the marks nor a line '{BEFORE.strip()}'")
-    readme.write_text(head + BEGIN + text + END + tail)
+def text(what: str, found: dict[str, dict[str, dict[str, Any]]]) -> str | None:
+    """What stands between a pair of marks; None without a figure for it."""
+    name, metric, unit, *how = what.split()
+    if unit not in UNITS or how not in ([], ["median"], ["worst"], ["count"]):
+        raise SystemExit(f"readme: mark '{what}': valid: EXPERIMENT METRIC {'|'.join(UNITS)} [median|worst|count]")
+    figures = found.get(name, {}).get(metric)
+    if figures is None:
+        return None
+    if how == ["count"]:
+        values = figures.get("values")
+        return None if values is None else f"{sum(v != 0 for v in values)} of {len(values)}"
+    median, worst = (short(UNITS[unit] * figures[key]) for key in ("median", "worst"))
+    shown = "" if unit == "1" else f" {unit}"
+    return {"": f"{median}{shown} ({worst})", "median": f"{median}{shown}", "worst": f"{worst}{shown}"}["".join(how)]
 
 
-def clip(site: Path, path: Path) -> None:
+def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]]) -> tuple[str, list[str]]:
+    """The README with figures between its marks, and the marks for which there are none."""
+    left: list[str] = []
+
+    def put(match: re.Match[str]) -> str:
+        new = text(match["what"], found)
+        if new is None:
+            left.append(match["what"])
+            return match[0]
+        return f"{match[1]}{new}{match[4]}"
+
+    return MARK.sub(put, readme), left
+
+
+def clip(sites: list[Path], path: Path) -> None:
     """The README's clip: the beginning of the first finished run of its experiment."""
     from wbmpc.recording.reader import read
     from wbmpc.view.render import render
     from wbmpc.view.replay import Film
 
-    runs = [job for job in jobs_of(site) if job.name == CLIP]
+    runs = [job for site in sites for job in jobs_of(site) if job.name == CLIP]
     if runs:
         render(Film(read(runs[0].directory)), path, (0.0, LONGEST), SIZE, SPEED)
 
 
 def main() -> None:
-    """Table, then clip."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--site", type=Path, default=ROOT / "reproduced")
+    """Figures, then the clip."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--site", type=Path, action="append", help="of wbmpc reproduce (default: reproduced)")
+    parser.add_argument("--study", type=Path, action="append", default=[], help="JSON of benchmarks/seeds.py")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     parser.add_argument("--clip", type=Path, default=ROOT / "docs" / "images" / "swerve.gif")
     given = parser.parse_args()
-    put(given.readme, table(given.site))
-    clip(given.site, given.clip)
-    print(json.dumps({"readme": str(given.readme)}))
+    sites = given.site or ([] if given.study else [ROOT / "reproduced"])
+    found = of_sites(sites)
+    for study in given.study:
+        found = {**found, **json.loads(study.read_text())}
+    if not found:
+        raise SystemExit(f"readme: {', '.join(map(str, sites))} holds no finished runs: wbmpc reproduce")
+    filled, left = fill(given.readme.read_text(), found)
+    given.readme.write_text(filled)
+    clip(sites, given.clip)
+    print(json.dumps({"readme": str(given.readme), "experiments": sorted(found), "kept": left}))
 
 
 if __name__ == "__main__":

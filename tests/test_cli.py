@@ -351,3 +351,24 @@ def test_sigterm_is_ctrl_c_from_another_process(tmp_path: Path) -> None:
     code = "import os, signal; from wbmpc.cli.terminal import terminable\nwith terminable() as t:\n  try: os.kill(os.getpid(), 15)"
     code += "\n  except KeyboardInterrupt: print(t.came, signal.getsignal(15) is t)"
     assert shell(code=code).stdout == "True True\n"
+
+
+def test_the_shell_completes_commands_and_names() -> None:
+    ask = lambda words: subprocess.run(
+        [sys.executable, "-m", "wbmpc"], capture_output=True, text=True, timeout=60,
+        env={
+            **os.environ, "PYTHONPATH": str(HERE.parent / "src"), "_WBMPC_COMPLETE": "complete_bash", "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+        },
+    ).stdout.split()  # fmt: skip
+    assert ask("wbmpc rep") == ["replay", "reproduce"]
+    assert "swerve-track" in ask("wbmpc run swerve-t") and "rezero" in ask("wbmpc view rez")
+
+
+def test_a_table_in_a_pipe_is_plain_columns() -> None:
+    out = shell("run", "fake", "--quiet", code=FAKE_MAIN).stdout
+    assert out == ""
+    lines = shell("run", "fake", code=FAKE_MAIN).stdout.splitlines()
+    row = next(line.split() for line in lines if "hand_error_mean_odometry" in line)
+    assert row[:3] == ["fake", "hand_error_mean_odometry", "m"] and row[4:] == ["0.0167", "0.003", "reached"]
+    assert not any(ord(c) > 0x2000 and c not in "≥…" for c in "".join(lines)) and "\x1b" not in "".join(lines)

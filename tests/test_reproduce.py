@@ -164,26 +164,30 @@ def test_the_default_command_is_a_run(tmp_path: Path) -> None:
     assert reason.startswith("wbmpc: unknown experiment 'nonsense'")
 
 
-def test_the_readme_gets_its_table(site, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    """Between its marks, as often as one likes; the medians are those of the runs' own files."""
+def test_the_readme_gets_its_figures(site, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Between its marks, as often as one likes; the words stay. Figures are those of the runs' own files, in the mark's unit."""
     out, jobs, _, _ = site
-    readme = tmp_path / "README.md"
-    readme.write_text("# A\n\n## The problem\nb\n")
-    script = HERE.parent / "scripts" / "readme.py"
+    readme, script = tmp_path / "README.md", HERE.parent / "scripts" / "readme.py"
+    marks = {
+        "fake hand_error_mean_odometry mm": "0 mm (0)", "fake rise_time_max s worst": "1", "fake fell 1 count": "0 of 0",
+        "other hand_error_max m": "7 (8)",
+    }  # fmt: skip
+    words = "| a figure | <!--= {} -->{}<!--/--> of it | {} |\n"
+    readme.write_text("# A\n" + "".join(words.format(m, old, "–") for m, old in marks.items()))
     for _ in range(2):
         arguments = ["--site", str(out), "--readme", str(readme), "--clip", str(tmp_path / "a.gif")]
-        subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
-    text = readme.read_text()
-    assert text.startswith("# A\n\n<!--") and text.endswith("\n## The problem\nb\n") and text.count("<!--") == 2
-    rows = {}
-    for line in text.splitlines():
-        cells = [c.strip() for c in line.split("|")]
-        if line.startswith("| ") and len(cells) == 9 and "[" in cells[2]:
-            rows[cells[2].rpartition(" [")[0]] = cells[3:7]
-    wanted = {n: m for n, m in summarise(jobs)["fake"]["metrics"].items() if not (m["paper"] is m["goal"] is None)}
-    assert rows and rows.keys() == wanted.keys()
-    for name, cells in rows.items():
-        files = [json.loads((j.directory / "metrics.json").read_text()) for j in jobs if j.done]
-        values = [f["metrics"][name]["value"] for f in files if name in f["metrics"]]
-        known = [float("inf") if v is None else v for v in values]
-        assert float(cells[0]) == pytest.approx(statistics.median(known), rel=6e-3)
+        said = subprocess.run(
+            [sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True
+        )
+        assert json.loads(said.stdout)["kept"] == ["other hand_error_max m"]
+    files = [json.loads((j.directory / "metrics.json").read_text())["metrics"] for j in jobs if j.done]
+    errors = [1e3 * f["hand_error_mean_odometry"]["value"] for f in files]
+    text = [f"{statistics.median(errors):.2g} mm ({max(errors):.2g})", "inf s", "1 of 4", "7 (8)"]
+    assert readme.read_text() == "# A\n" + "".join(
+        words.format(m, new, "–") for m, new in zip(marks, text, strict=True)
+    )
+    study = tmp_path / "study.json"
+    study.write_text(json.dumps({"other": {"hand_error_max": {"median": 0.00123, "worst": 12.34}}}))
+    arguments = ["--study", str(study), "--readme", str(readme)]
+    subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
+    assert "<!--= other hand_error_max m -->0.0012 m (12)<!--/--> of it" in readme.read_text()

@@ -24,21 +24,25 @@ RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
+_GRID = "rgba(128, 140, 152, 0.25)"
 _STYLE = """
-:root { color-scheme: light; --ink: #1d2733; --soft: #5c6b7a; --line: #dfe5ea; --good: #1d7a4f; --fair: #b7791f; --bad: #b3362b; }
+:root { color-scheme: light dark; --ink: #1d2733; --soft: #5c6b7a; --line: #dfe5ea; --page: #f5f7f9; --card: #fff;
+  --good: #1d7a4f; --fair: #b7791f; --bad: #b3362b; }
+@media (prefers-color-scheme: dark) { :root { --ink: #dde4ea; --soft: #94a3b2; --line: #33404d; --page: #12181f; --card: #1b232c;
+  --good: #4fbf8b; --fair: #d9a441; --bad: #ef7b6f; } .plots .card:has(> svg) { background: #fff; color: #1d2733; } }
 * { box-sizing: border-box; }
-body { margin: 0; background: #f5f7f9; color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
+body { margin: 0; background: var(--page); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 1060px; margin: 0 auto; padding: 32px 20px 64px; }
 h1 { font-size: 30px; line-height: 1.2; margin: 0; } h2 { font-size: 20px; margin: 40px 0 12px; }
 .sub { color: var(--soft); margin: 8px 0 0; font-size: 15px; }
-.card { background: #fff; border: 1px solid var(--line); border-radius: 8px; }
+.card { background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
 .verdict { margin: 20px 0; padding: 12px 18px; border-left: 5px solid var(--good); }
 .verdict.fair { border-left-color: var(--fair); } .verdict.bad { border-left-color: var(--bad); }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; }
-th, td { text-align: left; padding: 7px 14px; white-space: nowrap; } tr + tr > * { border-top: 1px solid var(--line); }
+th, td { text-align: left; padding: 7px 12px; white-space: nowrap; } tr + tr > * { border-top: 1px solid var(--line); }
 th { color: var(--soft); font-weight: 600; } .n { text-align: right; font-variant-numeric: tabular-nums; }
 .met { color: var(--good); } .missed { color: var(--bad); font-weight: 600; }
-.plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(440px, 100%), 1fr)); gap: 16px; }
+.plots { display: grid; grid-auto-flow: dense; grid-template-columns: repeat(auto-fill, minmax(min(440px, 100%), 1fr)); gap: 16px; }
 .plots > div { padding: 8px; min-width: 0; }
 h3 { font-size: 16px; font-weight: 600; margin: 6px 8px 0; }
 .plots > div > svg { display: block; max-width: 100%; height: auto; margin: 0 auto; }
@@ -181,6 +185,15 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
 
 
+def _template() -> Any:
+    """Plots on the page's own ground, with inks that are seen on light and dark."""
+    import plotly.graph_objects as go
+
+    axis = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID, "automargin": True}
+    layout = {"xaxis": axis, "yaxis": axis, "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"}
+    return go.layout.Template(layout={**layout, "font": {"color": "#7b8894"}})
+
+
 def _figure(plot: Plot | Drawing) -> str:
     if isinstance(plot, Drawing):
         return plot.svg
@@ -194,7 +207,7 @@ def _figure(plot: Plot | Drawing) -> str:
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
     figure.update_layout(
         xaxis_title=plot.x_label, yaxis_title=plot.y_label,
-        template="plotly_white", height=340, margin={"l": 60, "r": 16, "t": 36, "b": 88},
+        template=_template(), height=340, margin={"l": 60, "r": 16, "t": 36, "b": 88},
         legend={"orientation": "h", "y": -0.25}, font={"family": "system-ui, sans-serif", "size": 12},
     )  # fmt: skip
     if plot.equal_axes:
@@ -255,7 +268,7 @@ def _solve_times(mpc: MpcStatistics | None) -> str:
         f"{number(1e3 / mpc.rate_hz)} ms",
         *(f"{number(mpc.solve_ms[k])} ms" for k in ("median", "p95", "max")),
     ]
-    header = ["rate", "period", "median solve", "95 % below", "longest", "longer than the period"]
+    header = ["rate", "period", "median solve", "95 % below", "longest", "deadlines missed"]
     counts = [mpc.deadline_misses, mpc.solves, mpc.failures, mpc.no_step]
     header += ["solves", "failed", "without a step"]
     rows = table(header, [[*row, *map(str, counts)]], set(range(len(header))))

@@ -69,12 +69,12 @@ def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: P
 
 @pytest.mark.parametrize("name", robustness.SHOWN)
 def test_every_condition_is_a_setting_of_every_experiment(name: str) -> None:
-    for settings in robustness.CONDITIONS.values():
+    for settings in robustness.conditions_of(name).values():
         configure(REGISTRY[name].config_type, settings, name)
 
 
 def test_conditions_mean_what_they_are_called() -> None:
-    given = {c: configure(SwerveUnifiedSettings, s, "") for c, s in robustness.CONDITIONS.items()}
+    given = {c: configure(SwerveUnifiedSettings, s, "") for c, s in robustness.SWERVE.items()}
     assert (given["hand 10 kg"].plant.payload, given["body 150 kg"].plant.load) == (10.0, 150.0)
     assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
     assert (given["delay 5 ms"].mpc.delay, given["delay 25 ms"].mpc.delay) == (0.005, 0.025)

@@ -14,12 +14,17 @@ from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import WheelCalibration
-from wbmpc.model import aligned_steering
+from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Policy
 from wbmpc.plant import GlobalPose, RezeroMeasurement, SwerveMeasurement
 
 PERIOD = 0.0025
-SWERVE = robot("swerve-ur10")
+HURRIED = robot("swerve-ur10")
+SWERVE = RobotModel(  # follows at once: no limits of acceleration
+    HURRIED.description.model_copy(
+        update={"limits": HURRIED.description.limits.model_copy(update={"acceleration": {}})}
+    )
+)
 BALL = robot("rezero")
 
 
@@ -158,6 +163,36 @@ def test_swerve_wheels_are_slowed_together() -> None:
     agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
     agent.measure(message())
     np.testing.assert_allclose(agent.command(0.0, plans).wheel, limit * [0.25, 1.0, -0.5, 0.05])
+
+
+def test_commands_change_by_what_accelerations_allow() -> None:
+    """From rest to a plan: no drive changes faster than its limit, wheels and arm keep to the straight way between two motions,
+    and the slowest of them decides when it is there (truth: speed over acceleration)."""
+    u, plans, most = np.zeros(HURRIED.input.size), Plans(), HURRIED.limits.input_change
+    given = HURRIED.input
+    u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
+    plans.add(0.0, constant_policy(u))
+    agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
+    before, ticks = np.zeros(u.size), 0
+    agent.measure(message())
+    ahead = agent.predict(0.0, 8 * PERIOD, plans).x
+    for k in range(60):
+        agent.measure(message(k * PERIOD))
+        command = agent.command(k * PERIOD, plans)
+        now = before.copy()
+        now[given["wheel"]], now[given["steer"]], now[given["arm"]] = command.wheel, command.steer, command.arm
+        assert np.all(np.abs(now - before) <= most * PERIOD * (1.0 + 1e-12))
+        share = now[given["wheel"]] / u[given["wheel"]]
+        np.testing.assert_allclose(share, share[0])
+        alone = np.minimum(np.abs(u), (k + 1) * most * PERIOD) * np.sign(u)  # each steering axis by itself
+        np.testing.assert_allclose(now[given["steer"]], alone[given["steer"]], atol=1e-12)
+        ticks += int(share[0] < 1.0 - 1e-9)
+        before = now
+        if k == 7:  # the prediction knew: eight ticks of ramp
+            ramp = PERIOD * np.sum(np.arange(1, 9) * most[given["wheel"]][0] * PERIOD) * u[given["wheel"]] / 4.0
+            np.testing.assert_allclose(ahead[HURRIED.state["wheel"]], ramp)
+    assert ticks == round(4.0 / most[given["wheel"]][0] / PERIOD) - 1
+    np.testing.assert_allclose(before, u, atol=1e-12)
 
 
 def test_swerve_stops_when_its_plan_has_run_out() -> None:

@@ -241,6 +241,42 @@ def test_standing_robot_uses_its_balance_once() -> None:
     assert tilts[1] < 2e-3 < 3.0 * tilts[1] < tilts[0]
 
 
+# ---------------------------------------------------------------------- poses of others
+def test_a_pose_from_elsewhere_is_weighed_by_its_covariance() -> None:
+    """Kalman by hand: prior and measurement of the same spread give their mean with half of the variance, here of a robot
+    that stands and knows its place within 0.1 m and 0.1 rad; a pose without a covariance is exact."""
+    estimator = RezeroEstimator(ROBOT, HOME, replace(BallNoise(), start=0.1))
+    still = (np.zeros(3), HOME[ROBOT.state["arm"]], np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    for k in range(3):
+        before = estimator.update(k * H, *still)
+    prior = estimator.filter.covariance
+    state = estimator.correct(2 * H, before[:3] + [0.2, -0.1, 0.06], 0.1**2 * np.eye(3))
+    np.testing.assert_allclose(state[:3] - before[:3], [0.1, -0.05, 0.03], rtol=2e-2)
+    np.testing.assert_allclose(state[3:8], before[3:8], atol=2e-3)  # its lean is not a question of its place
+    now = estimator.filter.covariance
+    np.testing.assert_allclose(np.diag(now)[:2], 0.5 * np.diag(prior)[:2], rtol=2e-2)
+    state = estimator.correct(2 * H, [1.0, 2.0, 0.5 + 2.0 * np.pi], np.zeros((3, 3)))
+    np.testing.assert_allclose(state[:3], [1.0, 2.0, 0.5], atol=1e-4)  # half a radian is much for one linear step
+    assert np.linalg.eigvalsh(estimator.filter.covariance).min() > -1e-12
+    with pytest.raises(InputError, match="a place needs 3 finite numbers"):
+        estimator.correct(0.0, [0.0, np.nan, 0.0], np.eye(3))
+
+
+def test_a_late_pose_counts_where_the_robot_was_then() -> None:
+    """The start was wrong by a known offset; exact poses of 0.1 s ago correct it, whatever the robot did since."""
+    run, offset = Balancing(3), np.array([0.3, -0.2, 0.4])
+    wrong = HOME.copy()
+    wrong[:3] += offset
+    run.estimator = RezeroEstimator(ROBOT, wrong, replace(BallNoise(), start=1.0))
+    run.run(1.0)
+    past, before = run.plant.state()[:3].copy(), run.plant.time
+    run.run(0.1)
+    run.estimator.correct(before, past, np.zeros((3, 3)))
+    truth = run.plant.state()
+    np.testing.assert_allclose(run.estimator.state[:2], truth[:2], atol=0.02)
+    assert abs(run.estimator.state[2] - truth[2]) < 0.01
+
+
 # ---------------------------------------------------------------------- arm, input
 def test_joint_tracker_follows_a_sine() -> None:
     rng, t = np.random.default_rng(0), H * np.arange(2000)

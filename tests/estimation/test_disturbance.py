@@ -23,7 +23,8 @@ def observed(seconds: float, force, **settings) -> np.ndarray:  # type: ignore[n
 
     As in the loop, the observer's model has the present estimate as a parameter.
     """
-    observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, **settings)
+    given = {"calm": (np.inf, np.inf), **settings}
+    observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, **given)
     x, out = np.zeros(2 * N), []
     for k in range(round(seconds / H)):
         t = k * H
@@ -68,3 +69,23 @@ def test_hold_is_as_long_as_asked(hold: float) -> None:
     times = np.arange(1, len(estimates)) * H
     quiet = times[(times > 3.15) & changed][0] - 3.2
     assert quiet == pytest.approx(hold, abs=0.02)
+
+
+def test_an_unknown_inertia_is_no_constant_force() -> None:
+    """A load of 2 kg that swings with the robot takes ± 2 N for every m/s²: what is learnt of it while the robot accelerates by
+    2 m/s² is little, and a constant force is still found, if later."""
+    accelerating = lambda t: np.array([-2.0 * 2.0 * np.sign(np.sin(3.0 * t)), 0.0, 0.0, 0.0, 0.0])
+
+    def learnt(calm: tuple[float, float]) -> float:
+        observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, calm=calm)
+        x, out = np.zeros(2 * N), []
+        for k in range(1200):
+            u = MASS[:, 0] * 2.0 * np.sign(np.sin(3.0 * k * H))
+            out.append(observer.update(k * H, x, u, H)[0])
+            x = step(x, u + accelerating(k * H), H)
+        return float(np.abs(out).max())
+
+    assert learnt((np.inf, np.inf)) > 2.0
+    assert learnt((0.5, 0.2)) < 1.0
+    found = observed(12.0, lambda t: CONSTANT, calm=(0.5, 0.2))[-1]
+    np.testing.assert_allclose(found, CONSTANT, rtol=0.03)

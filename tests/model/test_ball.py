@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.ocp.residuals import FrameWrench, Symbols
@@ -199,6 +200,17 @@ def test_wheel_power_equals_power_of_the_generalised_force(seed: int) -> None:
 
 def test_wheel_torque_map_equals_the_contacts() -> None:
     np.testing.assert_allclose(ROBOT.base.wheel_torque_map(), contact_map(), atol=1e-12)
+
+
+def test_moment_on_the_hand_does_the_work_of_its_turning() -> None:
+    """Virtual work, with the hand's turning by differences of its orientation."""
+    q, moment, h = ROBOT.home[:N] + 0.1 * np.sin(np.arange(N)), np.array([0.7, -1.1, 0.4]), 1e-6
+    work = []
+    for k in range(N):
+        turned = [ROBOT.pose(np.concatenate([q + s * h * np.eye(N)[k], np.zeros(N)]))[1] for s in (-1.0, 1.0)]
+        turn = lie.quaternion_log(lie.quaternion_multiply(turned[1], lie.quaternion_conjugate(turned[0])))
+        work.append(moment @ turn / (2.0 * h))
+    np.testing.assert_allclose(ROBOT.tool_moment(q, moment), work, atol=1e-6)
 
 
 def test_mass_matrix_and_inverse_dynamics_agree() -> None:

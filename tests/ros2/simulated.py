@@ -27,6 +27,7 @@ class Simulated:
         self.said: list[Any] = []
         self.other.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
         self.sim = SimNode(self.other, robot, self.settings, seed, factor=20.0)
+        self.sim.lockstep = True  # also for a controller that takes the time that it takes
         self.change: Callable[[dict[str, Any]], Mapping[str, Any] | None] = lambda message: message
         send = self.sim._joints.publish
         self.sim._joints = self  # type: ignore[assignment]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,7 +19,9 @@ pytestmark = needs_dds
 if not MISSING:
     from simulated import Simulated
 
-    from wbmpc.ros2.settings import BallSettings
+    from wbmpc.ros2.ball import POSTURES, bodies
+    from wbmpc.ros2.goals import HandTrack, Planner
+    from wbmpc.ros2.settings import BallSettings, Speeds
 
 ROBOT = load_robot("rezero")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "48"})
@@ -50,6 +53,13 @@ def standing(s: Any) -> None:
     """It stands, 2 s later too: without torques it falls within 1 s."""
     s.run(2.0)
     assert not s.why and s.truth().tilt < 0.25 and s.control.running
+
+
+class Deaf:
+    """In place of a publisher: nothing is sent, or what a function does."""
+
+    def __init__(self, publish: Callable[[Any], None] = lambda message: None) -> None:
+        self.publish = publish
 
 
 def errors(caplog: pytest.LogCaptureFixture, text: str) -> int:
@@ -143,8 +153,157 @@ def test_without_states_there_is_no_balance(made: Callable[..., Any], caplog: py
     assert s.until(lambda: any("s old" in m for m in s.messages(2)))
 
 
-def test_what_it_needs_and_what_it_cannot_do(made: Callable[..., Any]) -> None:
-    for topics, says in (({"imu": ""}, "needs an inertial unit"), ({"pose": "/amcl"}, "takes no poses")):
-        with pytest.raises(InputError, match=says):
-            made(topics=topics)
+def test_without_its_inertial_unit_there_is_no_balance(
+    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nothing else says how it leans: torques ramp down within the watchdog's time, and it says why it fell."""
+    s = made()
+    balancing(s)
+    s.sim._imu = Deaf()
+    at = s.sim.time
+    assert s.until(lambda: s.control.runner.stopped), s.control.state
+    assert "the messages on /imu stopped 0.1" in s.control.state and s.sim.time - at < 0.15
+    assert errors(caplog, "the messages on /imu stopped") == 1
+    assert s.until(lambda: any("on /imu stopped" in m for m in s.messages(2)))
+    assert s.until(lambda: np.all(s.sim._groups["wheel"] == 0.0) or s.why)
+
+
+def test_an_inertial_unit_that_says_nonsense_does_not_count(
+    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    s = made()
+    balancing(s)
+    send = s.sim._imu
+    s.sim._imu = Deaf(lambda m: send.publish({**m, "angular_velocity": {"x": np.nan}}))
+    s.run(0.01)
+    s.sim._imu = send
+    standing(s)
+    assert errors(caplog, "imu") == 1 and not s.control.body.fault
+
+
+def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    """A solve that does not come back, in a thread of its own: balance goes on, and the MPC takes over when it is back."""
+    s = made(lockstep=False)
+    balancing(s)
+    solve, hung, back = s.control.pilot.mpc.advance, threading.Event(), threading.Event()
+
+    def hangs(observation: Any) -> Any:
+        hung.set()
+        back.wait(60.0)
+        return solve(observation)
+
+    s.control.pilot.mpc.advance = hangs
+    assert s.until(hung.is_set)
+    try:
+        s.run(2.5)
+        assert not s.why and s.truth().tilt < 0.25 and s.control.running
+        assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
+        assert s.until(lambda: any("the policy is 0.5" in m for m in s.messages(2)))
+    finally:
+        s.control.pilot.mpc.advance = solve
+        back.set()
+    assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
+    s.run(1.0)
+    assert not s.why and s.truth().tilt < 0.25
+
+
+def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
+    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """The simulator's true pose, moved by an offset, as an exact source: the robot is where that says."""
+    s = made(topics={"pose": "/localisation"})
+    offset, sending = np.array([3.0, -1.0]), [True]
+    poses = s.other.publisher("/localisation", "nav_msgs/msg/Odometry")
+    truth_of = s.sim._odom
+
+    def publish(message: dict[str, Any]) -> None:
+        truth_of.publish(message)
+        if sending:
+            pose = message["pose"]["pose"]
+            moved = {"x": pose["position"]["x"] + offset[0], "y": pose["position"]["y"] + offset[1]}
+            poses.publish({**message, "pose": {"pose": {**pose, "position": moved}}})
+
+    s.sim._odom = Deaf(publish)
+    balancing(s)
+    s.hand(dx=0.2)
+    s.run(3.0)
+    truth = s.truth()
+    seen = s.control.pilot.snapshot()[1]
+    np.testing.assert_allclose(seen[:2], truth.pose[:2] + offset, atol=3e-3)
+    np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
+    assert np.sqrt(s.control.pilot.estimate().covariance[0, 0]) < 3e-3
+    sending.clear()
+    assert s.until(lambda: "holds its place: the pose on /localisation is 0." in s.control.state), s.control.state
+    s.hand(dx=0.2)
+    standing(s)
+    assert "a goal is refused: the pose on /localisation" in s.control.inbox.refused
+    assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
+    sending.append(True)
+    assert s.until(lambda: s.control.state == "running: stay"), s.control.state
+
+
+def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]) -> None:
+    """1.5 N m at the forearm, without the disturbance observer: with the reference the plan counts with the world's answer."""
+    moved = []
+    for announced in (False, True):
+        s = made(observer=False, topics={"wrench": f"/moment_{announced}"})
+        balancing(s)
+        start = s.truth().tool.copy()
+        publisher = s.other.publisher(f"/moment_{announced}", "geometry_msgs/msg/WrenchStamped")
+        assert s.until(lambda p=publisher: p._writer.get_matched_subscriptions())
+        with s._physics:
+            s.sim.plant.push(np.zeros(3), [0.0, 1.5, 0.0], body="arm_forearm_link")
+        wrong = 0.0
+        for _ in range(10):
+            if announced:
+                publisher.publish({"header": {"frame_id": "odom"}, "wrench": {"torque": {"y": -1.5}}})
+            s.run(0.1)
+            wrong = max(wrong, float(np.linalg.norm(s.truth().tool - start)))
+        moved.append(wrong)
+        assert not s.why
+        s.close()
+    assert moved[1] < 0.6 * moved[0], moved
+
+
+def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., Any]) -> None:
+    """What the MPC is given: the world's answer to the wrench, and both end when no more messages come."""
+    s = made()
+    balancing(s)
+    forces = lambda: ROBOT.parameters.split(s.control.pilot.parameters())["force"]
+    s.send(
+        "/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": "odom"}, "wrench": {"force": {"x": 3.0}}}
+    )
+    assert s.until(lambda: np.allclose(forces(), [-3.0, 0.0, 0.0])), forces()
+    s.run(1.0)
+    np.testing.assert_array_equal(forces(), np.zeros(3))
+    assert np.any(ROBOT.parameters.split(s.control.pilot.parameters())["disturbance"] != 0.0)
+
+
+def test_the_bodys_posture_moves_no_hand() -> None:
+    """Forward kinematics of the body's references is where the hand is led, at rest: on a way, at steps and when it is carried."""
+    planner, x = Planner(ROBOT, Speeds()), ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
+    position, turned = ROBOT.pose(x)
+    goal = position + [0.3, 0.1, 0.08]
+    way = planner.to_hand(x, 1.0, goal, turned)
+    body = bodies(way, ROBOT, x)
+    assert body.times[0] == 1.0 and body.times[-1] == way.hand.times[-1] and body.times.size == POSTURES
+    for t in body.times:
+        at = np.array([np.interp(t, way.hand.times, c) for c in way.hand.positions.T])
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], at, atol=2e-3)
+    steps = HandTrack(
+        np.array([0.0, 2.0, 2.001, 4.0]), np.array([position, position, goal, goal]), np.tile(turned, (4, 1))
+    )
+    body = bodies(planner.along_hand(x, 0.0, steps, None), ROBOT, x)
+    for t, where in ((0.5, position), (1.99, position), (2.01, goal), (3.9, goal)):
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], where, atol=2e-3)
+    folded = x.copy()
+    folded[ROBOT.state["arm"]] += [0.2, -0.3, 0.1]
+    carried = bodies(planner.to_base(folded, 0.0, np.array([1.0, 0.0, 0.5])), ROBOT, folded)
+    assert np.all(carried.values[:, ROBOT.state["arm"]] == folded[ROBOT.state["arm"]])
+    np.testing.assert_allclose(carried.values[-1, :3], [1.0, 0.0, 0.5], atol=1e-9)
+
+
+def test_what_it_needs(made: Callable[..., Any]) -> None:
+    with pytest.raises(InputError, match="needs an inertial unit"):
+        made(topics={"imu": ""})
     assert BallSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
+from wbmpc.control import BrakeControl
 from wbmpc.model import load_robot
 from wbmpc.ros2 import DEFAULT, Network
 from wbmpc.stability import leg_angles
@@ -81,6 +82,19 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     np.testing.assert_array_equal(s.control.legs.angles, leg_angles(ROBOT, "A"))
     before, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
     assert s.until(lambda: np.all((angles(s) - before) * np.sign(way) > 0.02)), angles(s)
+
+
+def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """All brakes open in H: nothing would hold the base sideways. In X they may, and in H on the way to other angles."""
+    legs, free, nowhere = robot.control.legs, np.ones(4), np.full(4, np.nan)
+    legs.stop()
+    brakes = BrakeControl(ROBOT)
+    legs._put(nowhere, free)
+    assert not legs.apply(brakes, 1.0, np.zeros(4)) and not brakes.commanded(2.0).any()
+    assert "an order to the legs is refused: brakes: with these legs" in caplog.text
+    legs._put(leg_angles(ROBOT, "X"), free)
+    assert legs.apply(brakes, 1.0, np.zeros(4)) and brakes.commanded(2.0).all()
+    legs.stop()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -83,9 +84,10 @@ def test_the_ball_robot_takes_a_step_and_falls_without_its_controller() -> None:
         assert "the robot fell at" in bus.output()
 
 
-def test_a_driver_that_hangs_in_real_time() -> None:
-    """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached; states that stop for
-    longer than the watchdog stop the robot, and it stays stopped when they come back."""
+def test_a_controller_and_a_driver_that_hang_in_real_time() -> None:
+    """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached. A controller that hangs
+    is stopped by the robot's own timeout, and when it is back it does not go on by itself. States that stop for longer than the
+    watchdog stop the robot, and it stays stopped when they come back."""
     settings = {"topics": {"imu": ""}, "rates": {"control": 100}, "safety": {"watchdog": 1.0, "clock": 60.0}}
     with open_bus(72, SEED, lockstep=False, settings=settings) as bus:
         recorder = Recorder(bus.node)
@@ -94,6 +96,18 @@ def test_a_driver_that_hangs_in_real_time() -> None:
         goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 0.3}}})
         bus.wait_for(lambda: abs(recorder.rows["base"][-1][1] - 0.3) < 0.02, 30.0)
         assert "running" in bus.said
+        goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 3.0}}})
+        bus.wait_for(lambda: recorder.rows["base"][-1][1] > 0.5, 30.0)
+        bus.control.send_signal(signal.SIGSTOP)
+        bus.wait_for(lambda: "no commands on /" in bus.output(), 20.0)
+        time.sleep(1.5)
+        rows = len(recorder.rows["base"])
+        bus.control.send_signal(signal.SIGCONT)
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
+        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
+        assert np.ptp(np.array(recorder.rows["base"])[rows:, 1]) < 0.02  # but for a tick before it knew
+        goal.publish({"header": {"frame_id": "base_link"}})
+        bus.wait_for(lambda: "running" in bus.said, 20.0)
         bus.sim.send_signal(signal.SIGSTOP)
         bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
         bus.sim.send_signal(signal.SIGCONT)

@@ -176,6 +176,37 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     assert body.age() > 0.14 and "s old" in body.waits_for()
 
 
+def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callable[..., Any]) -> None:
+    """Means by hand: what is stamped up to the joint states counts for these, what is later for the next ones; stamps of
+    another clock say nothing, so all that came counts."""
+    body, t = pair(use_sim_time=False).control.body, types("jazzy")
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+
+    def joints(at: float) -> None:
+        kind = "sensor_msgs/msg/JointState"
+        body._take_joints(
+            t.decode(kind, t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}))
+        )
+
+    def imu(at: float, rate: float) -> None:
+        kind = "sensor_msgs/msg/Imu"
+        body._take_imu(t.decode(kind, t.encode(kind, {"header": header(at, ""), "angular_velocity": {"z": rate}})))
+
+    read = lambda: float(body._averaged(body._joints[0].stamp).gyro[2])
+    for at, rate in ((10.000, 1.0), (10.001, 2.0), (10.003, 8.0)):
+        imu(at, rate)
+    joints(10.001)
+    assert read() == read() == 1.5  # asked twice, it is the same
+    joints(10.002)
+    assert read() == 8.0  # the newest, while there is none of this interval
+    joints(10.003)
+    assert read() == 8.0
+    for at, rate in ((99.0, 3.0), (99.1, 5.0)):
+        imu(at, rate)
+    joints(10.005)
+    assert read() == 4.0
+
+
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 0.4})
     running(p)
@@ -243,6 +274,28 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
     sending.clear()
     p.run(0.45)
     stopped(p, "the pose on /amcl_pose is 0.", caplog)
+
+
+@pytest.mark.parametrize(
+    ("broken", "says"), [(None, "the messages on /imu stopped 0.1"), (np.nan, "imu: a number is not finite")]
+)
+def test_an_inertial_unit_that_stops_or_says_nonsense(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture, broken: float | None, says: str
+) -> None:
+    p = pair()
+    publisher, rate = p.standin.node.publisher("/imu", "sensor_msgs/msg/Imu"), [0.0]
+
+    def change(message: dict[str, Any]) -> dict[str, Any]:
+        if rate[0] is not None:
+            publisher.publish({"header": message["header"], "angular_velocity": {"z": rate[0]}})
+        return message
+
+    p.standin.change = change
+    running(p)
+    assert p.control.body.has_imu
+    rate[0] = broken  # type: ignore[call-overload]
+    p.run(0.15)
+    stopped(p, says, caplog)
 
 
 def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:

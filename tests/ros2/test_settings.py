@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
@@ -74,6 +76,36 @@ def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
     block = next(b for b in blocks if "topics:" in b)
     settings = load_settings(write(tmp_path, block), ROBOT)
     assert settings.bus_name("wheel_LF") == "front_left_wheel_joint"
+
+
+def test_the_documentations_controllers_are_the_robots() -> None:
+    """controllers.yaml of docs/ros2.md against the robot's own drives, and against the parameters and interfaces that
+    ros2_controllers' definitions have; every controller finds its interface in the URDF's tags."""
+    text = DOCS.read_text()
+    block = next(b for b in re.findall(r"```yaml\n(.*?)```", text, re.S) if "controller_manager:" in b)
+    file = yaml.safe_load(block)
+    types = {n: v["type"] for n, v in file["controller_manager"]["ros__parameters"].items() if isinstance(v, dict)}
+    parameters = {
+        "velocity_controllers/JointGroupVelocityController": {"joints"},
+        "forward_command_controller/ForwardCommandController": {"joints", "interface_name"},
+        "imu_sensor_broadcaster/IMUSensorBroadcaster": {"sensor_name", "frame_id"},
+        "joint_state_broadcaster/JointStateBroadcaster": set(),
+    }
+    assert {n: set(file.get(n, {"ros__parameters": {}})["ros__parameters"]) for n in types} == {
+        n: parameters[t] for n, t in types.items()
+    }
+    for name, controller in RosSettings().command_topics(ROBOT).items():
+        assert tuple(file[name]["ros__parameters"]["joints"]) == tuple(
+            j.removeprefix("brake/") for j in controller.joints
+        )
+        assert controller.topic == f"/{name}/commands"
+    tags = ElementTree.fromstring(next(b for b in re.findall(r"```xml\n(.*?)```", text, re.S)))
+    given = {j.get("name"): {c.get("name") for c in j.findall("command_interface")} for j in tags.findall("joint")}
+    assert given == {"wheel_LF": {"velocity"}, "steer_LF": {"velocity"}, "leg_LF": {"brake"}}
+    assert all([s.get("name") for s in j.findall("state_interface")] == ["position"] for j in tags.findall("joint"))
+    sensor = tags.find("sensor")
+    assert sensor is not None and sensor.get("name") == file["imu_broadcaster"]["ros__parameters"]["sensor_name"]
+    assert len(sensor.findall("state_interface")) == 10  # orientation, angular velocity, linear acceleration
 
 
 def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

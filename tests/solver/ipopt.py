@@ -71,8 +71,10 @@ def solve(solver: Solver, x0: np.ndarray, plugin: str = "ipopt") -> tuple[np.nda
         options |= {"structure_detection": "auto", "equality": list(above == 0.0)}
         options |= {"fatrop.print_level": 0, "fatrop.tolerance": 1e-9, "fatrop.max_iter": 500}
     else:
-        options |= {"ipopt.tol": 1e-10, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300}
+        options |= {"ipopt.tol": 1e-11, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300}
         options |= {"ipopt.bound_relax_factor": 0.0}
+        # its last barrier parameter: by default the larger bias of the two
+        options |= {"ipopt.mu_min": 1e-15, "ipopt.compl_inf_tol": 1e-13}
     other = ca.nlpsol("s", plugin, problem, options)
     found = other(x0=guess, lbg=0, ubg=above)
     assert other.stats()["success"], other.stats()["return_status"]

@@ -67,3 +67,35 @@ def test_the_filter_remembers() -> None:
     between = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real < 1.0)].real
     assert found.status is Status.CONVERGED, found
     np.testing.assert_allclose(found.u[0], between, atol=1e-6)
+
+
+def overshooting() -> OptimalControlProblem:
+    """½ (1.5 + u²)² + ½ u²: at its minimum, u = 0, the curvature is 4 and Gauss-Newton's 1, so that a step α leaves 1 − 4 α."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: 0.0 * u), 1.0, 1)
+    ocp.add(Cost("large", Rows(2, lambda s: ca.vertcat(1.5 + s.u**2, s.u)), 1.0))
+    return ocp
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_forced_steps_that_overshoot_become_shorter(backend: str) -> None:
+    """Full steps go from u to −3u; what is left after two of them tells that a quarter is right."""
+    forced = SQP.real_time(12, smallest_step=1.0, backend=backend)
+    solver = Solver(overshooting(), forced)
+    solver.guess(np.zeros((2, 1)), np.array([[1e-3]]))
+    found = solver.solve(np.zeros(1))
+    np.testing.assert_allclose(found.log[:2, 3], [4e-3, 12e-3], rtol=1e-3)
+    np.testing.assert_allclose(found.log[1:3, 4], 0.25, rtol=1e-3)
+    assert abs(found.u[0, 0]) < 1e-9
+    solver.guess(np.zeros((2, 1)), np.array([[1e-3]]))
+    assert solver.solve(np.zeros(1)).log[0, 4] < 0.3  # the next solve starts from what this one found
+    solver.forget()
+    assert solver.solve(np.zeros(1)).log[0, 4] == 1.0
+
+
+def test_noise_between_solves_shortens_nothing() -> None:
+    """A measured state that jumps to and fro turns the direction too, but that is no overshooting."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 4)
+    ocp.add(Cost("x", Rows(2, lambda s: ca.vertcat(s.x, s.u)), 1.0))
+    solver = Solver(ocp, SQP.real_time(smallest_step=1.0))
+    for k in range(10):
+        assert solver.solve(np.array([(-1.0) ** k])).log[0, 4] == 1.0

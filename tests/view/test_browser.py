@@ -14,10 +14,14 @@ import pytest
 from browser import CHROMIUM, browser, project
 from test_live import free_port
 
+from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import read
+from wbmpc.report import plots_page, write_run
+from wbmpc.reproduce import Job, write_site
+from wbmpc.result import Plot
 from wbmpc.view.replay import Film
 from wbmpc.view.stage import camera_offset
 
@@ -53,7 +57,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
             film = Film(_partly(tmp_path))
             eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
-            page.uncheck("Camera follows the robot")  # from here on its place is known
+            page.uncheck("Camera follows")  # from here on its place is known
             before = page.picture()
             page.click("Push")
             assert page.until(lambda: page.differs(before) > 300, 30.0)
@@ -84,6 +88,40 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     moved = goal_path[-1] - goal_path[0]
     assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
     assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
+
+
+def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
+    """In a session: the arrow of the base's goal is pulled ahead, then A is clicked, then the session begins anew."""
+    process, url = start("view", "swerve-ur10", "--out", str(tmp_path))
+    try:
+        with browser() as page:
+            page.open(url, 8.0)
+            film = Film(_partly(tmp_path))
+            poses = film.snapshot(0.0)["poses"]
+            place = poses[film.scene.index, :3]
+            page.uncheck("Camera follows")
+            eye, box = place + camera_offset(poses, film.scene.index), (676.0, 700.0)
+            pixel = lambda along: project(np.array([along, 0.0, 0.02]), eye, place, box, FIELD)
+            along = next(a for a in (0.45, 0.4, 0.5, 0.35, 0.45, 0.5) if page.grasp(pixel(a)))
+            page.pull(pixel(along), pixel(along + 0.3))
+            assert page.until(lambda: _last(tmp_path, "/odom", "pose.pose.position.x") > 0.1, 60.0)
+            leg = lambda: _last(tmp_path, "/measured/leg", "data.0")
+            before = leg()
+            page.click("A")
+            assert page.until(lambda: abs(leg() - before) > 0.1, 60.0)
+            page.click("Reset")
+            assert page.until(lambda: abs(_last(tmp_path, "/odom", "pose.pose.position.x")) < 0.01, 60.0)
+            assert page.errors == [] and page.outside == []
+            page.click("End the run")
+            _, err = process.communicate(timeout=60)
+        assert process.returncode == 0 and "ended in the view" in err
+    finally:
+        process.kill()
+
+
+def _last(folder: Path, topic: str, column: str) -> float:
+    """The newest number of a recording that is still being written."""
+    return float(read(folder).table(topic).columns[column][-1])
 
 
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -131,3 +169,30 @@ def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 0 and "Traceback" not in err
+
+
+def test_pages_of_runs_open_without_errors(tmp_path: Path) -> None:
+    """A run's page, an experiment's and the index of `wbmpc reproduce`, `log plot`'s page: no error in the console, nothing from
+    a network, and every plot of the run is drawn."""
+    result = REGISTRY["fake"].run(FakeSettings(duration=1.0), 1, None)
+    job = Job("fake", 1, tmp_path / "fake" / "seed1")
+    write_run(result, job.directory)
+    job.mark.touch()
+    index = write_site([job], {}, tmp_path, clips=False)
+    plots = tmp_path / "plots.html"
+    plots.write_text(plots_page("plots", "of a run", [p for p in result.plots if isinstance(p, Plot)]))
+    pages = (index, index.parent / "fake" / "index.html", job.directory / "report.html", plots)
+    with browser() as page:
+        page.page.context.set_offline(True)
+        for path in pages:
+            page.page.goto(path.as_uri(), timeout=60_000)
+            page.wait(1.0)
+            assert page.errors == [] and page.outside == [], path
+            if path.name in ("report.html", "plots.html"):
+                assert page.page.locator(".main-svg").count() >= len(result.plots)
+        # what is linked is there
+        page.page.goto(index.as_uri(), timeout=60_000)
+        page.page.get_by_role("link", name="fake").click()
+        assert page.page.get_by_role("heading", name="fake", exact=True).count() == 1
+        frame = page.page.frame_locator("iframe")
+        assert page.until(lambda: frame.locator(".main-svg").count() >= len(result.plots), 30.0)

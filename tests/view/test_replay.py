@@ -28,6 +28,9 @@ from wbmpc.view import render
 from wbmpc.view.replay import Film
 from wbmpc.view.session import _swerve
 
+#: The robot's base in a page.
+BODY = "/map/bodies/body"
+
 
 class Truth:
     """Notes where the bodies are, straight from the simulator."""
@@ -114,8 +117,14 @@ def test_the_page_holds_the_whole_film(page: Path) -> None:
     plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
     content = msgpack.decode(plain[8 : 8 + int.from_bytes(plain[:8], "little")])
     assert content["durationSeconds"] == pytest.approx(1.0, abs=0.06)
-    moved = [t for t, m in content["messages"] if m["type"] == "SetPositionMessage" and m["name"] == "/bodies/body"]
+    put = [(t, m) for t, m in content["messages"] if m["type"] == "SetPositionMessage"]
+    places = {name: [(t, np.array(m["position"])) for t, m in put if m["name"] == name] for name in ("/map", BODY)}
+    moved = [t for t, _ in places[BODY]]
     assert len(moved) >= 15 and moved == sorted(moved)
+    # the world is carried back by as much as the robot goes, since nobody moves a page's camera
+    (_, first), (_, last), (_, back) = places[BODY][0], places[BODY][-1], places["/map"][-1]
+    assert np.linalg.norm((last - first)[:2]) > 0.02
+    np.testing.assert_allclose((last + back)[:2], first[:2], atol=0.01)
 
 
 def test_the_page_draws_without_a_network(page: Path) -> None:

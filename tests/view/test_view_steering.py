@@ -106,6 +106,24 @@ def test_brakes_open_at_once() -> None:
     np.testing.assert_array_equal(running.agent.brakes(0.0), 1.0)
 
 
+def test_brakes_of_legs_that_hold_nothing_stay_closed(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In H open legs would let the base go sideways (all four are parallel); the same click in X opens them."""
+    running = drive(_swerve, "swerve-ur10", 0.01, [])
+    x, agent = running.agent.state(), running.agent
+    monkeypatch.setattr(agent, "state", lambda: x)
+    orders, drift = no_orders(), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    orders["brake_clicks"][...], orders["brakes_open"][...] = 1, 1
+    inside, x[agent.robot.state["leg"]] = x[agent.robot.state["leg"]].copy(), 0.0
+    Steering(running, np.zeros(3)).apply(0.0, orders, drift)
+    np.testing.assert_array_equal(agent.brakes(0.0), 0.0)
+    assert "nothing would hold the base against sideways" in caplog.text
+    x[agent.robot.state["leg"]] = inside
+    Steering(running, np.zeros(3)).apply(0.0, orders, drift)
+    np.testing.assert_array_equal(agent.brakes(0.0), 1.0)
+
+
 def test_a_push_ends_by_itself() -> None:
     forces: dict[float, float] = {}
 

@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +17,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
+from wbmpc.cli.directories import run_directory
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
@@ -28,11 +28,14 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     TERMINATED,
+    console,
+    experiment_names,
     logged,
     progress_bar,
     silent,
     terminable,
-)  # fmt: skip
+)
+from wbmpc.cli.terminal import table as plain_table
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
@@ -95,34 +98,6 @@ def options(
         typer.echo(context.get_help())
 
 
-def _reserve(base: Path) -> Path:
-    """Make ``base``, or ``base-2``, ``base-3`` … when it is there: a run never overwrites another one."""
-    for k in count(1):
-        path = base if k == 1 else base.with_name(f"{base.name}-{k}")
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return path
-    raise AssertionError("unreachable")
-
-
-def _directory(out: Path | None, name: str, seed: int) -> Path:
-    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once."""
-    from wbmpc.report import RUN_FILES
-
-    if out is None:
-        return _reserve(Path("runs") / f"{name}-seed{seed}")
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out: '{out}' is a file; give a directory")
-    out.mkdir(parents=True, exist_ok=True)
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise InputError(f"--out: cannot write into '{out}'")
-    if any((out / file).exists() for file in RUN_FILES):
-        return _reserve(out)
-    return out
-
-
 def _execute(
     session: _Session,
     name: str,
@@ -143,7 +118,7 @@ def _execute(
     experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
     existed = out is not None and out.exists()
-    directory = _directory(out, name, seed)
+    directory = run_directory(out, name, seed)
     ours = not existed or directory != out
     _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
     _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
@@ -171,12 +146,9 @@ def _execute(
 
 
 def _table(results: list[RunResult]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from wbmpc.report import goal_notes, goal_text, number
 
-    table = Table(title="Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
+    table = plain_table("Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)
@@ -196,11 +168,11 @@ def _table(results: list[RunResult]) -> None:
             for kind, how_many in _counts(mpc).items():
                 table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
         table.add_section()
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table)
+    out = console()
+    out.print(table)
     for result in results:
         for note in goal_notes(result):
-            console.print(f"{result.experiment}, {note}", highlight=False)
+            out.print(f"{result.experiment}, {note}", highlight=False)
 
 
 def _counts(mpc: MpcStatistics) -> dict[str, int]:
@@ -247,7 +219,9 @@ def list_experiments(
 @app.command()
 def run(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Name of the experiment (see 'wbmpc list').")],
+    name: Annotated[
+        str, typer.Argument(help="Name of the experiment (see 'wbmpc list').", autocompletion=experiment_names)
+    ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     assignments: Annotated[
         list[str] | None,
@@ -285,6 +259,7 @@ def demo(
 
 @app.command()
 def bench(
+    context: typer.Context,
     peers: Annotated[
         bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
     ] = False,
@@ -295,9 +270,10 @@ def bench(
     """Time the solver against others on the same discretised problems, on one core."""
     from wbmpc.benchmark import run_benchmark
 
-    directory = None if out is None else _directory(out, "bench", 0)
-    with progress_bar("bench", not as_json) as bar:
-        show = bar or (lambda _, note: None if as_json else typer.echo(note, err=True))
+    directory = None if out is None else run_directory(out, "bench", 0)
+    tell = not (as_json or context.obj.quiet)
+    with progress_bar("bench", tell) as bar:
+        show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
         figures = run_benchmark(repeat, show, peers)
     if directory is not None:
         from wbmpc.benchmark.figure import write

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -97,7 +98,9 @@ def export(
 def compare(
     first: Annotated[Path, typer.Argument(help="Directory of a run.")],
     second: Annotated[Path, typer.Argument(help="Directory of another run.")],
-    out: Annotated[Path, typer.Option(help="The page with both runs' signals.")] = Path("compare.html"),
+    out: Annotated[
+        Path | None, typer.Option(help="The page with both runs' signals (default: a fresh compare.html).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two runs: their metrics in a table, their signals over each other in a page."""
@@ -107,6 +110,7 @@ def compare(
     runs, logs = zip(*(load(d) for d in (first, second)), strict=True)
     rows, changed = table(list(runs)), differences(list(runs))
     names = [first.name or str(first), second.name or str(second)]
+    out = out or next(p for p in _fresh("compare", ".html") if not p.exists())
     about = f"{first} (solid) and {second} (dashed)"
     out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names)))
     if as_json:
@@ -120,13 +124,16 @@ def compare(
     typer.echo(f"the signals are in {out}")
 
 
-def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+def _fresh(stem: str, ending: str) -> Iterator[Path]:
+    """stem, stem-2, stem-3 …"""
+    return (Path(f"{stem}{'' if k == 1 else f'-{k}'}{ending}") for k in count(1))
 
+
+def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
+    from wbmpc.cli.terminal import console, table
     from wbmpc.report import number
 
-    shown = Table()
+    shown = table()
     for column in ("metric", "unit"):
         shown.add_column(column)
     for column in (*names, "change"):
@@ -135,4 +142,4 @@ def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
         change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
         values = ["" if v is None else number(v) for v in row["values"]]
         shown.add_row(row["metric"], row["unit"], *values, change)
-    Console(width=None if sys.stdout.isatty() else 120).print(shown)
+    console().print(shown)

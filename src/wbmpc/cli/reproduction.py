@@ -9,10 +9,15 @@ from typing import Annotated
 
 import typer
 
+from wbmpc.cli.terminal import INTERRUPTED, experiment_names, progress_bar
+
 
 def reproduce(
     context: typer.Context,
-    only: Annotated[list[str] | None, typer.Option(help="An experiment (default: all); may be repeated.")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="An experiment (default: all); may be repeated.", autocompletion=experiment_names),
+    ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as 200-219, 3 or 1,5-7.")] = "200-219",
     out: Annotated[Path, typer.Option(help="Directory of the site; what is finished there is not run again.")] = Path(
         "reproduced"
@@ -22,13 +27,20 @@ def reproduce(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page."""
-    from wbmpc.cli.terminal import progress_bar
     from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
-    with progress_bar("reproduce", not as_json) as progress:
-        failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
+    tell = not (as_json or context.obj.quiet)
+    with progress_bar("reproduce", tell) as bar:
+        # hours go by: in a pipe every finished run is a line
+        progress = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
+        try:
+            failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
+        except KeyboardInterrupt:
+            done = f"{sum(job.done for job in jobs)} of {len(jobs)} runs are finished"
+            typer.echo(f"wbmpc: interrupted: {done}; the same command goes on from there", err=True)
+            raise typer.Exit(INTERRUPTED) from None
     index = write_site(jobs, failed, out, clips)
     lost = [{"experiment": j.name, "seed": j.seed, "reason": reason} for j, reason in failed.items()]
     if as_json:

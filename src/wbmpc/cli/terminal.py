@@ -9,7 +9,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 #: Exit statuses.
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
@@ -43,6 +47,34 @@ def terminable() -> Iterator[Termination]:
         yield handler
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def table(title: str | None = None) -> Table:
+    """A table with lines and colours on a terminal; in a pipe plain columns, which other programs can read."""
+    from rich.table import Table
+
+    return Table(title=title) if sys.stdout.isatty() else Table(title=title, box=None, pad_edge=False)
+
+
+def console() -> Console:
+    """Where tables are printed: as wide as the terminal; in a pipe wide enough for everything."""
+    from rich.console import Console
+
+    return Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
+
+
+def experiment_names(incomplete: str) -> list[str]:
+    """For the shell's completion."""
+    from wbmpc.experiments import REGISTRY
+
+    return [name for name in REGISTRY if name.startswith(incomplete)]
+
+
+def robot_names(incomplete: str) -> list[str]:
+    """For the shell's completion."""
+    from wbmpc.robots import available_robots
+
+    return [name for name in available_robots() if name.startswith(incomplete)]
 
 
 @contextmanager

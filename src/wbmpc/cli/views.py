@@ -6,12 +6,15 @@ import io
 import json
 import math
 from contextlib import redirect_stdout, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wbmpc.cli.directories import run_directory
 from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.terminal import robot_names
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,44 +33,63 @@ def warn(host: str) -> None:
         )
 
 
-def open_view(title: str, host: str, port: int, *, reset: bool = False) -> View:
+def say_where(url: str, as_json: bool = False, what: str = "view") -> None:
+    """Where a browser finds it: a sentence on standard error, or the object on standard output."""
+    typer.echo(json.dumps({"url": url}) if as_json else f"the {what} is at {url}", err=not as_json)
+
+
+def open_view(title: str, host: str, port: int, *, reset: bool = False, as_json: bool = False) -> View:
     """A view that says where it is when it can be opened."""
     from wbmpc.view.live import View
 
-    shown = View(title, host, port, reset=reset, opened=lambda url: typer.echo(f"the view is at {url}", err=True))
+    shown = View(title, host, port, reset=reset, opened=partial(say_where, as_json=as_json))
     warn(host)
     return shown
 
 
 def view(
-    robot: Annotated[str, typer.Argument(help="Name of a robot (see 'wbmpc list'), or one's own YAML.")],
+    robot: Annotated[
+        str, typer.Argument(help="Name of a robot (see 'wbmpc list'), or one's own YAML.", autocompletion=robot_names)
+    ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     realtime: Annotated[
         bool,
         typer.Option("--realtime", help="Controller, MPC and physics each by the wall clock; nothing can be paused."),
     ] = False,
+    out: Annotated[Path | None, typer.Option(help="Directory for a recording (left out: none is made).")] = None,
     host: Host = LOCAL,
     port: Port = 8080,
+    as_json: AsJson = False,
 ) -> None:
     """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
     if realtime:
-        _view_realtime(robot, seed, host, port)
+        if out is not None:
+            raise InputError("--out: what runs in real time is not recorded; leave out --realtime")
+        _view_realtime(robot, seed, host, port, as_json)
         return
+    from wbmpc.recording.recorder import Recorder
+    from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown = open_view(robot, host, port, reset=True)
+    shown, recorders, reason = open_view(robot, host, port, reset=True, as_json=as_json), [], "an error of the program"
+    if out is not None:
+        recorders = [Recorder(run_directory(out, robot, seed) / RECORDING, about_run(f"view {robot}", seed, {}))]
     try:
-        ending = run_session(robot, seed, shown)
+        reason = run_session(robot, seed, shown, *recorders).reason
     finally:
         shown.close()
-    typer.echo(ending.reason, err=True)
+        for recorder in recorders:
+            recorder.close({"completed": "false", "reason": reason})
+    typer.echo(reason, err=True)
+    for recorder in recorders:
+        typer.echo(f"the recording is {recorder.path}", err=True)
 
 
-def _view_realtime(robot: str, seed: int, host: str, port: int) -> None:
+def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -> None:
     from wbmpc.view.realtime import RealtimeView
     from wbmpc.view.session import run_realtime
 
-    opened = lambda url: typer.echo(f"the view is at {url}", err=True)
+    opened = partial(say_where, as_json=as_json)
     shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened)
     warn(host)
     reason = "interrupted"
@@ -104,7 +126,7 @@ def replay(
     if html is not None:
         typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
         return
-    typer.echo(f"the replay is at {player.url}", err=True)
+    say_where(player.url, as_json, "replay")
     with suppress(KeyboardInterrupt):
         player.run()
 

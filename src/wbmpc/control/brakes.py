@@ -44,6 +44,16 @@ def described(motion: Array) -> str:
     return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
+def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
+    """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing."""
+    held, motion = floating(geometry, leg, brake)
+    if held < FLOATING:
+        raise InputError(
+            f"brakes: with these legs {np.round(np.asarray(leg, float), 2)} rad nothing would hold the base against "
+            f"{described(motion)} once they are open; valid: a closed brake, or other leg angles at once"
+        )
+
+
 class BrakeControl:
     """Brakes of a robot's legs over time: events that are scheduled, or that come at any time.
 
@@ -84,13 +94,7 @@ class BrakeControl:
         if not np.isfinite(t):
             raise InputError(f"brakes: the time of an event must be finite, got {t}")
         if leg is not None:
-            held, motion = floating(self.geometry, leg, self._checked(brake))
-            if held < FLOATING:
-                angles = np.round(np.asarray(leg, float), 2)
-                raise InputError(
-                    f"brakes: with these legs {angles} rad nothing would hold the base against {described(motion)} "
-                    "once they are open; valid: a closed brake, or other leg angles at once"
-                )
+            refuse_floating(self.geometry, leg, self._checked(brake))
         place = int(np.searchsorted(self._times, t))
         if place < len(self._times) and self._times[place] == t:
             self._states[place] = self._checked(brake)

@@ -50,7 +50,5 @@ class FrequencyAwareAgent(RezeroAgent):
         )[: self.limit.size]  # fmt: skip
         self.wanted = self._torques_of(plans.current, self.memory, t, x)
         torque = self._possible(self.wanted)
-        self.clamped = bool(np.any(torque != self.wanted))
         self.memory.advance(torque, self.period)
-        self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
-        return RezeroCommand(torque)
+        return self._drive(torque)

@@ -20,8 +20,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.model import RobotModel
-from wbmpc.mpc import Plans
-from wbmpc.plant import RezeroCommand
+from wbmpc.mpc import Policy
 
 Array = NDArray[np.float64]
 
@@ -118,9 +117,8 @@ class LqrAgent(RezeroAgent):
         gain: Array = self.gains.schedule(arm[1:] if arm.size > 1 else arm)[0]
         return gain
 
-    def command(self, t: float, plans: Plans) -> RezeroCommand:
-        """Torques of the regulator at the predicted present state."""
-        x, n = self.state(), self.robot.base.nq
+    def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
+        n = self.robot.base.nq
         wanted, torque = self._equilibrium(t)
         shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
         error, torque = x - wanted, torque + shift[2:]
@@ -130,6 +128,4 @@ class LqrAgent(RezeroAgent):
             c, s = np.cos(x[2]), np.sin(x[2])
             heading = np.array([[c, s], [-s, c]])
             error[:2], error[n : n + 2] = heading @ error[:2], heading @ error[n : n + 2]
-        self.feedforward = torque
-        self.wanted = torque - self._gain(x) @ error
-        return self._drive(self._possible(self.wanted))
+        return torque, torque - self._gain(x) @ error

@@ -11,7 +11,7 @@ from wbmpc.control.fall import FallForecast
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
 from wbmpc.model import RobotModel
-from wbmpc.mpc import MPC, Observation, Plans
+from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.
@@ -45,6 +45,7 @@ class RezeroAgent:
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
+        self.torque = torque.copy()  # what the drives were last asked for
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
@@ -55,12 +56,20 @@ class RezeroAgent:
             m = measurement
             measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
         self.measured = measurement
-        if self.observer is not None:
-            past = self._torques[-1 - self._late()]
-            self.disturbance = self.observer.update(measurement.time, measurement.state, past, self.period)
-            if not np.isfinite(self.disturbance).all():
-                raise NotFinite("the estimated disturbance is not finite")
-            self.mpc.solver.set_parameters(self.parameters())
+        self._observe(measurement)
+
+    def _observe(self, measurement: RezeroMeasurement) -> None:
+        if self.observer is None:
+            return
+        past = self._torques[-1 - self._late()]
+        self.disturbance = self._finite(self.observer.update(measurement.time, measurement.state, past, self.period))
+        self.mpc.solver.set_parameters(self.parameters())
+
+    @staticmethod
+    def _finite(disturbance: np.ndarray) -> np.ndarray:
+        if not np.isfinite(disturbance).all():
+            raise NotFinite("the estimated disturbance is not finite")
+        return disturbance
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
@@ -85,7 +94,7 @@ class RezeroAgent:
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            wanted = self._possible(policy(t + k * self.period, x)[: self.limit.size])
+            wanted = self._possible(self._law(t + k * self.period, x, policy)[1])
             torque = torque + self._blend * (wanted - torque)
             x = self._step(x, torque, self.period)
         return Observation(until, x)
@@ -115,16 +124,20 @@ class RezeroAgent:
         return RezeroCommand(np.zeros(self.limit.size))
 
     def command(self, t: float, plans: Plans) -> RezeroCommand:
-        """Torques of the feedback policy at the predicted present state."""
-        assert plans.current is not None
-        if self.forecast is not None:
+        """Torques at the predicted present state."""
+        if self.forecast is not None and plans.current is not None:
             self.forecast.look(plans.current)
-        self.feedforward = plans.current.feedforward(t)[: self.limit.size]
-        self.wanted = plans.current(t, self.state())[: self.limit.size]
+        self.feedforward, self.wanted = self._law(t, self.state(), plans.current, acts=True)
         return self._drive(self._possible(self.wanted))
+
+    def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
+        assert policy is not None
+        return policy.feedforward(t)[: self.limit.size], policy(t, x)[: self.limit.size]
 
     def _drive(self, torque: np.ndarray) -> RezeroCommand:
         """The command for possible torques, which the drives follow with their lag."""
+        self.torque = torque
         self.clamped = bool(np.any(np.abs(torque - self.wanted) > _ROUNDING * self.limit))
         self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
         return RezeroCommand(torque)

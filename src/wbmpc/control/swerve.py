@@ -24,7 +24,9 @@ from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
 #: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
-CROOKED, MISALIGNED, ALIGNED = 0.05, 0.15, 0.02
+CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.02
+#: The steering servo may turn faster than the planner by this share, or it could never catch up (5.0 of 5.76 rad/s).
+RESERVE = 0.15
 
 
 class SwerveAgent:
@@ -69,11 +71,13 @@ class SwerveAgent:
         self.monitor, self.faulty = monitor, faulty
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
+        self._turning = np.zeros(robot.base.geometry.modules)
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
         self.clamped = self.aligning = False
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
+        self.sent = np.zeros(robot.input.size)  # what of it accelerations allow
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the message of this tick."""
@@ -123,13 +127,18 @@ class SwerveAgent:
                 x[state["steer"]] = aligned
         # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
         self._move(x, self._rates, self.lag, self.brakes(t))
+        sent = self.sent
         for k in range(round((until - t) / self.period)):
             now = t + (k + 0.5) * self.period
             policy = plans.at(now)
             if policy is None:
                 break
             u = self._held(policy.feedforward(now + self.lag))
-            self._move(x, u, self.period, self.brakes(now))
+            moved = sent = self._reachable(sent, u, self.brakes(now))
+            if self.planned_steering:  # the plan's angles go on with the plan, and the servo follows them
+                moved = sent.copy()
+                moved[self.robot.input["steer"]] = u[self.robot.input["steer"]]
+            self._move(x, moved, self.period, self.brakes(now))
         return Observation(until + self.lag, x)
 
     def _move(self, x: np.ndarray, u: np.ndarray, h: float, brake: np.ndarray) -> None:
@@ -163,25 +172,44 @@ class SwerveAgent:
         if t > policy.end:
             return self.stop()
         planned = policy.state(t + self.lag)[self.robot.state["steer"]]
-        error = planned - self.steer
+        # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
+        error = planned - self.steer - self.lag * self._turning
         off = float(np.abs(error).max()) if self.planned_steering else 0.0
         self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
         u = self._held(policy.feedforward(t + self.lag))
-        self._rates += self._blend * (u - self._rates)
-        if self.planned_steering:
-            self._rates[given["steer"]] = 0.0
-        most = self.robot.limits.input_upper[given["steer"]]
+        most = (1.0 + RESERVE) * self.robot.limits.input_upper[given["steer"]]
         steer = np.clip(u[given["steer"]] + self.steer_gain * error, -most, most)
         self.wanted = u
         self.wanted[given["steer"]] = steer
-        wheel, limit = u[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
+        brake = self.brakes(t)
+        self.sent = sent = self._reachable(self.sent, u, brake)
+        self._rates[given["steer"]] = self._turning
+        self._rates += self._blend * (sent - self._rates)
+        self._turning = self._rates[given["steer"]].copy()
+        if self.planned_steering:
+            self._rates[given["steer"]] = 0.0
+        wheel, limit = sent[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
-        brake = self.brakes(t)
         if self.monitor is not None:
-            self._watch(t, brake, u[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
-        return SwerveCommand(wheel, steer, u[given["arm"]], brake)
+            self._watch(t, brake, sent[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
+        return SwerveCommand(wheel, sent[given["steer"]], sent[given["arm"]], brake)
+
+    def _reachable(self, sent: np.ndarray, u: np.ndarray, brake: np.ndarray) -> np.ndarray:
+        """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period.
+
+        All but the steering goes the same share of it: one wheel that lags behind would drag the others. The steering goes as
+        fast as it can: it follows planned angles. A closed brake stops its leg as hard as it likes.
+        """
+        given = self.robot.input
+        step, most = u - sent, self.robot.limits.input_change * self.period
+        if "leg" in given:
+            most[given["leg"]] = np.where(brake > 0.5, most[given["leg"]], np.inf)
+        excess = np.maximum(np.abs(step) / most, 1.0)
+        together = np.delete(np.arange(u.size), given["steer"])
+        excess[together] = excess[together].max()
+        return sent + step / excess
 
     def _watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
         assert self.monitor is not None and self.measured is not None

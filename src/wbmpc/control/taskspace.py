@@ -19,8 +19,7 @@ from scipy.optimize import lsq_linear
 from wbmpc import lie
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.model import RobotModel
-from wbmpc.mpc import MPC, Plans
-from wbmpc.plant import RezeroCommand
+from wbmpc.mpc import MPC, Policy
 
 Array = np.ndarray
 #: t [s] -> the hand's position (3) [m] and quaternion (4) that are wanted.
@@ -50,7 +49,10 @@ class TaskGains:
 
 class TaskSpaceAgent(RezeroAgent):
     """Estimator, disturbance observer, prediction to now and clamps are those of the other ball-robot controllers; ``mpc`` is
-    its model only. ``goal``: what the hand is to do; ``home`` (nx): the stance about which it balances."""
+    its model only. ``goal``: what the hand is to do; ``home`` (nx): the stance about which it balances; ``stance``: where ball
+    and base are to be (a state (nx) over time), left out: below the hand's goal as at home."""
+
+    stance: Callable[[float], Array] | None = None
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, goal: Goal, gains: TaskGains, home: Array, torque: Array, *args: Any
@@ -74,10 +76,10 @@ class TaskSpaceAgent(RezeroAgent):
         gain: Array = -(a - b @ (b.T @ p) / g.wheel_torque)[5:]
         return gain
 
-    def command(self, t: float, plans: Plans) -> RezeroCommand:
-        """Torques of the bounded least squares at the predicted present state."""
-        self.wanted = self._solve(t, self.state())
-        return self._drive(self._possible(self.wanted))
+    def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
+        """Torques of the bounded least squares."""
+        torque = self._solve(t, x)
+        return torque, torque
 
     def _solve(self, t: float, x: Array) -> Array:
         n, g = self.robot.base.nq, self.gains
@@ -110,10 +112,12 @@ class TaskSpaceAgent(RezeroAgent):
         """Wanted acceleration (5) of ball and base: the LQR about the stance below the hand's goal, at the lean that carries arm
         and estimated disturbance."""
         n = self.robot.base.nq
-        ball = (self.goal(t)[0] - self._from_ball)[:2]
+        ball, yaw = (self.goal(t)[0] - self._from_ball)[:2], self.home[2]
+        if self.stance is not None:
+            ball, yaw = self.stance(t)[:2], self.stance(t)[2]
         lean = self.home[3:5] + self._lean @ (x[5:n] - self.home[5:n])
         lean = lean + np.linalg.solve(self._stiffness, self.disturbance[3:5])
-        away = x[:5] - np.concatenate([ball, [self.home[2]], lean])
+        away = x[:5] - np.concatenate([ball, [yaw], lean])
         away[:2] = _short(away[:2], self.gains.ball_limit)
         wanted: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
         return wanted

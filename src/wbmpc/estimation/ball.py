@@ -23,6 +23,8 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 #: Probability of more than this surprise without a fault; variance [rad²] of rows that count for nothing; what a wheel must
 #: have turned [rad] before an encoder that does not move is called stalled.
 GATE, ANY, STALLED = 1e-4, 1.0, 5e-3
+#: Variance [m², rad²] of what is called exact.
+_EXACT = 1e-14
 UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
 
 
@@ -279,11 +281,26 @@ class BallFilter:
         slope = np.zeros((2, self.covariance.shape[0]))
         expected = self.state.rotation[2]
         slope[:, A] = skew(expected)[:2]
-        spread_now = slope @ self.covariance @ slope.T + spread**2 * np.eye(2)
-        gain = np.linalg.solve(spread_now, slope @ self.covariance).T
-        self.state = self.state.moved(gain @ (up / np.linalg.norm(up) - expected)[:2])
+        self._correct(slope, (up / np.linalg.norm(up) - expected)[:2], spread**2 * np.eye(2))
+
+    def know_place(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
+        """A pose that is known from elsewhere: ``wrong`` (3) is what it says minus the estimate, x, y [m] and yaw [rad], with a
+        ``covariance`` (3, 3); without any it counts as exact."""
+        wrong, noise = np.asarray(wrong, float), np.asarray(covariance, float)
+        if wrong.shape != (3,) or noise.shape != (3, 3) or not (np.isfinite(wrong).all() and np.isfinite(noise).all()):
+            raise InputError(f"ball filter: a place needs 3 finite numbers and a covariance (3, 3), got {wrong}")
+        slope = np.zeros((3, self.covariance.shape[0]))
+        slope[:2, P] = np.eye(3)[:2]
+        _, pitch, roll = lie.rotation_to_euler_zyx(self.state.rotation)
+        slope[2, A] = [lie.euler_zyx_rates(pitch, roll, axis)[0] for axis in np.eye(3)]  # of yaw by the base's turning
+        self._correct(slope, wrong, noise + _EXACT * np.eye(3))
+
+    def _correct(self, slope: Array, wrong: Array, noise: Array) -> None:
+        """A Kalman update by rows ``slope`` (m, n) that are off by ``wrong`` (m), with a covariance ``noise`` (m, m)."""
+        gain = np.linalg.solve(slope @ self.covariance @ slope.T + noise, slope @ self.covariance).T
+        self.state = self.state.moved(gain @ wrong)
         keep = np.eye(len(gain)) - gain @ slope
-        self.covariance = keep @ self.covariance @ keep.T + spread**2 * gain @ gain.T  # Joseph form
+        self.covariance = keep @ self.covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
 
     # ------------------------------------------------------------------ what is asked for
     @property

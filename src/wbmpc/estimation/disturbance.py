@@ -3,6 +3,12 @@
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. A push is not a constant disturbance: while the innovation is large, and for ``hold``
 seconds after, d̂ stays as it is.
+
+Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
+that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the hand, a step of
+0.4 m: 45 mm beyond the goal and a swing of 1.2 Hz that has not died out four seconds later). So d̂ learns slowly while the
+model says that the robot accelerates or turns: L2 / (1 + (|v̇| / ``calm``)² + …), first for the ball's acceleration, then for the
+tilt rate.
 """
 
 from __future__ import annotations
@@ -24,6 +30,7 @@ class DisturbanceObserver:
     force_gain: float = 75.0
     gate: np.ndarray = field(default_factory=lambda: np.array([0.06, 0.06, 0.25, 0.12, 0.12]))
     hold: float = 1.0
+    calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
 
     def __post_init__(self) -> None:
         self.force = np.zeros(self.size)
@@ -42,7 +49,11 @@ class DisturbanceObserver:
         if t < self._held_until:
             self._speed = v.copy()
             innovation = np.zeros(n)
-        after = self.step(np.concatenate([q, self._speed]), u, h)
+        before = self._speed
+        after = self.step(np.concatenate([q, before]), u, h)
         self._speed = after[n:] + h * self.speed_gain * innovation
-        self.force = self.force + h * self.force_gain * (self.mass(q) @ innovation)
+        acceleration = np.hypot(*(after[n : n + 2] - before[:2])) / h
+        moving = (acceleration / self.calm[0]) ** 2 + (np.hypot(*v[3:5]) / self.calm[1]) ** 2
+        gain = self.force_gain / (1.0 + moving)
+        self.force = self.force + h * gain * (self.mass(q) @ innovation)
         return self.force

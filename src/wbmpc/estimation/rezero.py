@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,6 +16,8 @@ from wbmpc.model.ball import BallBase
 Array = NDArray[np.float64]
 #: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
 SLOW, STANDS = 0.05, 2.0
+#: So many poses of the past are kept for poses that come late.
+HISTORY = 200
 
 
 class JointTracker:
@@ -65,6 +69,7 @@ class RezeroEstimator:
         self._stood = 0.0
         self._time: float | None = None
         self._yaw = float(x[2])
+        self._places: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
 
     def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array) -> Array:
         """The state (2 nq) at ``time`` [s], at which the sensors were read."""
@@ -74,7 +79,24 @@ class RezeroEstimator:
         if interval > 0.0:
             self.arm.update(interval, np.asarray(arm, float))
             self._look_for_balance(interval)
-        return self.state
+        state = self.state
+        self._places.append((time, state[:3].copy()))
+        return state
+
+    def correct(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> Array:
+        """Take in another source's pose (x, y, yaw) of the base at ``time`` [s], one of the last :data:`HISTORY` updates, with
+        its covariance (3, 3); returns the state (2 nq) now."""
+        if not self._places:
+            return self.state
+        then = min(self._places, key=lambda place: abs(place[0] - time))[1]
+        wrong = np.asarray(pose, float) - then
+        wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
+        before = self.state[:3].copy()
+        self.filter.know_place(wrong, covariance)
+        state = self.state
+        for _, place in self._places:  # what was wrong now was wrong then
+            place += state[:3] - before
+        return state
 
     def _look_for_balance(self, interval: float) -> None:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""

@@ -7,18 +7,16 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_task import (
-    RezeroSettings,
+    BENT_ARM,
+    AccurateSettings,
     Task,
-    accurate,
     ball_felt,
     common_plots,
     hand_felt,
     rms,
     run_task,
 )
-from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -27,16 +25,12 @@ from wbmpc.result import Metric, Plot, RunResult
 
 NAME = "rezero-circle"
 SUMMARY = "the ball drives a circle while the hand stays still (Minniti et al. 2019, video)"
-#: Arm angles [rad] from which the hand stays inside 85 % of its reach all the way round.
-ARM = np.array([0.0, 0.5, 2.0])
 IDEALISATIONS = ["the hand's orientation is free but for a small weight: three joints hold its position"]
 
 
-class RezeroCircleSettings(RezeroSettings):
+class RezeroCircleSettings(AccurateSettings):
     """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
 
-    mpc: MpcSettings = accurate(ball=100.0)[0]
-    cost: RezeroCost = accurate(ball=100.0)[1]
     radius: float = Field(0.15, gt=0, le=1.0)
     lap: float = Field(6.0, ge=1.0, le=60.0)
     rounds: int = Field(3, ge=1, le=50)
@@ -62,7 +56,7 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
         free = settings.cost.body.model_copy(update={"yaw": 0.0})
         settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
     robot = load_robot("rezero")
-    home = robot.equilibrium(ARM)[0]
+    home = robot.equilibrium(BENT_ARM)[0]
     duration = settings.settle + settings.rounds * settings.lap + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))
@@ -86,5 +80,5 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
     def plots(log: Log) -> list[Plot]:
         return common_plots(log, hand, ball_path(settings, log.times("state")))
 
-    task = Task(ARM, duration, {"body": Reference(grid, body)})
+    task = Task(BENT_ARM, duration, {"body": Reference(grid, body)})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

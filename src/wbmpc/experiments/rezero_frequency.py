@@ -204,27 +204,28 @@ def _plots(log: Log) -> list[Plot]:
     wanted = log.array(f"wanted_{done[0]}")
     moved = int(np.argmax(np.ptp(wanted, axis=0)))
     lines = [Series(n, t[n], log.array(f"hand_{n}")[:, moved]) for n in done]
+    wheel = int(np.argmax(np.ptp(log.array(f"asked_{done[0]}")[:, :3], axis=0)))  # the one that works most
     wheels = [
         s
         for n in done
         for s in (
-            Series(f"{n}: asked", t[n], log.array(f"asked_{n}")[:, 0], dashed=True),
-            Series(f"{n}: acting", t[n], log.array(f"acting_{n}")[:, 0]),
+            Series(f"{n}: asked", t[n], log.array(f"asked_{n}")[:, wheel], dashed=True),
+            Series(f"{n}: acting", t[n], log.array(f"acting_{n}")[:, wheel]),
         )
     ]
     errors = {n: torque_error(log, n) for n in done}
     frequency = {n: np.fft.rfftfreq(len(t[n]), float(np.median(np.diff(t[n])))) for n in done}
-    band = {n: np.abs(np.fft.rfft(log.array(f"asked_{n}")[:, 0])) / len(t[n]) for n in done}
+    band = {n: np.abs(np.fft.rfft(log.array(f"asked_{n}")[:, wheel])) / len(t[n]) for n in done}
     return [
         Plot(f"Hand, {'xyz'[moved]}", "time [s]", "position [m]", [
             *lines, Series("asked", t[done[0]], wanted[:, moved], dashed=True),
         ]),
-        Plot("Torque of wheel 0, asked and acting", "time [s]", "torque [N m]", wheels),
-        Plot("Torque error of wheel 0", "time [s]", "torque [N m]", [Series(n, t[n], errors[n][:, 0]) for n in done]),
+        Plot(f"Torque of wheel {wheel}, asked and acting", "time [s]", "torque [N m]", wheels),
+        Plot(f"Torque error of wheel {wheel}", "time [s]", "torque [N m]", [Series(n, t[n], errors[n][:, wheel]) for n in done]),
         Plot("Torque error of the last arm joint", "time [s]", "torque [N m]", [
             Series(n, t[n], errors[n][:, -1]) for n in done
         ]),
-        Plot("Asked torque of wheel 0 over frequency", "frequency [Hz]", "amplitude [N m]", [
+        Plot(f"Asked torque of wheel {wheel} over frequency", "frequency [Hz]", "amplitude [N m]", [
             Series(n, frequency[n][1:], band[n][1:]) for n in done
         ]),
         Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
-from wbmpc.model import RobotModel
+from wbmpc.model import RobotModel, ServoedArm
 from wbmpc.model.balance import Balance
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
@@ -98,17 +98,25 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
     limits = robot.limits
     box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
-    free_state, free_input = residuals.State(robot, ["arm"], tracked=False), residuals.Input(robot, tracked=False)
+    free_state = residuals.State(robot, ["arm"], tracked=False)
     rates = residuals.State(robot, ["arm_velocity"], tracked=False)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
     ocp.add(
         Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=cost.speed_slack)
     )
-    barrier = RelaxedBarrier(settings.barrier_mu, 0.1)
-    ocp.add(
-        Constraint("torques", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)
-    )
+    _limit_torques(ocp, robot, settings, cost, None)
+    return ocp
+
+
+def _limit_torques(
+    ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost, groups: list[str] | None
+) -> None:
+    """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean."""
+    barrier, hard, limits = RelaxedBarrier(settings.barrier_mu, 0.1), settings.limits == "hard", robot.limits
+    free = residuals.Input(robot, groups, tracked=False)
+    box = sets.Box(limits.input_lower[free.indices], limits.input_upper[free.indices])
+    ocp.add(Constraint("torques", free, box, penalty=barrier, hard=hard))
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
         ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
@@ -116,6 +124,23 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
         lean, reach = residuals.CapturePoint(robot, balance.pole), cost.lean * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
+
+
+def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+    """What is left of that problem for a base whose arm somebody else moves (:class:`wbmpc.model.ServoedArm`): ball, yaw,
+    rates and wheel torques, the same limits."""
+    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
+    b = cost.body
+    body: dict[str, Any] = {
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
+        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
+        "arm": 0.0,
+        "arm_velocity": 0.0,
+    }
+    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
+    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
+    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
+    _limit_torques(ocp, robot, settings, cost, ["wheel"])
     return ocp
 
 

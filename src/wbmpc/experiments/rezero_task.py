@@ -11,10 +11,11 @@ from pydantic import Field
 from scipy.optimize import least_squares
 
 from wbmpc import lie
-from wbmpc.control import FallForecast, LqrAgent, LqrWeights, RegulatorGains, RezeroAgent
+from wbmpc.control import RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
-from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, Settings, finished
+from wbmpc.experiments.rezero_rivals import Controller, Parts, RivalsSettings, TrackingSettings, make_controller
+from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
@@ -50,27 +51,11 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     return MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu)
 
 
-def accurate(ball: float) -> tuple[MpcSettings, RezeroCost]:
-    """MPC and weights for a hand that is led accurately while the ball has a place of its own (weight ``ball``); stiff, for
-    references that move slowly."""
-    hand = HandCost(weight=1000.0, orientation=2.0, roll=0.0)
-    return mpc_settings(barrier_mu=3e-2), RezeroCost(hand=hand, body=BodyCost(ball=ball, yaw=20.0), lean=0.6)
-
-
-class RivalSettings(Settings):
-    """The rivals' own gains, searched by ``benchmarks/rezero_rivals.py``: factors of the MPC's weights of torques
-    (``torque``), ball speed and tilt rate (``damping``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
-
-    torque: float = Field(1.0, gt=0)
-    damping: float = Field(1.0, gt=0)
-    hand: float = Field(1.0, gt=0)
-    most: float = Field(0.1, gt=0)
-
-
 class RezeroSettings(ExperimentSettings):
     """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
-    unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives."""
+    unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
+    with its gains (``rival``); ``tracking`` of the MPC's plans."""
 
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
@@ -78,8 +63,21 @@ class RezeroSettings(ExperimentSettings):
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
-    controller: Literal["mpc", "lqr", "scheduled-lqr"] = "mpc"
-    rival: RivalSettings = RivalSettings()
+    controller: Controller = "mpc"
+    rival: RivalsSettings = RivalsSettings()
+    tracking: TrackingSettings = TrackingSettings()
+
+
+class AccurateSettings(RezeroSettings):
+    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly."""
+
+    cost: RezeroCost = RezeroCost(
+        hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
+    )
+
+
+#: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
+BENT_ARM = np.array([0.0, 0.5, 2.0])
 
 
 @dataclass(frozen=True)
@@ -151,15 +149,14 @@ def run_task(
     plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
-    agent = _agent(settings, robot, mpc, torque, timing.period, estimator, task)
+    agent, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, task.arm))
     mpc.reset(home, torque)
-    planner = mpc if settings.controller == "mpc" else None  # a rival has the MPC as its model only
     log = Log()
 
     def record(t: float, command: Any, plans: Any) -> None:
         if before is not None:
             before(mpc, timing, t)
-        record_rezero(log, t, plant, agent, command.torque)
+        record_rezero(log, t, plant, agent, agent.torque)
         log.add("feedback", t, agent.wanted - agent.feedforward)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
@@ -168,45 +165,16 @@ def run_task(
     def drawn() -> list[Plot]:
         if planner is None:
             return plots(log)
-        solve = 1e3 * np.array(mpc.statistics.solve_times)
+        solve = 1e3 * np.array(planner.statistics.solve_times)
         times = Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])
         return [*plots(log), times]
 
     ending = run_lockstep(plant, agent, planner, timing, task.duration, record, progress)
     return finished(
-        name, seed, settings, ending, mpc, log,
+        name, seed, settings, ending, planner or mpc, log,
         metrics=lambda: {**metrics(log, ending), **estimator_metrics(log)}, plots=drawn,
         idealisations=[*idealisations, *IDEALISATIONS],
     )  # fmt: skip
-
-
-def _agent(
-    settings: RezeroSettings, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float,
-    estimator: RezeroEstimator | None, task: Task,
-) -> RezeroAgent:  # fmt: skip
-    """The controller that the settings name."""
-    if settings.controller == "mpc":
-        forecast = FallForecast(robot, task.arm)
-        return RezeroAgent(robot, mpc, torque, period, settings.drive_lag, settings.observer, estimator, forecast)
-    agent = LqrAgent(robot, mpc, torque, period, settings.drive_lag, settings.observer, estimator)
-    gains = RegulatorGains(robot, regulator_weights(robot, settings), period)
-    body = mpc.reference["body"]
-    agent.regulate(gains, body.at, settings.controller == "scheduled-lqr", settings.rival.most)
-    return agent
-
-
-def regulator_weights(robot: RobotModel, settings: RezeroSettings) -> LqrWeights:
-    """The MPC's weights, times the rival's factors, for a regulator."""
-    h, b, t, r = settings.cost.hand, settings.cost.body, settings.cost.torque, settings.rival
-    fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
-    state = robot.state.vector({
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [b.arm] * (robot.base.nq - 5),
-        "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [b.arm_rate] * (robot.base.nq - 5),
-    })  # fmt: skip
-    hand = r.hand * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
-    twist = np.array([h.twist] * 3 + [h.angular] * 3)
-    wheels = len(robot.input.groups["wheel"])
-    return LqrWeights(hand, twist, state, r.torque * np.array([t.wheel] * wheels + [t.arm] * (robot.base.nq - 5)))
 
 
 def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:

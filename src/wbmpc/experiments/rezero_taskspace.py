@@ -8,20 +8,19 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
-from wbmpc.control.rezero import RezeroAgent
-from wbmpc.control.taskspace import TaskGains, TaskSpaceAgent
 from wbmpc.estimation import RezeroEstimator
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
+from wbmpc.experiments.rezero_problem import rezero_mpc
+from wbmpc.experiments.rezero_rivals import Parts, make_controller
 from wbmpc.experiments.rezero_steps import STEPS, target
 from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
     hand_felt,
-    mpc_settings,
     record_rezero,
+    resting,
     set_home_references,
 )
-from wbmpc.experiments.settings import MpcSettings, finished
+from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
 from wbmpc.model import RobotModel, load_robot
@@ -32,17 +31,12 @@ from wbmpc.result import Metric, Plot, RunResult, Series
 NAME = "rezero-taskspace"
 SUMMARY = "an instantaneous task-space controller against the MPC on the hand's steps (Minniti et al. 2019, section I)"
 CONTROLLERS = ("mpc", "taskspace")
-HERE = [
-    "neither controller sees a step before it comes; the task-space controller's gains were found by hand on seed 0"
-]
+HERE = ["neither controller sees a step before it comes"]
 
 
 class RezeroTaskspaceSettings(RezeroSettings):
-    """``settle`` [s] at home, then the eight steps of `rezero-steps`, ``hold`` [s] each; gains of the rival: ``gains``."""
+    """``settle`` [s] at home, then the eight steps of `rezero-steps`, ``hold`` [s] each."""
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
-    cost: RezeroCost = RezeroCost()
-    gains: TaskGains = TaskGains()
     hold: float = Field(5.0, ge=1.0, le=600.0)
     settle: float = Field(4.0, ge=0.5, le=600.0)
 
@@ -60,33 +54,34 @@ def drive(
 ) -> tuple[Ending, Any]:
     """One controller over all steps; channels are CHANNEL_NAME."""
     robot = load_robot("rezero")
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    arm = robot.home[robot.state["arm"]]
+    home, torque = robot.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     plant = RezeroPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     times, places, turns = goals(settings, robot)
+    stances = [resting(robot, p, q) for p, q in zip(places, turns, strict=True)]
     now = lambda t: int(np.searchsorted(times, t + 1e-9, side="right")) - 1
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
-    own = (timing.period, settings.drive_lag, settings.observer, estimator)
-    agent: RezeroAgent
-    if name == "mpc":
-        agent = RezeroAgent(robot, mpc, torque, *own)
-    else:
-        goal = lambda t: (places[now(t)], turns[now(t)])
-        agent = TaskSpaceAgent(robot, mpc, goal, settings.gains, home, torque, *own)
-    mpc.reference["hand"] = Reference.poses([0.0], places[:1], turns[0])
+
+    def ask(k: int) -> None:
+        mpc.reference["hand"] = Reference.poses([0.0], places[k : k + 1], turns[k])
+        mpc.reference["body"] = Reference.constant(stances[k])
+
+    ask(0)
+    chosen = settings.model_copy(update={"controller": name})
+    agent, planner = make_controller(chosen, Parts(robot, mpc, torque, timing.period, estimator, arm))
     mpc.reset(home, torque)
     single = Log()
 
     def record(t: float, command: Any, plans: Any) -> None:
-        k = now(t + timing.delay * timing.period)
-        mpc.reference["hand"] = Reference.poses([0.0], places[k : k + 1], turns[k])
+        ask(now(t + timing.delay * timing.period))
         record_rezero(single, t, plant, agent, command.torque)
         log.add(f"wanted_{name}", t, np.concatenate([places[now(t)], turns[now(t)]]))
 
     duration = times[-1] + settings.hold
-    ending = run_lockstep(plant, agent, mpc if name == "mpc" else None, timing, duration, record, progress)
+    ending = run_lockstep(plant, agent, planner, timing, duration, record, progress)
     for channel in ("state", "hand_quaternion", "tilt", "torque"):
         for t, row in zip(single.times(channel), single.array(channel), strict=True):
             log.add(f"{channel}_{name}", t, row)

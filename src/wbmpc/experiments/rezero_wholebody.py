@@ -7,18 +7,16 @@ import itertools
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_task import (
-    RezeroSettings,
+    BENT_ARM,
+    AccurateSettings,
     Task,
-    accurate,
     ball_felt,
     common_plots,
     hand_felt,
     rms,
     run_task,
 )
-from wbmpc.experiments.settings import MpcSettings
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
@@ -27,21 +25,18 @@ from wbmpc.result import Metric, Plot, RunResult, Series
 
 NAME = "rezero-wholebody"
 SUMMARY = "the hand carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
-ARM = np.array([0.0, 0.5, 2.0])
 #: Corners [m] from home, sideways and up.
 CORNERS = np.array(
     [[0.0, 0.0, 0.0], [0.0, 0.125, 0.0], [0.0, 0.125, 0.25], [0.0, -0.125, 0.25], [0.0, -0.125, 0.0], [0.0, 0.0, 0.0]]
 )
 #: The last second of every hold is judged as steady [s].
 STEADY = 1.0
-IDEALISATIONS = ["the load is unknown to the controller; the rivals of the paper's comparison are not run"]
+IDEALISATIONS = ["the load is unknown to the controller"]
 
 
-class RezeroWholebodySettings(RezeroSettings):
+class RezeroWholebodySettings(AccurateSettings):
     """``move`` [s] from corner to corner, ``hold`` [s] there, ``settle`` [s] at home before."""
 
-    mpc: MpcSettings = accurate(ball=150.0)[0]
-    cost: RezeroCost = accurate(ball=150.0)[1]
     payload: float = Field(1.0, ge=0, le=5.0)
     move: float = Field(1.5, gt=0, le=60.0)
     hold: float = Field(3.5, ge=STEADY, le=60.0)
@@ -61,7 +56,7 @@ def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.n
 def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run."""
     robot = load_robot("rezero")
-    home = robot.equilibrium(ARM)[0]
+    home = robot.equilibrium(BENT_ARM)[0]
     position, quaternion = robot.pose(home)
     times, places = hand_path(settings, position)
     ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
@@ -95,5 +90,5 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
         ])  # fmt: skip
         return [*common_plots(log, wanted(t), np.zeros(2)), joint]
 
-    task = Task(ARM, float(ends[-1]), {"hand": Reference.poses(times, places, quaternion)})
+    task = Task(BENT_ARM, float(ends[-1]), {"hand": Reference.poses(times, places, quaternion)})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

@@ -55,9 +55,17 @@ class SwerveCost(Settings):
 
 
 def swerve_problem(
-    robot: RobotModel, settings: MpcSettings, cost: SwerveCost, side_compliance: float = 0.0
+    robot: RobotModel,
+    settings: MpcSettings,
+    cost: SwerveCost,
+    side_compliance: float = 0.0,
+    *,
+    accelerations: bool = False,
 ) -> OptimalControlProblem:
-    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities."""
+    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
+
+    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows).
+    """
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     hand = np.array([cost.hand.weight] * 3 + [cost.hand.orientation] * 3)
@@ -77,12 +85,18 @@ def swerve_problem(
         ocp.add(Constraint("brakes", residuals.BrakedLegs(robot)))
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     limits = robot.limits
-    free_state, free_input = residuals.State(robot, tracked=False), residuals.Input(robot, tracked=False)
+    free_state = residuals.State(robot, tracked=False)
     box = sets.Box(limits.state_lower, limits.state_upper)
     ocp.add(Constraint("positions", free_state, box, at="all", penalty=barrier, hard=hard))
-    ocp.add(
-        Constraint("speeds", free_input, sets.Box(limits.input_lower, limits.input_upper), penalty=barrier, hard=hard)
-    )
+    limited = [
+        g for g in robot.input.groups if accelerations and np.isfinite(limits.input_change[robot.input[g]]).all()
+    ]
+    free_input = residuals.Input(robot, [g for g in robot.input.groups if g not in limited], tracked=False)
+    box = sets.Box(limits.input_lower[free_input.indices], limits.input_upper[free_input.indices])
+    ocp.add(Constraint("speeds", free_input, box, penalty=barrier, hard=hard))
+    if limited:
+        reachable = residuals.ReachableInput(robot, limited)
+        ocp.add(Constraint("accelerations", reachable, sets.NonNegative(), penalty=barrier, hard=hard))
     return ocp
 
 
@@ -94,4 +108,5 @@ def swerve_mpc(
     side_compliance: float = ROLLING_COMPLIANCE,
 ) -> MPC:
     """The MPC of that problem with its real-time settings."""
-    return MPC(swerve_problem(robot, settings, cost, side_compliance), settings.solver(), settings.rate, guess=guess)
+    ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True)
+    return MPC(ocp, settings.solver(), settings.rate, guess=guess)

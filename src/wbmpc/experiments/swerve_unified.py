@@ -69,7 +69,7 @@ def _problem(robot: RobotModel, settings: SwerveUnifiedSettings) -> Any:
     free = settings.legs == "support"
     if free:
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
-    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_COMPLIANCE)
+    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_COMPLIANCE, accelerations=True)
     if free:
         margin = residuals.SupportMargin(robot, REAR_TRIANGLES)
         barrier = RelaxedBarrier(settings.support, settings.reserve)

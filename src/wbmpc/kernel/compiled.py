@@ -282,7 +282,7 @@ def _step_groups(transcription: Transcription, jacobian: ca.Sparsity, sizes: Siz
     if transcription.jumps:
         return list(range(sizes.nx * sizes.lz // blocks.LANES))
     given = np.zeros(jacobian.shape, dtype=bool)
-    given[tuple(np.array(jacobian.get_triplet()))] = True
+    given[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
     stages = 4 if transcription.ocp.integrator == "rk4" else 2
     rows, columns = np.nonzero(blocks.sensitivity_pattern(given, stages, transcription.ocp.dynamics.unit_quaternions))
     places = rows * sizes.lz + columns + (columns >= sizes.nx)

@@ -3,6 +3,7 @@
 from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRate
 from wbmpc.model.door import DoorGeometry, WithDoor
 from wbmpc.model.equations import Equations
+from wbmpc.model.held_arm import ServoedArm
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
 from wbmpc.model.swerve import SwerveGeometry, aligned_steering, rolling_inverse_kinematics, wheel_velocities
@@ -20,6 +21,7 @@ __all__ = [
     "Layout",
     "Limits",
     "RobotModel",
+    "ServoedArm",
     "SwerveGeometry",
     "WithDoor",
     "aligned_steering",

@@ -142,6 +142,11 @@ class BallBase:
         v = ca.SX.sym("v", self.nq)
         return ca.jacobian(ca.dot(force, self._velocities(q, v, self.tool)["force"]), v).T
 
+    def tool_moment(self, q: ca.SX, moment: ca.SX) -> ca.SX:
+        """Generalised forces (nq) of a moment (3) [N m] on the tool, world axes."""
+        v = ca.SX.sym("v", self.nq)
+        return ca.jacobian(ca.dot(moment, self._velocities(q, v, self.tool)["moment"]), v).T
+
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ = (v, M⁻¹ (forces − h))."""
         q, v = x[: self.nq], x[self.nq :]

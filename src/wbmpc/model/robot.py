@@ -32,12 +32,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of state (nx) and input (nu); infinite where there is none."""
+    """Bounds of state (nx) and input (nu); infinite where there is none.
+
+    ``input_change`` (nu): how fast an input that is a joint's speed may change [rad/s²].
+    """
 
     state_lower: Array
     state_upper: Array
     input_lower: Array
     input_upper: Array
+    input_change: Array
 
 
 class Dynamics:
@@ -133,7 +137,7 @@ class RobotModel:
         """Ranges of the joints (state); speeds or torques (input)."""
         d, limits = self.description, self.description.limits
         lower, upper = np.full(self.state.size, -np.inf), np.full(self.state.size, np.inf)
-        size = np.full(self.input.size, np.inf)
+        size, change = np.full(self.input.size, np.inf), np.full(self.input.size, np.inf)
         ranges = {link.joint: link.range for link in self.tree.links if link.joint}
         rate = limits.effort if isinstance(d.base, BallBaseDescription) else limits.velocity
         for group in ("leg", "steer", "wheel", "arm"):
@@ -142,6 +146,8 @@ class RobotModel:
                 lower[i], upper[i] = limits.position.get(name, ranges[name])
             for name in self.input.groups.get(group, ()):
                 size[self.input.index(f"{group}.{name}")] = rate.get(name, np.inf)
+                if not isinstance(d.base, BallBaseDescription):  # its inputs are torques
+                    change[self.input.index(f"{group}.{name}")] = limits.acceleration.get(name, np.inf)
         if isinstance(d.base, BallBaseDescription):
             size[self.input["wheel"]] = limits.wheel_effort
             for name in self.state.groups["arm_velocity"]:
@@ -150,7 +156,7 @@ class RobotModel:
                 lower[i] = -upper[i]
         elif "base" in self.input:
             size[self.input["base"]] = [limits.base_linear, limits.base_linear, limits.base_angular]
-        return Limits(lower, upper, -size, size)
+        return Limits(lower, upper, -size, size, change)
 
     def dynamics(self) -> Dynamics:
         """The equations of motion as a value for an optimal control problem."""
@@ -205,6 +211,14 @@ class RobotModel:
             s = ca.SX.sym("q", base.nq)
             self._functions["M"] = ca.Function("M", [s], [ca.densify(base.mass_matrix(s))])
         return np.array(self._functions["M"](np.asarray(q, float)))
+
+    def tool_moment(self, q: ArrayLike, moment: ArrayLike) -> Array:
+        """Generalised forces (nq) of a moment (3) [N m] of the world on a ball robot's hand, world axes."""
+        base = self._ball()
+        if "moment" not in self._functions:
+            s, m = ca.SX.sym("q", base.nq), ca.SX.sym("m", 3)
+            self._functions["moment"] = ca.Function("moment", [s, m], [ca.densify(base.tool_moment(s, m))])
+        return np.array(self._functions["moment"](np.asarray(q, float), np.asarray(moment, float))).ravel()
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """M a + h (nq): the generalised forces of a ball robot's motion."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy import Policy
-from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
 
@@ -97,6 +97,8 @@ class MPC:
         self._outcome = (0, 0, 0.0)
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
+        terms = {t.name: t.residual for t in ocp.terms.values()}
+        self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.ReachableInput)}
 
     @property
     def period(self) -> float:
@@ -158,6 +160,8 @@ class MPC:
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
         passes = self._first if self._t is None else 1
+        if self._reachable:
+            self._go_on_from(observation.t, delta)
         status, count, elapsed = 0, 0, 0.0
         for k in range(passes):
             start = time.perf_counter()
@@ -168,6 +172,17 @@ class MPC:
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self.fault = self._find_fault()
         return not self.fault
+
+    def _go_on_from(self, t: float, delta: float) -> None:
+        """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
+        ws, horizon = self.solver.ws, self.ocp.horizon
+        k = int(np.searchsorted(ws.grid, delta + 1e-9, side="right")) - 1
+        now = ws.u[min(k, len(ws.u) - 1)]
+        since = max(delta, self.period)
+        for name, residual in self._reachable.items():
+            last = now[residual.inputs]
+            values = np.stack([np.append(last, since), np.append(last, since + horizon)])
+            self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""

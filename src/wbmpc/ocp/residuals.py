@@ -129,6 +129,71 @@ class Input(_Component):
 
 
 @dataclass(frozen=True)
+class ReachableInput:
+    """How far joint speeds (groups ``names`` of the input) are inside of what accelerations allow, as shares of the range: ≥ 0.
+
+    Rows: below the upper bounds (n), above the lower ones (n). Reference: the last command (n) and the time [s] since it was
+    given. A speed u in [l, L] that may change by a per second is after Δt in [u_last − a Δt, u_last + a Δt]: in a receding
+    horizon that is the limit itself where it acts next, and a cone that widens with the time from now. A joint at q that can
+    stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Steering goes without:
+    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a leg
+    whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
+    """
+
+    robot: RobotModel
+    names: Sequence[str]
+    inputs: list[int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "inputs", _select(self.robot.input, self.names)[1])
+
+    @property
+    def size(self) -> int:
+        return 2 * len(self.inputs)
+
+    @property
+    def reference(self) -> int:
+        return len(self.inputs) + 1
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """The upper and the lower bounds."""
+        n = len(self.inputs)
+        return {"upper": slice(0, n), "lower": slice(n, 2 * n)}
+
+    @property
+    def row_names(self) -> list[str]:
+        names = [self.robot.input.names[i] for i in self.inputs]
+        return [f"{name} {side}" for side in ("upper", "lower") for name in names]
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        limits, since = self.robot.limits, s.reference[len(self.inputs)]
+        above, below = [], []
+        for k, i in enumerate(self.inputs):
+            name = self.robot.input.names[i]
+            low, high, most = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_change))
+            last = ca.fmin(ca.fmax(s.reference[k], low), high)
+            change = most * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
+            upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
+            j = self.robot.state.index(name)
+            stops = not name.startswith("steer.")
+            if stops and np.isfinite(limits.state_upper[j]):
+                upper = ca.fmin(upper, most / high * (float(limits.state_upper[j]) - s.x[j]))
+            if stops and np.isfinite(limits.state_lower[j]):
+                lower = ca.fmax(lower, most / low * (s.x[j] - float(limits.state_lower[j])))
+            above.append((upper - s.u[i]) / (high - low))
+            below.append((s.u[i] - lower) / (high - low))
+        return ca.vertcat(*above, *below)
+
+    def _braked(self, s: Symbols, name: str) -> ca.SX | float:
+        """1 for a leg whose brake is closed."""
+        mode, (group, joint) = self.robot.mode, name.split(".", 1)
+        if group != "leg" or "brake" not in mode:
+            return 0.0
+        return 1.0 - s.mode[mode.index(f"brake.{joint}")]
+
+
+@dataclass(frozen=True)
 class FramePose:
     """Pose error of a frame: position (3) [m] in world axes; orientation (3) [rad] in world or the reference's ``axes``.
 

@@ -1,6 +1,9 @@
-"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor. Nobody tells the planner."""
+"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. Nobody tells the
+planner."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,6 +14,8 @@ from wbmpc.stability import slope_gravity
 #: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a load on the body, and its centre above that
 #: of the body.
 PAYLOAD_RADIUS, BOX, BOX_HEIGHT = 0.05, (0.3, 0.25, 0.1), 0.24
+#: Distance [m] between cables on the floor.
+CABLES = 0.2
 _COLOUR = [0.9, 0.6, 0.1, 1.0]
 PAYLOAD, LOAD = "payload", "load"
 
@@ -45,3 +50,14 @@ def incline(spec: mujoco.MjSpec, slope: float, downhill: float) -> None:
     the floor, gravity turns."""
     size = float(np.linalg.norm(spec.option.gravity))
     spec.option.gravity = slope_gravity(slope, downhill + np.pi, size)
+
+
+def lay_cables(spec: mujoco.MjSpec, height: float, friction: ArrayLike, solref: ArrayLike, **masks: Any) -> None:
+    """A grid of cables that rise ``height`` [m] above the floor, :data:`CABLES` apart in both directions; a robot at the origin
+    stands between them. ``masks``: what they touch."""
+    for at in CABLES * (np.arange(-4, 4) + 0.5):
+        for ends in ([at, -1.0, 0.0, at, 1.0, 0.0], [-1.0, at, 0.0, 1.0, at, 0.0]):
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[height, 0, 0], condim=4, friction=friction,
+                solref=solref, rgba=[0.2, 0.2, 0.2, 1.0], **masks,
+            )  # fmt: skip

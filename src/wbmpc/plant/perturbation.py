@@ -35,7 +35,7 @@ class Perturbation(BaseModel):
 
     Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
     whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
-    whose direction is drawn.
+    whose direction is drawn. Ball robots only: ``cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -78,6 +78,7 @@ class Perturbation(BaseModel):
     payload: float = Field(default=0.0, ge=0, le=50)
     load: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
+    cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
     @classmethod

@@ -77,9 +77,14 @@ class SwerveMeasurement:
 
 @dataclass(frozen=True)
 class RezeroCommand:
-    """Torques [N m]: omni wheels, then arm joints."""
+    """Torques [N m]: omni wheels, then arm joints. With ``stiffness`` [N m/rad] and ``damping`` [N m s/rad] the drives add
+    what these ask for about ``position`` [rad], which moves on with ``speed`` [rad/s]; none of the four: torque alone."""
 
     torque: Array
+    position: Array = field(default_factory=lambda: np.zeros(0))
+    speed: Array = field(default_factory=lambda: np.zeros(0))
+    stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    damping: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

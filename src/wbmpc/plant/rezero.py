@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.plant.burden import add_payload
+from wbmpc.plant.burden import add_payload, lay_cables
 from wbmpc.plant.drives import ElasticDrives
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
+from wbmpc.plant.servo import ActuatorServo
 from wbmpc.plant.world import (
+    GROUND,
     ROBOT,
     TIMESTEP,
     Array,
@@ -118,6 +120,9 @@ class RezeroPlant(InWorld):
         mount = np.array(spec.site("imu").pos) if any(s.name == "imu" for s in spec.sites) else np.zeros(3)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         self.sensors = RezeroSensors(p, self.draw, wheels, mount, timestep, jitter, sensor_rng)
+        self.servo = ActuatorServo(
+            p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
+        )
         self._last: RezeroMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
@@ -133,6 +138,8 @@ class RezeroPlant(InWorld):
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         friction = [draw.friction, SPIN_FRICTION, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
+        if self.perturbation.cables > 0.0:
+            lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)
         spec.body(base.body).add_freejoint(name="root")
         add_light(spec.body(base.body))
         ball = spec.body(base.ball)
@@ -206,6 +213,7 @@ class RezeroPlant(InWorld):
             self.drives.reset(d.ctrl[self._elastic], d.actuator_velocity[self._elastic])
         self.world.restart()
         self.sensors.restart()
+        self.servo.restart()
         self._history.clear()
         self._record()
 
@@ -221,6 +229,7 @@ class RezeroPlant(InWorld):
         q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])
         inertial, wheel = self.sensors.advance(q[0:7], v[0:6], q[q_ball : q_ball + 4], v[v_ball : v_ball + 3])
         self._history.append((q, v, inertial, wheel))
+        self.servo.read(np.concatenate([wheel, q[self._arm_q]]))
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
@@ -250,9 +259,8 @@ class RezeroPlant(InWorld):
 
     def step(self, command: RezeroCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
-        torque = finite("torque", command.torque, self.model.nu)
-        for _ in range(steps):
-            self._commands.append(torque)
+        for k in range(steps):
+            self._commands.append(self.servo.torque(command, k * self.timestep))
             self.world.advance(self._drive)
             self._record()
         self.world.check()

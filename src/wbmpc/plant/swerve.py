@@ -78,6 +78,8 @@ class SwervePlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        if self.perturbation.cables > 0.0:
+            raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
         for name in ("dead_time", "wheel_spring", "arm_spring"):
             if getattr(self.perturbation, name) > 0.0:
                 raise InputError(

@@ -91,13 +91,14 @@ class ArmDescription(_Model):
 
 
 class LimitsDescription(_Model):
-    """Limits by joint: velocity [rad/s], effort [N m], position [rad] (overrides the file's range).
+    """Limits by joint: velocity [rad/s], acceleration [rad/s²], effort [N m], position [rad] (overrides the file's range).
 
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels;
     ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
     """
 
     velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
+    acceleration: dict[str, Annotated[float, Field(gt=0)]] = {}
     effort: dict[str, Annotated[float, Field(gt=0)]] = {}
     position: dict[str, tuple[float, float]] = {}
     base_linear: float = Field(default=1.0, gt=0)
@@ -243,6 +244,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         "base.modules": description.joints()[len(description.arm.joints) :],
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
+        "limits.acceleration": list(limits.acceleration),
         "limits.effort": list(limits.effort),
         "limits.position": list(limits.position),
     }

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, RezeroAgent
-from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import RezeroEstimator
+from wbmpc.errors import NotFinite
+from wbmpc.estimation import BallNoise, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import resting
 from wbmpc.model import RobotModel
@@ -21,7 +21,7 @@ from wbmpc.plant import RezeroCommand, RezeroMeasurement
 from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
-from wbmpc.ros2.pilot import Estimate, Groups, Pending
+from wbmpc.ros2.pilot import Estimate, Fix, Groups, Pending
 from wbmpc.ros2.settings import BallSettings
 
 Array = np.ndarray
@@ -50,6 +50,9 @@ class BusBallAgent(RezeroAgent):
 
     #: the newest measurement, for other threads
     seen: RezeroMeasurement | None = None
+    #: another localisation, and the wrench (6) [N, N m] with which the world is to answer the hand
+    fix: Callable[[], Fix | None] | None = None
+    answer = np.zeros(6)
     _sampled: float | None = None
     _held: tuple[Policy, Plans] | None = None
 
@@ -64,13 +67,24 @@ class BusBallAgent(RezeroAgent):
             return
         self._sampled = message.time
         state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
         if self.observer is not None:
             past = self._torques[-1 - self._late()]
             self.disturbance = self.observer.update(message.now, state, past, interval or self.period)
             if not np.isfinite(self.disturbance).all():
                 raise NotFinite("the estimated disturbance is not finite")
-            self.mpc.solver.set_parameters({"disturbance": self.disturbance})
+        self.mpc.solver.set_parameters(self.parameters())
+
+    def parameters(self) -> dict[str, Array]:
+        """An announced moment counts as the generalised forces that it is for the robot as it stands now."""
+        force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
+        if moment.any():
+            assert self.measured is not None
+            disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
+        return {"disturbance": disturbance, "force": force}
 
     def _late(self) -> int:
         return min(super()._late(), len(self._torques) - 1)
@@ -147,11 +161,9 @@ class BallPilot:
     """See :class:`wbmpc.ros2.pilot.Pilot`. The agent's model is an MPC of its own: a solver's memory has one owner."""
 
     keeps = needs_imu = True
-    fix = None
+    fix: Callable[[], Fix | None] | None = None
 
     def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
-        if settings.topics.pose:
-            raise InputError("topics.pose: a ball robot's estimator takes no poses of others; leave it empty")
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds)
         self.pending = Pending()
@@ -160,20 +172,27 @@ class BallPilot:
         self.brakes: BrakeControl | None = None
         self.legs: Array | None = None
         self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
-        self._place = np.zeros(3)  # where the robot is put on the floor: x, y, yaw
+        self._place, self._spread = (
+            np.zeros(3),
+            0.0,
+        )  # where the robot is put on the floor: x, y, yaw; how well that is known
         self._standing: tuple[float, Array] | None = None
+        self._answer = np.zeros(6)
         parameters = self._model.solver.problem.constant.slices["parameters"]
         self.parameters: Callable[[], Array] = lambda: self._model.solver.ws.w[parameters]
         self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
         robot.mass_matrix(robot.home[: robot.base.nq])
+        robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:
         s = self.settings
-        estimator = RezeroEstimator(self.robot, x)
-        return BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
+        estimator = RezeroEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
+        agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
+        agent.fix, agent.answer = self.fix, self._answer
+        return agent
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
@@ -193,8 +212,11 @@ class BallPilot:
 
     def stand(self, m: BallMessage) -> None:
         """Somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is."""
-        before = self._standing
-        if before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
+        before, fix = self._standing, self.fix() if self.fix is not None else None
+        if fix is not None:
+            self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
+            self._spread = float(np.sqrt(np.diag(fix[2]).max()))
+        if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
             self._standing = m.time, before[1]
             return
         x = self.robot.equilibrium(m.arm)[0].copy()
@@ -222,8 +244,8 @@ class BallPilot:
         """This robot has no legs."""
 
     def push(self, wrench: Array) -> None:
-        """The hand is to exert the force of a wrench (6): the plan counts with the world's answer."""
-        self._model.solver.set_parameters({"force": -wrench[:3]})
+        """The hand is to exert a wrench (6): the plan counts with the world's answer."""
+        self._answer = self.agent.answer = -wrench
 
     # ------------------------------------------------------------------ tasks
     def follow(self, task: Task, x: Array) -> None:

@@ -205,6 +205,8 @@ class ControlNode:
 
     def _fix(self) -> tuple[float, np.ndarray, np.ndarray] | None:
         """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance."""
+        if self.pilot.keeps and self.source.lost():
+            return None  # it goes on without; see _look_around
         taken = self.source.take()
         return None if taken is None else (self.clock.now() - taken[0], *taken[1:])
 
@@ -331,16 +333,18 @@ class ControlNode:
             self.breathe()
             self.inbox.look_for_speeds()
             self.source.look()
-            self._look_for_rivals()
+            self._look_around()
 
-    def _look_for_rivals(self) -> None:
-        """Somebody else on our command topics: two controllers on one drive are worse than none."""
+    def _look_around(self) -> None:
+        """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
+        because it has lost its localisation at least goes nowhere."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
         rivals = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
         self._rival = f"somebody else publishes on {rivals[0]}" if rivals else ""
-        if rivals and self.running:
-            self._quit(self._rival)
-        elif self._held and not rivals:
+        lost = self.source.lost() if self.settings.topics.pose and self.pilot.keeps else ""
+        if (self._rival or lost) and self.running:
+            self._quit(self._rival or lost)
+        elif self._held and not (self._rival or lost):
             self._held = ""
 
     def _quit(self, sentence: str) -> None:

@@ -80,8 +80,6 @@ class Inbox:
                 f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
             )
         force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
-        if self.planner.lift and np.any(torque):
-            raise InputError("the wrench has a torque, of which this robot's plan knows nothing: forces only")
         self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def refuse(self, sentence: str) -> None:
@@ -226,12 +224,16 @@ class PoseSource:
     def take(self) -> tuple[float, Array, Array] | None:
         """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once. Raises
         :class:`SafeStop` if nothing has come for :data:`POSE_AGE`."""
-        silent = self.now() - self.at
-        if silent > POSE_AGE:
-            topic = self.settings.topics.pose
-            raise SafeStop(f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s")
+        lost = self.lost()
+        if lost:
+            raise SafeStop(lost)
         fix, self._fix = self._fix, None
         return None if fix is None else (max(self.stamp() - fix[0], 0.0), *fix[1:])
+
+    def lost(self) -> str:
+        """Why there is no pose any more; empty if there is."""
+        topic, silent = self.settings.topics.pose, self.now() - self.at
+        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s" if silent > POSE_AGE else ""
 
     def _take(self, message: Any) -> None:
         topic, world = self.settings.topics.pose, self.settings.frames.world

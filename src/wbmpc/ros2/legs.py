@@ -150,11 +150,18 @@ class Legs:
             return False
         goal, brake = order
         sent = ~np.isnan(goal)
+        before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving = (self.moving | sent) & ~(brake == 0.0)
         now = brakes.commanded(t).copy()
         now[self.moving] = 1.0
-        brakes.set(t, np.where(np.isnan(brake), now, brake))
+        state = np.where(np.isnan(brake), now, brake)
+        try:
+            brakes.set(t, state, None if self.moving.any() else leg)
+        except InputError as error:
+            _LOG.warning("an order to the legs is refused: %s", error)
+            self.angles = before
+            return False
         # a leg that is let go, or held where it is, goes nowhere
         stays = ~self.moving & ~np.isnan(brake)
         self.angles = np.where(stays, leg, self.angles)

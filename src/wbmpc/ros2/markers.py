@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,11 @@ GREEN, RED, GREY = (0.1, 0.7, 0.2, 1.0), (0.9, 0.1, 0.1, 1.0), (0.5, 0.5, 0.5, 0
 
 
 class Footprint:
-    """Markers of a robot's states, in the frame ``world``. A ball robot stands on one point."""
+    """Markers of a robot's states, in the frame ``world``. A ball robot stands on one point. ``breathe`` is called before each
+    state, which takes a tenth of a millisecond."""
 
-    def __init__(self, robot: RobotModel, world: str) -> None:
-        self.robot, self.world = robot, world
+    def __init__(self, robot: RobotModel, world: str, breathe: Callable[[], None] = lambda: None) -> None:
+        self.robot, self.world, self._breathe = robot, world, breathe
         self._stance = None if isinstance(robot.base, BallBase) else StanceOf(robot)
 
     def markers(
@@ -47,6 +49,7 @@ class Footprint:
 
     def stance(self, x: Array, u: Array | None, wrench: Array) -> tuple[Array, Array]:
         """Corners (n, 2) of the support and the zero-moment point (2) [m] in the world."""
+        self._breathe()
         place = x[self.robot.state["base"]][:2]
         if self._stance is None:  # a ring around the point on which the ball stands
             angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)

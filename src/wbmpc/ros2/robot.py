@@ -39,7 +39,7 @@ class BusRobot:
 
     def __init__(self, node: Node, pilot: Pilot, settings: RosSettings, clock: WallClock | BusClock) -> None:
         self.pilot, self.settings, self.clock = pilot, settings, clock
-        self.fault = ""
+        self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(pilot.robot, settings)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
@@ -63,7 +63,7 @@ class BusRobot:
         try:
             sample = self._reader.read(message)
         except InputError as error:
-            self._note(str(error))
+            self._note("joints", str(error))
             if not self._armed:
                 self._reader.forget()
             return
@@ -72,25 +72,34 @@ class BusRobot:
             grown = 0.0 if before is None else _CLOCK_DRIFT * max(arrival - before[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             self._joints = sample, arrival
-        if not self._armed or self.pilot.keeps:
-            self.fault = ""
+        self._good("joints")
 
     def _take_imu(self, message: Any) -> None:
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
-            self._note(str(error))
+            self._note("imu", str(error))
             return
+        self._good("imu")
         with self._lock:
             self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
             self._fresh.append((at, taken))
             del self._fresh[:-100]
 
-    def _note(self, fault: str) -> None:
-        if self._armed and self.pilot.keeps and not self.fault:
+    @property
+    def fault(self) -> str:
+        """What is wrong with the messages; empty if nothing is."""
+        return next(iter(self._wrong.values()), "")
+
+    def _note(self, source: str, fault: str) -> None:
+        if self._armed and self.pilot.keeps and source not in self._wrong:
             _LOG.error("%s; it does not count, the robot goes on", fault)
-        if not (self._armed and self.fault):
-            self.fault = fault
+        if not (self._armed and source in self._wrong):
+            self._wrong[source] = fault
+
+    def _good(self, source: str) -> None:
+        if not self._armed or self.pilot.keeps:
+            self._wrong.pop(source, None)
 
     @property
     def has_imu(self) -> bool:
@@ -120,7 +129,7 @@ class BusRobot:
 
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
-        self.fault, self._stopping, self._armed, self.sent = "", None, True, 0
+        self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
         self._last = self.pilot.rest()
 
     def disarm(self) -> None:

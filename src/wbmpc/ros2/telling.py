@@ -35,7 +35,7 @@ class Teller:
         names = {key: getattr(topics, key) for key in kinds}
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
-        self.footprint = Footprint(controller.robot, controller.settings.frames.world)
+        self.footprint = Footprint(controller.robot, controller.settings.frames.world, controller.breathe)
         rates = controller.settings.rates
         self._due = {
             "odom": [0.0, 1.0 / rates.odom],

@@ -12,6 +12,7 @@ from wbmpc.solver.places import (
     COST,
     CURVED,
     DU,
+    DU_LAST,
     DUAL,
     DX,
     END_BOXES,
@@ -22,8 +23,10 @@ from wbmpc.solver.places import (
     FILTERED,
     GRID,
     HOLD,
+    LAST_ALPHA,
     LEFT,
     LIMIT_TOLERANCE,
+    LONGEST,
     LX,
     MISSED,
     MU,
@@ -86,6 +89,8 @@ SETTINGS = (
     EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
+#: What overshooting directions shorten a step to at least.
+SHORTEST = 0.15
 
 
 @compiled(NONE, NUMS, INTS, INT, NUM)
@@ -232,6 +237,36 @@ def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
     take(m, o)
 
 
+@compiled(NUM, NUM, NUM, NUM)
+def next_longest(longest, last, along):  # type: ignore[no-untyped-def]
+    """Longest step to try after a step of ``last``, when ``along`` of the direction before is in the new one.
+
+    Where the subproblem's curvature is too small by a factor c, a step α leaves 1 − c α of the direction: c = (1 − along) / α, and
+    1/c arrives (Aitken's Δ²; Nocedal and Wright 2006, section 3.5, has it as a secant of the slope).
+    """
+    longer = min(1.5 * longest, 1.0)
+    return min(max(last / (1.0 - along), SHORTEST), longer) if along < 0.5 else longer
+
+
+@compiled(NUM, NUMS, INTS, BOOL)
+def longest_step(m, o, first):  # type: ignore[no-untyped-def]
+    """Longest step to try, from how the direction has turned since the last iteration of the same solve; keeps the direction.
+
+    ``first``: this is the solve's first one. Between solves the measured state has changed too, so nothing can be told."""
+    state, along, size = o[STATE], 0.0, 0.0
+    for i in range(o[N] * o[NU]):
+        new, old = m[o[DU] + i], m[o[DU_LAST] + i]
+        along, size = along + new * old, size + old * old
+        m[o[DU_LAST] + i] = new
+    if m[state + LONGEST] == 0.0:
+        m[state + LONGEST] = 1.0
+    elif first:
+        m[state + LONGEST] = min(1.1 * m[state + LONGEST], 1.0)
+    elif size > 0.0:
+        m[state + LONGEST] = next_longest(m[state + LONGEST], m[state + LAST_ALPHA], along / size)
+    return m[state + LONGEST]
+
+
 @compiled(NUM2, NUMS, INTS, NUMS, NUMS, NUM4, NUM, NUM)
 def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
     """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
@@ -248,9 +283,9 @@ def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
             return alpha, c
         ratio *= 0.5
     if s[FORCE] > 0.0:
-        c, v = trial(m, o, x0, reach, single)
+        c, v = trial(m, o, x0, first * reach, single)
         if np.isfinite(c) and np.isfinite(v):
-            return reach, c
+            return first * reach, c
     return 0.0, np.inf
 
 
@@ -402,6 +437,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
         first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
+        if not certify:
+            first = longest_step(m, o, it == 1)
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         shift = m[state + SHIFT]
         if alpha == 0.0:
@@ -422,10 +459,10 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
             if changed > 0.0:
                 last_kkt = np.inf
-        log[row + 4] = alpha
+        log[row + 4], m[state + LAST_ALPHA] = alpha, alpha
         if hold > 0.0:
             m[state + HOLD] = hold
         o[POLICY] = 1
-        if it == limit and alpha < 0.9 and limit < int(s[ITERATIONS]) + int(s[EXTRA]):
+        if it == limit and alpha < 0.9 * first and limit < int(s[ITERATIONS]) + int(s[EXTRA]):
             limit += 1
     return (LIMIT_MISSED if m[state + MISSED] > LIMIT_TOLERANCE else ITERATION_LIMIT), it

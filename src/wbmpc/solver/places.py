@@ -13,7 +13,7 @@ from wbmpc.solver import workspace as _w
 (JUMPS, ALIGN, EXACT, POLICY, CURVED) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
-GRID, X, U, XT, UT, BEST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best"))
+GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
 DX, DU, P, W, AB, H, E, EPS, K = (_place[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
 VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch", "gradient"))
 J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
@@ -40,9 +40,10 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;
 #: the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts; last whether trial
 #: points are held within the true rows of the inputs, by how much they are outside all the same (rows of inputs alone, rows
-#: with states) and where most (node times ``ROWS`` plus row), and cost and violation of the iterate.
+#: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
+#: last step length and the longest one to try (0: not known, 1), which outlives a solve.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
-HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION = range(12, 18)
+HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
 #: By how much planned inputs may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
 

@@ -66,6 +66,13 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
     )
 
 
+def overwrite(tables: Tables, slot: int, reference: Reference) -> None:
+    """Put a reference of the same shape and kind into the place of the one that is there."""
+    times, count, values, width = tables.integers[4 + 6 * slot : 8 + 6 * slot]
+    tables.numbers[times : times + count] = reference.times
+    tables.numbers[values : values + count * width] = reference.values.ravel()
+
+
 @compiled(INT, NUMS, INT, INT, NUM)
 def count_until(numbers, first, count, t):  # type: ignore[no-untyped-def]
     """How many of ``count`` sorted numbers from ``first`` on are at most ``t``."""

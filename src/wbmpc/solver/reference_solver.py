@@ -13,7 +13,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.rows import Kind, Place
-from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
+from wbmpc.solver.places import COST, GIVEN_WAY, LAST_ALPHA, LIMIT_TOLERANCE, LONGEST, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.reference_curved import aims, curvature, hold_inputs
 from wbmpc.solver.workspace import BoxTable, box_table
 
@@ -213,7 +213,7 @@ class InterpretedSolver:
         self.values, self.derivatives = problem.values, problem.derivatives
         self.own = [RowState(problem.path if k < n else problem.end, k == 0) for k in range(n + 1)]
         self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
-        self.feed = np.zeros((n, nu))
+        self.feed, self.last_du = np.zeros((n, nu)), np.zeros((n, nu))
 
     def _p(self, k: int) -> np.ndarray:
         return self.ws.p[k, : self.problem.node.size]  # type: ignore[no-any-return]
@@ -492,6 +492,7 @@ class InterpretedSolver:
             invisible = abs(s["slope"]) + penalty * drop < 1e-5 * (1.0 + abs(cost))
             first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
             last_kkt = kkt
+            first = first if c.certify else self._longest_step(s["du"], it == 1)
             reaches = [r.reach(c.tau) for r in self.own]
             primal, dual = (min(v) for v in zip(*reaches, strict=True))
             alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
@@ -521,8 +522,8 @@ class InterpretedSolver:
                 if after != self.mu:
                     self.mu, last_kkt = after, np.inf
             self.policy, self.hold = True, hold
-            log[it - 1, 4] = alpha
-            if it == limit and alpha < 0.9 and limit < int(c.iterations) + int(c.extra_when_cut):
+            log[it - 1, 4] = self.ws.state[LAST_ALPHA] = alpha
+            if it == limit and alpha < 0.9 * first and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
         return (LIMIT_MISSED if self.ws.state[MISSED] > LIMIT_TOLERANCE else 1), it
 
@@ -530,6 +531,20 @@ class InterpretedSolver:
         """1-norm of the rows of the recursion at the iterate."""
         ws, f = self.ws, self.values["equality"]
         return float(sum(np.abs(np.array(f(ws.x[k], ws.u[k], self._p(k), ws.w))).sum() for k in range(len(ws.u))))
+
+    def _longest_step(self, du: np.ndarray, first: bool) -> float:
+        """As longest_step of the compiled solver."""
+        from wbmpc.solver.driver import next_longest
+
+        state, last, self.last_du = self.ws.state, self.last_du, du
+        size = float(np.sum(last * last))
+        if state[LONGEST] == 0.0:
+            state[LONGEST] = 1.0
+        elif first:
+            state[LONGEST] = min(1.1 * state[LONGEST], 1.0)
+        elif size > 0.0:
+            state[LONGEST] = next_longest.python(state[LONGEST], state[LAST_ALPHA], float(np.sum(du * last)) / size)
+        return float(state[LONGEST])
 
     def _row_cost(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> float:
         """What the rows add to the cost at a point."""
@@ -546,7 +561,7 @@ class InterpretedSolver:
 
         single, ratio = bool(c.single_shooting), first
         while ratio >= c.smallest_step or c.force_step:
-            alpha = ratio * reach if ratio >= c.smallest_step else reach
+            alpha = (ratio if ratio >= c.smallest_step else first) * reach
             x, u = self._trial(s, alpha, x0, single)
             merit = self._merit(x, u, x0, alpha)
             forced = ratio < c.smallest_step

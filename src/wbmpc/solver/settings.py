@@ -28,11 +28,11 @@ def _count(value: object, least: int) -> bool:
 class InteriorPoint:
     """How hard inequalities are treated.
 
-    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (left out: 1e-9, and further down where the plan still depends on
-    it, which it does when costs are in tiny units); "real_time" keeps it at ``mu`` and starts every solve from
-    slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration per solve is enough. Rows are in units
-    of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so
-    many more iterations while the step is cut below 0.9.
+    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4,
+    and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
+    it at ``mu`` and starts every solve from slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration
+    per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many
+    more iterations while the step is cut below 0.9 of the longest that is tried (docs/derivations.md, section 3).
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
     """
 
@@ -58,10 +58,11 @@ class InteriorPoint:
         if not 0.0 < self.tau < 1.0:
             raise InputError(f"interior point: tau must be between 0 and 1, got {self.tau}")
 
-    def numbers(self) -> dict[str, float]:
-        """What the compiled code needs."""
+    def numbers(self, tolerance: float) -> dict[str, float]:
+        """What the compiled code needs; ``tolerance``: of the solver's KKT residual."""
         real_time = self.mode == "real_time"
-        mu = self.mu if self.mu is not None else (1e-3 if real_time else 1e-9)
+        # beside a row that is only just active the solution moves by the square root of μ
+        mu = self.mu if self.mu is not None else (1e-3 if real_time else 1e-4 * tolerance)
         least = self.least_slack if self.least_slack is not None else (1e-3 if real_time else 1e-2)
         return {
             "mu_start": mu if real_time else max(self.mu_start, mu),
@@ -71,7 +72,7 @@ class InteriorPoint:
             "tau": 0.99 if real_time else self.tau,
             "extra_when_cut": float(self.extra_when_cut if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
-            "mu_floor": mu if real_time or self.mu is not None else LEAST_MU,
+            "mu_floor": mu if real_time or self.mu is not None else min(LEAST_MU, mu),
         }
 
 
@@ -145,7 +146,7 @@ class SQP:
             "iterations": self.iterations, "tolerance": self.tolerance, "feasibility": self.feasibility,
             "smallest_step": self.smallest_step, "certify": self.certify, "force_step": self.force_step,
             "single_shooting": self.single_shooting, "use_filter": self.line_search == "filter",
-            "largest_shift": self.largest_shift, **self.interior_point.numbers(),
+            "largest_shift": self.largest_shift, **self.interior_point.numbers(self.tolerance),
         }  # fmt: skip
         return np.array([float(own[name]) for name in SETTINGS])
 

@@ -17,7 +17,7 @@ from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Tran
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
-from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, MISSED, MOST_AT, VIOLATION
+from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, LONGEST, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.verdict import verdict
@@ -117,8 +117,16 @@ class Solver:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
             )
+        before = self.references.get(name)
         self.references[name] = reference
-        self._tables = None
+        if self._tables is None:
+            return
+        if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
+            self._tables = None
+            return
+        from wbmpc.solver.receding import overwrite
+
+        overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
@@ -162,6 +170,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
+        self.ws.state[LONGEST] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:

@@ -68,6 +68,7 @@ BLOCKS = (
     "u",  # (N, nu)
     "x_trial",
     "u_trial",
+    "du_last",  # (N, nu): the direction before
     "u_best",  # (nu,): of one node, nearest to its rows
     "dx",  # (N + 1, lx), entry nx is 1
     "du",  # (N, nu)
@@ -239,6 +240,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "u": (n, s.nu),
         "x_trial": (n + 1, s.nx),
         "u_trial": (n, s.nu),
+        "du_last": (n, s.nu),
         "u_best": (s.nu,),
         "dx": (n + 1, s.lx),
         "du": (n, s.nu),

@@ -14,6 +14,7 @@ from viser import uplot
 
 from wbmpc.mpc.buffer import Mailbox
 from wbmpc.view.snapshot import NUMBERS, spoken
+from wbmpc.view.stage import add_follow, add_legend
 from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
 
 Array = np.ndarray
@@ -28,10 +29,10 @@ class Panel:
         self.server, self._orders, self.controls = server, orders, controls
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
         self._dragged = False
-        server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         self._status = server.gui.add_markdown(f"**{controls.title}**")
-        self._follow = server.gui.add_checkbox("Camera follows the robot", True)
+        self._follow = add_follow(server)
+        add_legend(server.gui)
         self._run()
         self._robot()
         self._weights()
@@ -145,7 +146,7 @@ class Panel:
                     (empty, *(empty for _ in lines)),
                     series,
                     title=title,
-                    aspect=2.2,
+                    aspect=1.8,
                     scales={"x": uplot.Scale(time=False)},
                 )
                 self._figures.append((handle, [(NUMBERS.index(name), factor) for name, _, factor in lines]))
@@ -164,8 +165,7 @@ class Panel:
         if self._count % _EVERY:
             return
         value = dict(zip(NUMBERS, numbers, strict=True))
-        text = f"**{self.controls.title}**, {value['t']:.1f} s{spoken(value)}"
-        self._status.content = text
+        self._status.content = f"**{self.controls.title}**, {value['t']:.1f} s{spoken(value)}"
         rows = np.array(self._rows)
         for handle, lines in self._figures:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))

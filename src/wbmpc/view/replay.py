@@ -133,19 +133,19 @@ class Player:
     def __init__(self, film: Film, host: str, port: int) -> None:
         import viser
 
-        from wbmpc.view.stage import Stage
+        from wbmpc.view.stage import Stage, add_follow, add_legend
 
         self.film = film
         self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
         self.stage = Stage(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
-        gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._text = gui.add_markdown(f"**{film.recording.title}**")
         self._playing = gui.add_checkbox("Play", True)
         self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
         self._speed = gui.add_slider("Speed", 0.1, 4.0, 0.1, 1.0)
-        self._follow = gui.add_checkbox("Camera follows the robot", True)
+        self._follow = add_follow(self.server)
+        add_legend(gui)
 
     @property
     def url(self) -> str:

@@ -14,7 +14,7 @@ from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings, set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
-from wbmpc.loop import Ending, Timing, Watch, run_lockstep
+from wbmpc.loop import Ending, Timing, Watch, Watcher, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC, RealTime, Runner, WallClock
 from wbmpc.ocp import Reference
@@ -44,13 +44,16 @@ def kind_of(robot: RobotModel) -> Callable[[RobotModel, int], tuple[Any, Any, MP
     return kinds[type(base)]
 
 
-def run_session(robot_name: str, seed: int, view: View) -> Ending:
-    """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, begins anew."""
+def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> Ending:
+    """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, begins anew.
+
+    ``others`` watch too: a recorder.
+    """
     robot = load_robot(robot_name)
     make = kind_of(robot)
     while True:
         plant, agent, mpc, timing = make(robot, seed)
-        watch = Watch(None, (view,))
+        watch = Watch(None, (view, *others))
         ending = run_lockstep(plant, agent, mpc, timing, LONGEST, lambda t, command, plans: None, watch)
         if not (view.wants_reset or ending.fell):
             return ending

@@ -73,10 +73,12 @@ def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.0
 
 
 def spoken(numbers: Mapping[str, float]) -> str:
-    """The hand's error and how far the ZMP is inside of what it must stay in, for a line of text; begins with a comma."""
-    text = f", hand error {1e3 * numbers['error']:.1f} mm" if np.isfinite(numbers["error"]) else ""
-    if numbers["margin"] != 0.0:
-        text += f", ZMP {1e3 * numbers['margin']:.0f} mm inside the polygon"
-    if numbers["triangle_margin"] != 0.0:
-        text += f", {1e3 * numbers['triangle_margin']:.0f} mm inside the active triangle"
-    return text
+    """The hand's error and how far the ZMP is inside of what it must stay in, in Markdown's lines that follow a first one."""
+    lines = [f"hand error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
+    margins = [
+        f"{1e3 * numbers[name]:.0f} mm inside the {what}"
+        for name, what in (("margin", "polygon"), ("triangle_margin", "triangle"))
+        if np.isfinite(numbers[name]) and numbers[name] != 0.0
+    ]
+    lines += [f"ZMP {', '.join(margins)}"] if margins else []
+    return "".join(f"  \n{line}" for line in lines)

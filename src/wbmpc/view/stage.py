@@ -18,6 +18,11 @@ REFERENCE, HAND, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE = (
     (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120),
 )  # fmt: skip
 _THICKNESS = 0.008
+#: What the colours mean, for a legend.
+LEGEND = {
+    "reference of the hand": REFERENCE, "predicted hand": HAND, "predicted base": BASE, "support polygon": SUPPORT,
+    "active triangle": TRIANGLE, "ZMP": PRESSURE, "contact forces (2 mm/N)": FORCE,
+}  # fmt: skip
 #: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
 CAMERA, FOLLOW = np.array([1.9, 2.3, 1.5]), 0.02
 #: How long a new browser's camera is left alone [s].
@@ -148,6 +153,20 @@ class Stage:
 
 def _far(moved: Array) -> bool:
     return float(np.linalg.norm(moved)) >= FOLLOW
+
+
+def add_legend(gui: viser.GuiApi) -> None:
+    """A folder that says what the colours mean."""
+    mark = '<span style="color:rgb{};font-size:1.3em">■</span> {}'
+    with gui.add_folder("Colours", expand_by_default=False):
+        lines = "<br>".join(mark.format(colour, what) for what, colour in LEGEND.items())
+        gui.add_html(f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{lines}</div>')
+
+
+def add_follow(server: viser.ViserServer) -> viser.GuiInputHandle[bool]:
+    """Whether the camera follows the robot. Light or dark is in the panel's own settings."""
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    return server.gui.add_checkbox("Camera follows", True)
 
 
 def camera_offset(poses: Array, robot: int) -> Array:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.control.brakes import refuse_floating
+from wbmpc.errors import InputError
 from wbmpc.loop import Running
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
 
+_LOG = logging.getLogger(__name__)
 Array = np.ndarray
 #: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I, for legs LF, RF, LB, RB.
 _SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
@@ -99,8 +103,7 @@ class Steering:
         if self._asked(orders, "configurations") and self.has_legs:
             self._move_legs(list(CONFIGURATIONS.values())[int(orders["configuration"])])
         if self._asked(orders, "brake_clicks") and self.has_legs:
-            self._legs = None
-            self._brakes(bool(orders["brakes_open"]))
+            self._click(bool(orders["brakes_open"]))
         if self._legs is not None and np.abs(self.running.agent.state()[self._leg_part] - self._legs).max() < _THERE:
             self._legs = None
             self._brakes(False)
@@ -154,6 +157,18 @@ class Steering:
         self._hold(target)
         self._legs = angles
         self._brakes(True)
+
+    def _click(self, is_open: bool) -> None:
+        """Brakes opened or closed by hand; open ones that would hold the base against nothing (H) stay closed."""
+        agent = self.running.agent
+        try:
+            if is_open:
+                refuse_floating(agent.robot.base.geometry, agent.state()[self._leg_part], np.ones(4))
+        except InputError as error:
+            _LOG.warning("%s", error)
+            return
+        self._legs = None
+        self._brakes(is_open)
 
     def _brakes(self, is_open: bool) -> None:
         values = np.full(4, float(is_open))

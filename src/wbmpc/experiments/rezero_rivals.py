@@ -1,0 +1,183 @@
+"""The ball robot's controllers by name: the MPC with either tracking, and its rivals with their searched gains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.control import (
+    ActuatorGains,
+    ArmLoop,
+    FallForecast,
+    HandInverse,
+    LqrAgent,
+    LqrWeights,
+    RegulatorGains,
+    RezeroAgent,
+    SeparateAgent,
+    TaskGains,
+    TaskSpaceAgent,
+    TrackingAgent,
+)
+from wbmpc.estimation import RezeroEstimator
+from wbmpc.experiments.rezero_problem import base_problem
+from wbmpc.experiments.settings import Settings, Weight
+from wbmpc.model import RobotModel
+from wbmpc.mpc import MPC
+
+if TYPE_CHECKING:
+    from wbmpc.experiments.rezero_task import RezeroSettings
+
+Controller = Literal[
+    "mpc", "lqr", "scheduled-lqr", "separate", "separate-integral", "separate-aware", "taskspace"
+]  # fmt: skip
+
+
+class RegulatorSettings(Settings):
+    """Factors of the MPC's weights of torques (``torque``), ball speed and tilt rate (``damping``), hand (``hand``); ``most`` [m]:
+    position errors beyond it are cut."""
+
+    torque: float = Field(1.0, gt=0)
+    damping: float = Field(1.0, gt=0)
+    hand: float = Field(1.0, gt=0)
+    most: float = Field(0.1, gt=0)
+
+
+class SeparateSettings(Settings):
+    """Weights of the base MPC (ball position and speed, tilt rate, wheel torque); the arm's joint loop: ``pace`` [rad/s] and
+    ``integral`` [1/s]."""
+
+    ball: Weight = 30.0
+    ball_speed: Weight = 3.0
+    tilt_rate: Weight = 3.0
+    wheel: float = Field(0.1, gt=0)
+    pace: float = Field(10.0, gt=0)
+    integral: Weight = 1.0
+
+
+class TaskspaceSettings(Settings):
+    """What :class:`wbmpc.control.TaskGains` says of them."""
+
+    hand: float = Field(TaskGains.hand, gt=0)
+    turn: float = Field(TaskGains.turn, gt=0)
+    ball: float = Field(TaskGains.ball, gt=0)
+    ball_speed: float = Field(TaskGains.ball_speed, gt=0)
+    yaw: float = Field(TaskGains.yaw, gt=0)
+    tilt: float = Field(TaskGains.tilt, gt=0)
+    wheel_torque: float = Field(TaskGains.wheel_torque, gt=0)
+    balance: float = Field(TaskGains.balance, gt=0)
+
+
+class RivalsSettings(Settings):
+    """Gains of each rival, found by ``make ball-rivals``: the same search, as many runs, the same tuning seeds."""
+
+    lqr: RegulatorSettings = RegulatorSettings()
+    scheduled_lqr: RegulatorSettings = RegulatorSettings()
+    separate: SeparateSettings = SeparateSettings(
+        ball=50.9, ball_speed=6.85, tilt_rate=5.06, wheel=1.36, pace=22.1, integral=0.116
+    )
+    separate_integral: SeparateSettings = SeparateSettings()
+    separate_aware: SeparateSettings = SeparateSettings(
+        ball=51.7, ball_speed=1.13, tilt_rate=0.521, wheel=0.0328, pace=25.0, integral=2.57
+    )
+    taskspace: TaskspaceSettings = TaskspaceSettings()
+
+
+class ActuatorSettings(Settings):
+    """What :class:`wbmpc.control.ActuatorGains` says of them."""
+
+    wheel_stiffness: Weight = ActuatorGains.wheel_stiffness
+    wheel_damping: Weight = ActuatorGains.wheel_damping
+    arm_stiffness: Weight = ActuatorGains.arm_stiffness
+    arm_damping: Weight = ActuatorGains.arm_damping
+    bleed: float = Field(ActuatorGains.bleed, gt=0)
+
+
+class TrackingSettings(Settings):
+    """What happens between two plans: ``kind`` policy (the Riccati feedback at the controller's rate) or actuators (the paper's
+    feed-forward and PD, in the drives, with these gains)."""
+
+    kind: Literal["policy", "actuators"] = "policy"
+    gains: ActuatorSettings = ActuatorSettings()
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What every controller is built from. ``arm`` (m) [rad]: angles at the start."""
+
+    robot: RobotModel
+    mpc: MPC
+    torque: np.ndarray
+    period: float
+    estimator: RezeroEstimator | None
+    arm: np.ndarray
+
+
+def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MPC | None]:
+    """The agent that the settings name, and the MPC that plans for it (None: nothing does)."""
+    own = (p.robot, p.mpc, p.torque, p.period, settings.drive_lag, settings.observer, p.estimator)
+    name = settings.controller
+    if name == "mpc":
+        more = (*own, FallForecast(p.robot, p.arm))
+        if settings.tracking.kind == "actuators":
+            return TrackingAgent(*more, gains=ActuatorGains(**settings.tracking.gains.model_dump())), p.mpc
+        return RezeroAgent(*more), p.mpc
+    if name == "taskspace":
+        return _taskspace(settings, p), None
+    if name in ("lqr", "scheduled-lqr"):
+        gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
+        agent = LqrAgent(*own)
+        regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
+        agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
+        return agent, None
+    return _separate(settings, p)
+
+
+def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceAgent:
+    def goal(t: float) -> tuple[np.ndarray, np.ndarray]:
+        pose = p.mpc.reference["hand"].at(t)
+        return pose[:3], pose[3:]
+
+    home, gains = p.robot.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
+    more = (p.period, settings.drive_lag, settings.observer, p.estimator)
+    agent = TaskSpaceAgent(p.robot, p.mpc, goal, gains, home, p.torque, *more)
+    agent.stance = lambda t: p.mpc.reference["body"].at(t)
+    return agent
+
+
+def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateAgent, MPC]:
+    name = settings.controller
+    gains: SeparateSettings = getattr(settings.rival, name.replace("-", "_"))
+    h, b = settings.cost.hand, settings.cost.body
+    weights = {"ball": gains.ball, "ball_speed": gains.ball_speed, "tilt_rate": gains.tilt_rate}
+    cost = settings.cost.model_copy(update={
+        "body": b.model_copy(update=weights),
+        "torque": settings.cost.torque.model_copy(update={"wheel": gains.wheel}),
+    })  # fmt: skip
+    planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
+    planner.reference["body"] = p.mpc.reference["body"]
+    inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
+    agent = SeparateAgent(
+        p.robot, p.mpc, p.torque, p.period, settings.drive_lag, settings.observer and name != "separate", p.estimator,
+        planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
+    )  # fmt: skip
+    home = p.robot.equilibrium(p.arm)[0]
+    planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
+    return agent, planner
+
+
+def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:
+    """The MPC's weights, times the rival's factors, for a regulator."""
+    h, b, t = settings.cost.hand, settings.cost.body, settings.cost.torque
+    fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
+    state = robot.state.vector({
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [b.arm] * (robot.base.nq - 5),
+        "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [b.arm_rate] * (robot.base.nq - 5),
+    })  # fmt: skip
+    hand = r.hand * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
+    twist = np.array([h.twist] * 3 + [h.angular] * 3)
+    wheels = len(robot.input.groups["wheel"])
+    return LqrWeights(hand, twist, state, r.torque * np.array([t.wheel] * wheels + [t.arm] * (robot.base.nq - 5)))

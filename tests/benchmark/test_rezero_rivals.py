@@ -1,0 +1,65 @@
+"""The search of the rivals' gains and its tables. Truth: a made-up loss with a known least value, runs written by hand."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import rezero_rivals as rivals
+
+from wbmpc.configuration import configure
+from wbmpc.experiments import REGISTRY
+
+
+def test_the_search_gives_every_controller_as_many_runs_and_the_best_of_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    tried: dict[str, list[dict[str, float]]] = {}
+
+    def distance(store: Any, controller: str, gains: dict[str, float], seed: int) -> float:
+        tried.setdefault(controller, []).append(gains)
+        return float(sum(np.log(v / 2.0) ** 2 for v in gains.values()))
+
+    monkeypatch.setattr(rivals, "loss", distance)
+    for controller in rivals.SPACE:
+        best = rivals.search(rivals.Store(tmp_path / "runs"), controller, [0], 6)
+        own = tried[controller]
+        assert len(own) == 13
+        far = lambda gains: sum(np.log(v / 2.0) ** 2 for v in gains.values())
+        assert far(best) == min(map(far, own)) < far(own[0])
+        for gains in own[1:]:
+            low_high = rivals.SPACE[controller]
+            assert all(0.99 * low_high[k][0] <= v <= 1.01 * low_high[k][1] for k, v in gains.items())
+    assert tried["lqr"][1:7] == tried["scheduled-lqr"][1:7]
+
+
+def test_every_gain_and_run_is_a_setting() -> None:
+    for controller, space in rivals.SPACE.items():
+        for name, (low, _) in space.items():
+            given = [f"controller={controller}", f"rival.{controller.replace('-', '_')}.{name}={low!r}"]
+            settings = configure(REGISTRY["rezero-steps"].config_type, given, "")
+            own = getattr(settings.rival, controller.replace("-", "_"))
+            assert getattr(own, name) == low
+    for name, given_run, shown in rivals.RUNS.values():
+        for given_controller in rivals.CONTROLLERS.values():
+            configure(REGISTRY[name].config_type, [*given_controller, *given_run], name)
+        assert shown
+
+
+def test_finished_runs_are_not_done_again_and_make_the_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    rows = []
+    for seed, (lost, away, fell) in enumerate([(0.0, 0.2, 0.0), (4.0, None, 1.0), (1.0, 0.4, 0.0)]):
+        metrics = {"not_recovered": lost, "hand_error_max": away, "tilt_max": 0.1, "fell": fell}
+        rows.append({"name": "rezero-push-hand", "seed": seed, "settings": ["controller=lqr"], "metrics": metrics})
+    file = tmp_path / "runs.jsonl"
+    file.write_text("".join(json.dumps(r | {"reason": ""}) + "\n" for r in rows))
+    monkeypatch.setattr(rivals, "REGISTRY", {})  # nothing could be run
+    text = rivals.table(rivals.Store(file), ["push-hand"], ["lqr"], [0, 1, 2], report=False)
+    assert text.splitlines()[-1] == "| lqr | 3 | 1 | 1 (4) | 400 (∞) | 5.73 (5.73) |"

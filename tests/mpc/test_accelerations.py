@@ -1,0 +1,72 @@
+"""Limits of acceleration in the plans of a receding horizon. Truth: differences of what two plans that follow each other command
+for the same time, by arithmetic; the bound of a speed before the end of a range, u ≤ (a / v)(Q − q), by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.errors import InputError
+from wbmpc.experiments.settings import MpcSettings
+from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
+from wbmpc.model import RobotModel
+from wbmpc.mpc import Observation
+from wbmpc.ocp import Reference
+from wbmpc.robots import load_description
+
+SETTINGS = MpcSettings(horizon=2.0, intervals=16)
+
+
+def narrow(width: float) -> RobotModel:
+    """The swerve robot with its arm held to ``width`` [rad] about home."""
+    d = robot("swerve-ur10").description
+    position = {n: (d.home[n] - width, d.home[n] + width) for n in d.arm.joints}
+    return RobotModel(d.model_copy(update={"limits": d.limits.model_copy(update={"position": position})}))
+
+
+def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None:
+    """The hand's goal jumps by 0.6 m, out of the arm's range: speeds rise and fall as fast as they may, never faster."""
+    model = narrow(0.25)
+    mpc = swerve_mpc(model, SETTINGS, SwerveCost())
+    position, quaternion = model.pose(model.home)
+    mpc.reference["hand"] = Reference.poses([0.0], [position + [0.0, 0.0, 0.6]], quaternion)
+    mpc.reference["state"] = Reference.constant(model.home)
+    mpc.reference["input"] = Reference.constant(np.zeros(model.input.size))
+    mpc.reset(model.home)
+    limits, x, policy = model.limits, model.home.copy(), None
+    limited = np.flatnonzero(np.isfinite(limits.input_change))
+    assert limited.size == model.input.size - 3  # all but the twist of the base
+    used, nearest = np.zeros(model.input.size), np.inf
+    at = [model.state.index(model.input.names[i]) for i in limited]
+    lower, upper = limits.state_lower[at], limits.state_upper[at]
+    for k in range(60):
+        t = k * mpc.period
+        before = np.zeros(model.input.size) if policy is None else policy.feedforward(t)
+        policy = mpc.update(Observation(t, x))
+        used = np.maximum(used, np.abs(policy.u[0] - before) / (limits.input_change * mpc.period))
+        u, q = policy.u[0][limited], x[at]
+        most = limits.input_change[limited] / limits.input_upper[limited]
+        bounded = np.isfinite(upper)
+        assert np.all((u - most * (upper - q))[bounded] < 1e-3)
+        assert np.all((-u - most * (q - lower))[bounded] < 1e-3)
+        nearest = min(nearest, float(np.min(np.minimum(upper - q, q - lower)[bounded])))
+        x = mpc.solver.simulate(x, policy.u[0], 0.017)
+        x = mpc.solver.simulate(x, policy.feedforward(t + 0.0185), mpc.period - 0.017)
+    assert used[limited].max() < 1.01
+    assert used[model.input["arm"]].max() > 0.9  # the goal does press against them
+    assert 0.0 < nearest < 0.03  # and against the ranges
+
+
+def test_accelerations_are_joints_of_the_robot(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    text = robot("swerve-ur10").description.source
+    source = Path(text).read_text().replace("model: swerve.xml", f"model: {robot('swerve-ur10').description.model}")
+    path = tmp_path / "robot.yaml"
+    path.write_text(source.replace("  acceleration:\n    leg_LF", "  acceleration:\n    leg_FL"))
+    with pytest.raises(InputError, match=r"limits\.acceleration.*leg_FL"):
+        load_description(path)
+    path.write_text(source.replace("  acceleration:\n    leg_LF: 5.0", "  acceleration:\n    leg_LF: -5.0"))
+    with pytest.raises(InputError, match=r"limits\.acceleration\.leg_LF.*greater than 0"):
+        load_description(path)

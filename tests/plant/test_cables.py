@@ -1,0 +1,47 @@
+"""Cables on the ball robot's floor. Truth: geometry of a ball that lies on two parallel edges."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.errors import InputError
+from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
+
+BALL = robot("rezero")
+
+
+def test_a_ball_on_a_cable_is_as_much_higher_as_the_cable() -> None:
+    home, torque = BALL.equilibrium(BALL.home[5:8])
+    state = home.copy()
+    state[0] = 0.1  # a cable lies there
+    for height in (0.005, 0.01):
+        plant = RezeroPlant(BALL.description, state, torque, Perturbation(cables=height), 0)
+        data = plant.data
+        touched = [
+            plant.model.geom(int(g)).type[0]
+            for pair in data.contact.geom
+            for g in pair
+            if plant.model.geom(int(g)).type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        ]
+        assert touched  # put down at the floor's height, it is in the cable
+        deepest = -min(c.dist for c in data.contact)
+        assert deepest == pytest.approx(height, rel=0.01)
+
+
+def test_between_cables_nothing_changes() -> None:
+    home, torque = BALL.equilibrium(BALL.home[5:8])
+    ends = []
+    for height in (0.0, 0.005):
+        plant = RezeroPlant(BALL.description, home, torque, Perturbation(cables=height), 0)
+        for _ in range(20):
+            plant.step(RezeroCommand(torque), 5)
+        ends.append(plant.state())
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def test_swerve_robots_refuse_them() -> None:
+    with pytest.raises(InputError, match=r"plant\.cables"):
+        SwervePlant(robot("swerve-ur10").description, perturbation=Perturbation(cables=0.005))
