@@ -1,11 +1,15 @@
 """Gains of the rivals of `swerve-fixed`: a coordinate search on tuning seeds, for the least rms position error.
 
-Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--random 20]
+Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--random 20] [--rounds 2] [--out DIR]
+Starts from the gains that the experiment has. DIR/NAME.md gets every trial and the best; trials that it has are not run again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -42,23 +46,56 @@ def main() -> None:
     parser.add_argument("--rival", default="ik", choices=sorted(KINDS))
     parser.add_argument("--seeds", default="0-1")
     parser.add_argument("--random", type=float, default=20.0)
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("runs/rivals"))
     given = parser.parse_args()
     first, last = (int(v) for v in given.seeds.split("-"))
-    gains = {"lead": 0.01, "base_gain": 2.0, "steer_gain": 10.0, "look_ahead": 1.0}
-    best = error(given.rival, gains, range(first, last + 1), given.random)
-    for _ in range(2):
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / f"{given.rival}-{given.seeds}-{given.random:g}.jsonl"
+    known = {tuple(e["gains"].items()): float(e["error"]) for e in map(json.loads, _lines(path))}
+
+    def trial(gains: dict[str, float]) -> float:
+        key = tuple(gains.items())
+        if key not in known:
+            known[key] = error(given.rival, gains, range(first, last + 1), given.random)
+            with path.open("a") as file:
+                file.write(json.dumps({"gains": gains, "error": known[key]}) + "\n")
+            print(f"{given.rival} {gains}: {1e3 * known[key]:.2f} mm", flush=True)
+        return known[key]
+
+    best, gains = search(dict(fixed.GAINS[given.rival]), given.rounds, trial)
+    print(f"best: {gains}: {1e3 * best:.2f} mm")
+    path.with_suffix(".md").write_text(table(known, gains))
+
+
+def search(
+    gains: dict[str, float], rounds: int, trial: Callable[[dict[str, float]], float]
+) -> tuple[float, dict[str, float]]:
+    """The least error [m] and its gains, one gain after the other over the grid, ``rounds`` times."""
+    best = trial(gains)
+    for _ in range(rounds):
         before = best
         for key, values in GRID.items():
             for value in values:
-                if value == gains[key]:
-                    continue
-                found = error(given.rival, {**gains, key: value}, range(first, last + 1), given.random)
-                print(f"{given.rival} { ({**gains, key: value}) }: {1e3 * found:.2f} mm", flush=True)
+                found = trial({**gains, key: value})
                 if found < best:
                     best, gains = found, {**gains, key: value}
         if best > 0.98 * before:
             break
-    print(f"best: {gains}: {1e3 * best:.2f} mm")
+    return best, gains
+
+
+def table(known: dict[tuple[tuple[str, float], ...], float], best: dict[str, float]) -> str:
+    """Every trial by its error, the best one in bold."""
+    lines = ["| " + " | ".join([*GRID, "rms [mm]"]) + " |", "| " + " | ".join(["---"] * (len(GRID) + 1)) + " |"]
+    for key, found in sorted(known.items(), key=lambda item: item[1]):
+        figure = f"**{1e3 * found:.2f}**" if dict(key) == best else f"{1e3 * found:.2f}"
+        lines.append("| " + " | ".join([*(f"{dict(key)[n]:g}" for n in GRID), figure]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text().splitlines() if path.exists() else []
 
 
 if __name__ == "__main__":
