@@ -5,6 +5,7 @@ Truth: typed fields as rosidl makes them. Without ROS nothing here says that ROS
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from importlib.util import find_spec
 from typing import Any
@@ -114,10 +115,17 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     imu = other.publisher("/imu", "sensor_msgs/msg/Imu")
     goal = other.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
 
+    end = threading.Event()
+
+    def sense() -> None:  # from a thread of its own: a driver goes on while the controller makes its first plan
+        while not end.wait(0.01):
+            now = {"stamp": {"sec": int(time.time()), "nanosec": int(time.time() % 1.0 * 1e9)}}
+            imu.publish({"header": now})
+            joints.publish({"header": now, "name": names, "position": robot.home[3:]})
+
+    threading.Thread(target=sense, daemon=True).start()
+
     def moves() -> bool:
-        now = {"stamp": {"sec": int(time.time()), "nanosec": int(time.time() % 1.0 * 1e9)}}
-        joints.publish({"header": now, "name": names, "position": robot.home[3:]})
-        imu.publish({"header": now})
         control.step()
         return (
             bool(got["/wheel_controller/commands"]) and max(map(abs, got["/wheel_controller/commands"][-1].data)) > 0.1
@@ -133,6 +141,7 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
         assert (said().level, said().name) == (b"\0", "wbmpc: controller")
         assert list(made[0].services) == ["/set_legs"] and not node.faults
     finally:
+        end.set()
         control.close()
         node.close()
         other.close()
