@@ -34,6 +34,10 @@ class KernelError(WbmpcError):
     """Generated code could not be built or loaded."""
 
 
+class UnsupportedOperation(KernelError):
+    """A term or the dynamics have an operation for which no code can be generated; the message names both."""
+
+
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
     """A hint ``(did you mean 'x'?)`` with a leading blank, or an empty string."""
     near = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.6)

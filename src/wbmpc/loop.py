@@ -111,7 +111,7 @@ def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
     pressed = threading.Event()
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        given = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        given: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         before = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:

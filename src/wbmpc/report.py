@@ -27,10 +27,11 @@ _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#
 _GRID = "rgba(128, 140, 152, 0.25)"
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --soft: #5c6b7a; --line: #dfe5ea; --page: #f5f7f9; --card: #fff;
-  --good: #1d7a4f; --fair: #b7791f; --bad: #b3362b; }
+  --good: #1d7a4f; --fair: #b7791f; --bad: #b3362b; --link: #1f5fa8; }
 @media (prefers-color-scheme: dark) { :root { --ink: #dde4ea; --soft: #94a3b2; --line: #33404d; --page: #12181f; --card: #1b232c;
-  --good: #4fbf8b; --fair: #d9a441; --bad: #ef7b6f; } .plots .card:has(> svg) { background: #fff; color: #1d2733; } }
-* { box-sizing: border-box; }
+  --good: #4fbf8b; --fair: #d9a441; --bad: #ef7b6f; --link: #7db4ee; }
+  .plots .card:has(> svg) { background: #fff; color: #1d2733; } }
+* { box-sizing: border-box; } a { color: var(--link); } p.sub + .card { margin-top: 10px; }
 body { margin: 0; background: var(--page); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 1060px; margin: 0 auto; padding: 32px 20px 64px; }
 h1 { font-size: 30px; line-height: 1.2; margin: 0; } h2 { font-size: 20px; margin: 40px 0 12px; }

@@ -186,10 +186,19 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
         "Ours: simulated in MuJoCo, plant perturbed; paper: the real robot. Medians over seeds are judged against the goals; "
         "a goal of zero has to hold in every run."
     )
-    body = f'<h1>Experiments</h1><p class="sub">{about}</p>{"".join(sections)}{_versions(found)}'
+    body = f'<h1>Experiments</h1><p class="sub">{about}</p>{_count(found)}{"".join(sections)}{_versions(found)}'
     index = out / "index.html"
     index.write_text(document("Experiments", body, plots=False))
     return index
+
+
+def _count(found: dict[str, Any]) -> str:
+    """How many goals are reached, and which are not."""
+    judged = {f"{name}: {metric}": m["met"] for name, e in found.items() for metric, m in e["metrics"].items()}
+    judged = {key: met for key, met in judged.items() if met is not None}
+    short = [html.escape(key) for key, met in judged.items() if not met]
+    text = f"{len(judged) - len(short)} of {len(judged)} goals pass" + (f"; short: {', '.join(short)}" if short else "")
+    return f'<div class="card verdict {"fair" if short else ""}">{text}.</div>' if judged else ""
 
 
 def _versions(found: dict[str, Any]) -> str:

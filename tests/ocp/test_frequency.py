@@ -186,7 +186,7 @@ def test_problems_that_are_wrapped_already() -> None:
     solver.set_reference("rest", Reference.constant(robot.home))
     x, u = aware.dynamics.equilibrium(np.concatenate([robot.home, np.ones(3)]), np.full(robot.input.size, 2.0))
     t = Transcription(aware)
-    evaluate = lambda name, z: ca.Function("r", [t.x, t.u], [t._residual(aware.term(name))])(x, z)
+    evaluate = lambda name, z: ca.Function("r", [t.x, t.u], [t.residual(aware.term(name))])(x, z)
     np.testing.assert_allclose(evaluate("command", u + 1.0), 2.0 + 1.0)
     np.testing.assert_allclose(evaluate("limits", u + 1.0), 2.0 + 5.0 / 40.0)
 

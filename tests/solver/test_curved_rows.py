@@ -74,7 +74,7 @@ def plan_is_within(solver: Solver, x: np.ndarray, *, of: tuple[str, ...]) -> Non
     """Every node's inputs, by the constraints evaluated anew."""
     found = solver.solve(x)
     assert found.status is Status.ITERATION_LIMIT and not found.detail, found
-    violations = solver._checks.violations(found.x, found.u, solver.ws.p, solver.ws.w)
+    violations = solver.checks.violations(found.x, found.u, solver.ws.p, solver.ws.w)
     for name in of:
         assert violations[name].value <= RANGE, violations[name]
 
@@ -147,7 +147,7 @@ def test_a_limit_that_moves_with_the_state_gives_way_by_name() -> None:
     ocp.add(hard("power", lambda s: 2.0 - 0.1 * s.u[0] ** 2 - s.x[1] ** 2))
     solver = Solver(ocp, SQP.real_time())
     found = solver.solve(np.array([1.0, 3.0]))
-    worst = solver._checks.violations(found.x, found.u, solver.ws.p, solver.ws.w)["power"]
+    worst = solver.checks.violations(found.x, found.u, solver.ws.p, solver.ws.w)["power"]
     assert worst.value >= 7.0  # 2 − 3² at the measured state
     assert found.usable and f"power.all[0] by {worst.value:.3g} at node {worst.node}" in found.detail
 

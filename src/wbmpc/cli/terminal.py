@@ -6,7 +6,6 @@ import io
 import logging
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any
@@ -38,11 +37,14 @@ class Termination:
 def terminable() -> Iterator[Termination]:
     """Handle SIGTERM, unless somebody else does or this is not the main thread."""
     handler = Termination()
-    ours = threading.current_thread() is threading.main_thread()
-    if not (ours and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL):
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield handler
         return
-    signal.signal(signal.SIGTERM, handler)
+    try:
+        signal.signal(signal.SIGTERM, handler)
+    except ValueError:  # only the main thread may
+        yield handler
+        return
     try:
         yield handler
     finally:

@@ -10,6 +10,7 @@ from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
 
@@ -29,6 +30,7 @@ __all__ = [
     "JointTracker",
     "MomentumObserver",
     "OdometryNoise",
+    "OffsetObserver",
     "ReleaseOdometry",
     "RezeroEstimator",
     "WheelCalibration",

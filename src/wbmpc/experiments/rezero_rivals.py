@@ -61,14 +61,14 @@ class SeparateSettings(Settings):
 class TaskspaceSettings(Settings):
     """What :class:`wbmpc.control.TaskGains` says of them."""
 
-    hand: float = Field(TaskGains.hand, gt=0)
-    turn: float = Field(TaskGains.turn, gt=0)
-    ball: float = Field(TaskGains.ball, gt=0)
-    ball_speed: float = Field(TaskGains.ball_speed, gt=0)
+    hand: float = Field(5.02, gt=0)
+    turn: float = Field(2.5, gt=0)
+    ball: float = Field(6.04, gt=0)
+    ball_speed: float = Field(1.07, gt=0)
     yaw: float = Field(TaskGains.yaw, gt=0)
-    tilt: float = Field(TaskGains.tilt, gt=0)
-    wheel_torque: float = Field(TaskGains.wheel_torque, gt=0)
-    balance: float = Field(TaskGains.balance, gt=0)
+    tilt: float = Field(212.0, gt=0)
+    wheel_torque: float = Field(6.69, gt=0)
+    balance: float = Field(1.63, gt=0)
 
 
 class RivalsSettings(Settings):

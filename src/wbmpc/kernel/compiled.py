@@ -11,11 +11,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.errors import KernelError
+from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.lanes import emit_lanes, helpers
 from wbmpc.kernel.machine import compile_module, load_object, register_width, target_text, vector_budget
-from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map
+from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
@@ -310,6 +310,20 @@ def _emit_blocks(
     ]
 
 
+def unsupported(transcription: Transcription) -> str:
+    """Which term, or the dynamics, has an operation that cannot be compiled, in a sentence; empty if none has."""
+    places = (("path", "term"), ("terminal", "terminal term"))
+    pieces = {"the dynamics": transcription.rates, "the jump": transcription.jump}
+    for place, kind in places:
+        pieces |= {f"{kind} '{name}'": value for name, value in transcription.term_values(place).items()}
+    symbols = [transcription.x, transcription.u, transcription.p, transcription.w]
+    for name, expression in pieces.items():
+        bad = unsupported_operation(ca.Function("piece", symbols, [expression]))
+        if bad:
+            return f"{name}: the SX operation {bad} cannot be compiled"
+    return ""
+
+
 def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     """The whole LLVM module of a problem."""
     functions = {**transcription.values, **transcription.derivatives}
@@ -348,13 +362,16 @@ def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
 def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
     """Compile a problem, or load it from the cache.
 
-    Raises :class:`KernelError` when an operation cannot be compiled.
+    Raises :class:`UnsupportedOperation` naming the term and the operation that cannot be compiled.
     """
     key = problem_key(transcription)
     found = cache.load(key) if use_cache else None
     sizes = _cached_sizes(found)
     if found is None or sizes is None:
-        ir, sizes = emit_problem(transcription)
+        try:
+            ir, sizes = emit_problem(transcription)
+        except UnsupportedOperation as error:
+            raise UnsupportedOperation(unsupported(transcription) or str(error)) from None
         code, found = compile_module(ir), None
         if use_cache:
             cache.save(key, code, {"target": target_text(), "sizes": asdict(sizes)})

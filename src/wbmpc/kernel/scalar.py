@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from functools import cache
 
 import casadi as ca
+import numpy as np
 
-from wbmpc.errors import KernelError
+from wbmpc.errors import UnsupportedOperation
 
 #: For every output: for every non-zero, the offsets [doubles] at which its value is stored.
 OutputMap = Sequence[Sequence[Sequence[int]]]
@@ -41,9 +43,17 @@ _CALL = {
     ca.OP_FMAX: "fmax",
     ca.OP_COPYSIGN: "llvm.copysign.f64",
     ca.OP_HYPOT: "hypot",
+    ca.OP_ASINH: "asinh",
+    ca.OP_ACOSH: "acosh",
+    ca.OP_ATANH: "atanh",
+    ca.OP_EXPM1: "expm1",
+    ca.OP_LOG1P: "log1p",
+    ca.OP_ERF: "erf",
+    ca.OP_FMOD: "fmod",
+    ca.OP_REMAINDER: "remainder",
 }
 #: Those of them with two arguments.
-TWO = {"atan2", "pow", "fmin", "fmax", "llvm.copysign.f64", "hypot"}
+TWO = {"atan2", "pow", "fmin", "fmax", "llvm.copysign.f64", "hypot", "fmod", "remainder"}
 
 DECLARATIONS = "\n".join(
     f"declare double @{name}({'double, double' if name in TWO else 'double'}) nounwind memory(none)"
@@ -54,7 +64,44 @@ DECLARATIONS = "\n".join(
 def supported_operations() -> set[int]:
     """The SX operations that can be emitted."""
     special = {ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_SIGN}
-    return {*_BINARY, *_COMPARE, *_CALL, *special, ca.OP_IF_ELSE_ZERO, ca.OP_ASSIGN}
+    return {*_BINARY, *_COMPARE, *_CALL, *special, ca.OP_IF_ELSE_ZERO, ca.OP_ASSIGN, ca.OP_LIFT, ca.OP_ERFINV}
+
+
+#: What reads, writes and holds numbers.
+_PLUMBING = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
+
+
+def unsupported_operation(function: ca.Function) -> str:
+    """The name of the first SX operation that cannot be emitted; empty if there is none."""
+    known = supported_operations() | _PLUMBING
+    for k in range(function.n_instructions()):
+        op = function.instruction_id(k)
+        if op not in known:
+            return operation_name(op)
+    return ""
+
+
+def operation_name(op: int) -> str:
+    """What CasADi calls an operation, with what it stands for where the name does not say it."""
+    name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
+    return f"{name} (a function or lookup table that is called)" if op == ca.OP_CALL else name
+
+
+@cache
+def _inverse_error_function() -> ca.Function:
+    """erf⁻¹ in operations that can be emitted: a rational guess of six digits, two steps of Newton's method."""
+    x = ca.SX.sym("x")
+    size = ca.fabs(x)
+    q, z = size * size, ca.sqrt(-ca.log(0.5 * (1.0 - size)))
+    near = size * (((-0.140543331 * q + 0.914624893) * q - 1.645349621) * q + 0.886226899)
+    near /= (((0.012229801 * q - 0.329097515) * q + 1.442710462) * q - 2.118377725) * q + 1.0
+    far = (((1.641345311 * z + 3.429567803) * z - 1.624906493) * z - 1.970840454) / (
+        (1.637067800 * z + 3.543889200) * z + 1.0
+    )
+    y = ca.if_else(size < 0.7, near, far)
+    for _ in range(2):
+        y = y - (ca.erf(y) - size) / (2.0 / np.sqrt(np.pi) * ca.exp(-y * y))
+    return ca.Function("erfinv", [x], [ca.copysign(ca.if_else(size == 1.0, ca.inf, y), x)])
 
 
 def literal(value: float) -> str:
@@ -142,8 +189,10 @@ class Emitter:
 
     def _special(self, op: int, v: list[str]) -> str:
         t, zero = self.number, self.constant(0.0)
-        if op == ca.OP_ASSIGN:
+        if op in (ca.OP_ASSIGN, ca.OP_LIFT):
             return v[0]
+        if op == ca.OP_ERFINV:
+            return self._inline(_inverse_error_function(), v[0])
         if op == ca.OP_NEG:
             return self.new(f"fneg {t} {v[0]}")
         if op == ca.OP_SQ:
@@ -163,8 +212,22 @@ class Emitter:
             positive = self.new(f"fcmp ogt {t} {v[0]}, {zero}")
             negative = self.new(f"fcmp olt {t} {v[0]}, {zero}")
             return self.select(positive, self.constant(1.0), self.select(negative, self.constant(-1.0), v[0]))
-        name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op), str(op))
-        raise KernelError(f"function '{self.name}': the SX operation {name} cannot be compiled")
+        raise UnsupportedOperation(f"function '{self.name}': the SX operation {operation_name(op)} cannot be compiled")
+
+    def _inline(self, function: ca.Function, value: str) -> str:
+        """A function of one number, at this place."""
+        found, last = dict[int, str](), ""
+        for k in range(function.n_instructions()):
+            op, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+            if op == ca.OP_CONST:
+                found[o[0]] = self.constant(function.instruction_constant(k))
+            elif op == ca.OP_INPUT:
+                found[o[0]] = value
+            elif op == ca.OP_OUTPUT:
+                last = found[i[0]]
+            else:
+                found[o[0]] = self.operation(op, [found[j] for j in i])
+        return last
 
     def emit(self) -> str:
         f = self.f

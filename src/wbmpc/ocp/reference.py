@@ -27,6 +27,8 @@ class Reference:
     def __post_init__(self) -> None:
         times = np.ascontiguousarray(np.atleast_1d(self.times), float)
         values = np.ascontiguousarray(np.atleast_2d(np.asarray(self.values, float)))
+        if times.size == 0:
+            raise InputError("reference: at least one sample is needed")
         if times.ndim != 1 or values.shape[0] != times.size:
             raise InputError(f"reference: {times.size} times need {times.size} rows of values, got {values.shape}")
         if not (np.isfinite(times).all() and np.isfinite(values).all()):

@@ -103,6 +103,7 @@ def equality_rows(
 ) -> Equalities:
     """Sort the rows of equality terms, given as (term, residual, switch)."""
     parts, compliance, names = [], [], []
+    z = ca.vertcat(x, u)
     for term, r, switch in terms:
         with_input = depends(r, u)
         row_name = row_names(term)
@@ -110,14 +111,17 @@ def equality_rows(
         rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
+        scales = row_scales(r, z)
         for i in range(r.shape[0]):
-            row = switch * r[i]
+            row = switch * (r[i] if scales[i] == 1.0 else r[i] / scales[i])
             if term.at != "terminal" and with_input[i] and not soft:
                 parts.append(row)
-                compliance.append(term.compliance)
+                compliance.append(term.compliance / scales[i] ** 2)
                 names.append(row_name[i])
                 continue
-            own = Row(row_name[i], Kind.EQUAL, -1, 1.0, 0.0, rho, 1.0, not with_input[i])
+            # the ρ that a term gives is per squared unit of its residual
+            per_unit = rho * scales[i] ** 2 if soft else rho
+            own = Row(row_name[i], Kind.EQUAL, -1, 1.0, 0.0, per_unit, float(scales[i]), not with_input[i])
             if term.at != "terminal":
                 path.general.append(own)
                 path.expressions.append(row)
@@ -173,7 +177,7 @@ def inequality_rows(
             if not wanted or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place, z)
             else:
                 _barriers(term, r, chosen, selection, place)
     for place in (path, end):
@@ -204,14 +208,18 @@ def _own_rows(
     with_input: np.ndarray,
     with_state: np.ndarray,
     place: Place,
+    z: ca.SX,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
     kind = Kind.MULTIPLIER if multiplier else Kind.HARD
     widths = _paired_widths(sides, selection)
-    for s, width in zip(sides, widths, strict=True):
-        width = 1.0 if multiplier else width  # ρ is per squared unit of the residual
-        slack = np.inf if not with_state[s.i] else term.slack  # of inputs alone: they can always be held
-        penalty = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else slack
+    scales = row_scales(r, z)
+    for s, given in zip(sides, widths, strict=True):
+        # hard rows in units of their range; without one, and with multipliers, of the variables
+        width = float(scales[s.i]) if multiplier or given == 1.0 else given
+        # rows of inputs alone can always be held
+        slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / given
+        penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]
             sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
@@ -245,6 +253,25 @@ def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
     found = np.zeros(r.shape[0], bool)
     if u.shape[0]:
         found[list(set(ca.jacobian(r, u).sparsity().get_triplet()[0]))] = True
+    return found
+
+
+def row_scales(r: ca.SX, z: ca.SX) -> np.ndarray:
+    """For every row the length of its gradient, where that is constant and far from 1 (a thousandth, a thousand); else 1.
+
+    Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute.
+    """
+    jacobian = ca.jacobian(r, z)
+    found, squares, constant = np.ones(r.shape[0]), np.zeros(r.shape[0]), np.ones(r.shape[0], bool)
+    for k, i in enumerate(jacobian.sparsity().row()):
+        entry = jacobian.nz[k]
+        if entry.is_constant():
+            squares[i] += float(entry) ** 2
+        else:
+            constant[i] = False
+    length = np.sqrt(squares)
+    far = constant & (length > 0.0) & np.isfinite(length) & ((length < 1e-3) | (length > 1e3))
+    found[far] = length[far]
     return found
 
 

@@ -29,6 +29,10 @@ class Box:
 
     def __post_init__(self) -> None:
         lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
+        if np.any(lower == np.inf) or np.any(upper == -np.inf):
+            raise InputError(
+                f"box: a lower bound of inf or an upper one of -inf allows nothing, got {lower.tolist()} and {upper.tolist()}"
+            )
         if lower.shape == upper.shape or not (lower.ndim and upper.ndim):
             crossed = np.broadcast_to(lower > upper, np.broadcast_shapes(lower.shape, upper.shape))
             if crossed.any():

@@ -50,6 +50,8 @@ class Transcription:
         self.ocp, self.exact = ocp, exact
         d = ocp.dynamics
         self.nx, self.nu = d.state.size, d.input.size
+        if self.nx == 0 or self.nu == 0:
+            raise InputError(f"dynamics: a state and an input are needed, got {self.nx} states and {self.nu} inputs")
         self.references = _Slots.of({t.name: t.residual.reference for t in ocp.terms.values() if t.residual.reference})
         self.switched = [t.name for t in ocp.terms.values() if t.modes is not None]
         self.node = _Slots.of(
@@ -71,7 +73,7 @@ class Transcription:
         self.h = ca.SX.sym("h")
         self.z = ca.vertcat(self.x, self.u)
         self.path, self.end = Place(), Place()
-        sort = lambda terms: [(t, self._residual(t), self._switch(t.name)) for t in terms]
+        sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
         #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
@@ -129,7 +131,8 @@ class Transcription:
         return self.p[self.node.slices["switch"].start + self.switched.index(name)]
 
     # ------------------------------------------------------------------ terms
-    def _residual(self, term: Cost | Constraint) -> ca.SX:
+    def residual(self, term: Cost | Constraint) -> ca.SX:
+        """The term's residual in the problem's symbols, (rows, 1)."""
         r = ca.SX(term.residual(self.symbols(term.name)))
         if r.shape != (term.residual.size, 1):
             raise InputError(
@@ -149,11 +152,11 @@ class Transcription:
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""
-        return depends(self._residual(term), self.u)
+        return depends(self.residual(term), self.u)
 
     def broken(self, term: Constraint) -> ca.SX:
         """How far every row of a constraint is from being met, in the residual's unit; 0 in modes where it does not count."""
-        r, switch = self._residual(term), self._switch(term.name)
+        r, switch = self.residual(term), self._switch(term.name)
         if term.equality:
             return switch * ca.fabs(r)
         if isinstance(term.set, Box):
@@ -171,11 +174,11 @@ class Transcription:
     def term_values(self, place: str) -> dict[str, ca.SX]:
         """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
         at = (place, "all")
-        out = {t.name: self._residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
+        out = {t.name: self.residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
         for cost in self.ocp.costs:
             if cost.at in at:
                 weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
-                out[cost.name] = weight * cost.norm.value(self._residual(cost))
+                out[cost.name] = weight * cost.norm.value(self.residual(cost))
         return out
 
     def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
@@ -185,7 +188,7 @@ class Transcription:
             if cost.at not in (place, "all"):
                 continue
             weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
-            r, norm = self._residual(cost), cost.norm
+            r, norm = self.residual(cost), cost.norm
             if place == "terminal" and ca.depends_on(r, self.u):
                 raise InputError(
                     f"cost '{cost.name}', at: its residual depends on the input, which ends before the horizon does; valid: path"
@@ -233,7 +236,7 @@ class Transcription:
         return self.equalities.names
 
     @cached_property
-    def _jump(self) -> ca.SX:
+    def jump(self) -> ca.SX:
         """The state after an event, in terms of the state before it and the new mode."""
         jump = getattr(self.ocp.dynamics, "jump", None)
         return self.x if jump is None else ca.SX(jump(self.x, self.symbols("").parameters, self._mode()))
@@ -256,7 +259,7 @@ class Transcription:
             "rows": make("rows", args, self.path.expression()),
             "terminal": make("terminal", end, self._value("terminal")),
             "end_rows": make("end_rows", end, self.end.expression()),
-            "jump": make("jump", end, self._jump),
+            "jump": make("jump", end, self.jump),
         }
 
     @cached_property
@@ -276,7 +279,7 @@ class Transcription:
             "rows_jacobian": make("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
             "terminal_quadratic": make("terminal_quadratic", at_end, list(end)),
             "end_rows_jacobian": make("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
-            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self._jump, self.x)),
+            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self.jump, self.x)),
             **self._second_derivatives(make),
         }
 

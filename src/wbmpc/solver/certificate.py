@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -37,6 +38,7 @@ class Checks:
         args = [problem.x, problem.u, problem.p, problem.w]
         broken = lambda chosen: [problem.broken(t) for t in chosen]
         self._path = ca.Function("path", args, [ca.densify(e) for e in broken(self.path)])
+        self._gradients: dict[str, ca.Function] = {}
         self._end = ca.Function("end", args, [ca.densify(e) for e in broken(self.end)])
 
     def violations(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, w: np.ndarray) -> dict[str, Violation]:
@@ -57,6 +59,15 @@ class Checks:
             self._keep(found, term, table, n)
         return found
 
+    def slope(self, term: Constraint, where: Violation, ws: Any) -> float:
+        """Length of the gradient of a violated row: how fast it changes with the variables."""
+        problem = self.problem
+        if where.row not in self._gradients:
+            r = problem.residual(term)[row_names(term).index(where.row)]
+            args = [problem.x, problem.u, problem.p, problem.w]
+            self._gradients[where.row] = ca.Function("slope", args, [ca.densify(ca.jacobian(r, problem.z))])
+        return float(np.linalg.norm(np.array(self._gradients[where.row](*_arguments(problem, ws, where.node)))))
+
     def _keep(self, found: dict[str, Violation], term: Constraint, table: np.ndarray, first: int) -> None:
         if not table.size:
             return
@@ -64,6 +75,21 @@ class Checks:
         worst = Violation(float(table[row, node]), int(node) + first, row_names(term)[row])
         if term.name not in found or worst.value > found[term.name].value:
             found[term.name] = worst
+
+
+def not_finite_trial(problem: Transcription, ws: Any) -> str:
+    """As ``not_finite``, of the last trial point of the line search; empty for the interpreted twin."""
+    return not_finite(problem, trial(ws)) if hasattr(ws, "x_trial") else ""
+
+
+def trial(ws: Any) -> SimpleNamespace:
+    """The last trial point of the line search in place of the iterate."""
+    return SimpleNamespace(x=ws.x_trial, u=ws.u_trial, p=ws.p, w=ws.w, grid=ws.grid, table=ws.table)
+
+
+def after_full_step(problem: Transcription, ws: Any) -> SimpleNamespace:
+    """Where the last direction leads."""
+    return SimpleNamespace(x=ws.x + ws.dx[:, : problem.nx], u=ws.u + ws.du, p=ws.p, w=ws.w)
 
 
 def not_finite(problem: Transcription, ws: Any) -> str:
@@ -76,7 +102,7 @@ def not_finite(problem: Transcription, ws: Any) -> str:
             values = [np.array(v) for v in function.call(_arguments(problem, ws, k))]
             if not all(np.isfinite(v).all() for v in values):
                 return f"{name} at node {k}"
-    return ""
+    return _bad_jump(problem, ws)
 
 
 def largest_term(problem: Transcription, ws: Any) -> str:
@@ -92,32 +118,101 @@ def largest_term(problem: Transcription, ws: Any) -> str:
     return found
 
 
-def largest_gap(problem: Transcription, ws: Any) -> tuple[float, str]:
-    """By how much an interval misses a state of the next node at most, and a sentence with state and node.
+def largest_variable(problem: Transcription, ws: Any) -> str:
+    """The largest state or input of the iterate, with its node."""
+    return _largest(problem, ws.x, ws.u, "= {:.3g}")
 
-    Infinite, without a place, for problems with jumps, which are not repeated here.
-    """
-    where = "gaps of the dynamics"
-    if problem.jumps:
-        return np.inf, where
-    w, f = ws.w[: problem.constant.size], problem.values["dynamics"]
-    gaps = np.zeros((len(ws.u), problem.nx))
-    for k, h in enumerate(np.diff(ws.grid)):
-        x, u, p = ws.x[k], ws.u[k], ws.p[k, : problem.node.size]
-        slope = lambda at, u=u, p=p: np.array(f(at, u, p, w)).ravel()
-        first = slope(x)
-        second = slope(x + 0.5 * h * first)
-        step = h * second
-        if problem.ocp.integrator == "rk4":
-            third = slope(x + 0.5 * h * second)
-            step = h / 6.0 * (first + 2.0 * second + 2.0 * third + slope(x + h * third))
-        gaps[k] = np.abs(x + step - ws.x[k + 1])
+
+def largest_step(problem: Transcription, ws: Any) -> str:
+    """The state or input that the last step was to change most, with its node; empty for the interpreted twin."""
+    if not hasattr(ws, "dx"):
+        return ""
+    return _largest(problem, ws.dx[:, : problem.nx], ws.du, "by {:.3g}")
+
+
+def _largest(problem: Transcription, x: np.ndarray, u: np.ndarray, form: str) -> str:
+    d, found = problem.ocp.dynamics, []
+    for kind, names, values in (("state", d.state.names, x), ("input", d.input.names, u)):
+        size = np.where(np.isnan(values), np.inf, np.abs(values))
+        if size.size:
+            k, i = np.unravel_index(int(np.argmax(size)), size.shape)
+            found.append((size[k, i], f"{kind} '{names[i]}' {form.format(values[k, i])} at node {k}"))
+    return max(found)[1]
+
+
+def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float, str]:
+    """By how much the start, or an interval a state of the next node, is missed at most; and a sentence with state and node."""
+    names = problem.ocp.dynamics.state.names
+    first = int(np.argmax(np.abs(x0 - ws.x[0])))
+    start = float(abs(x0[first] - ws.x[0, first]))
+    gaps = np.array([np.abs(_end(problem, ws, k) - ws.x[k + 1]) for k in range(len(ws.u))])
     for q in problem.ocp.dynamics.unit_quaternions:  # a unit quaternion is scaled after the step
         gaps[:, q : q + 4] = 0.0
     k, i = divmod(int(np.argmax(np.where(np.isnan(gaps), np.inf, gaps))), problem.nx)
-    return float(
-        gaps[k, i]
-    ), f"{where}, largest: '{problem.ocp.dynamics.state.names[i]}' by {gaps[k, i]:.3g} at node {k + 1}"
+    largest = float(gaps[k, i])
+    if start > largest:
+        return start, f"the start is not reached: '{names[first]}' by {start:.3g}"
+    return largest, f"gaps of the dynamics, largest: '{names[i]}' by {largest:.3g} at node {k + 1}"
+
+
+def _end(problem: Transcription, ws: Any, k: int) -> np.ndarray:
+    """The state at the end of interval k: one Runge-Kutta step, and the jump where an event is."""
+    x, u, p, w = _arguments(problem, ws, k)
+    h, f = ws.grid[k + 1] - ws.grid[k], problem.values["dynamics"]
+    slope = lambda at: np.array(f(at, u, p, w)).ravel()
+    first = slope(x)
+    second = slope(x + 0.5 * h * first)
+    step = h * second
+    if problem.ocp.integrator == "rk4":
+        third = slope(x + 0.5 * h * second)
+        step = h / 6.0 * (first + 2.0 * second + 2.0 * third + slope(x + h * third))
+    if not _events(problem, ws)[k]:
+        return x + step  # type: ignore[no-any-return]
+    return np.array(problem.values["jump"](x + step, ws.p[k + 1, : problem.node.size], w)).ravel()
+
+
+def _events(problem: Transcription, ws: Any) -> np.ndarray:
+    """For every interval, whether the state jumps at its end: the last entries of the solver's table."""
+    n = len(ws.u)
+    return ws.table[-n:] if problem.jumps else np.zeros(n)  # type: ignore[no-any-return]
+
+
+def _bad_jump(problem: Transcription, ws: Any) -> str:
+    """The first jump whose result is not finite, with the node after it; empty if there is none."""
+    bad = [k + 1 for k in np.flatnonzero(_events(problem, ws)) if not np.isfinite(_end(problem, ws, int(k))).all()]
+    return f"the jump at node {bad[0]}" if bad else ""
+
+
+def unstable_interval(problem: Transcription, ws: Any) -> str:
+    """Where the grid is too coarse for the dynamics: a motion that decays and that the integrator lets grow; a sentence.
+
+    Looked for at five nodes.
+    """
+    lengths, rk4 = np.diff(ws.grid), problem.ocp.integrator == "rk4"
+    for k in np.unique(np.linspace(0, len(lengths) - 1, 5).astype(int)):
+        found = _state_jacobian(problem, ws, k)
+        if not np.isfinite(found).all():
+            continue
+        h = float(lengths[k])
+        z = h * np.linalg.eigvals(found)
+        growth = np.abs(1.0 + z + z**2 / 2.0 + (z**3 / 6.0 + z**4 / 24.0 if rk4 else 0.0))
+        growth[z.real > -1.0] = 0.0
+        i = int(np.argmax(growth))
+        if growth[i] > 1.0 + 1e-6:
+            return (
+                f"; the interval of {h:.3g} s at node {k} is too long for the integrator: a motion that decays within "
+                f"{h / abs(z[i].real):.2g} s grows {growth[i]:.2g} times"
+            )
+    return ""
+
+
+def _state_jacobian(problem: Transcription, ws: Any, k: int) -> np.ndarray:
+    """∂f/∂x at node k by differences: a warm start has no derivatives as functions."""
+    x, u, p, w = _arguments(problem, ws, k)
+    step = 1e-6 * (1.0 + np.abs(x))
+    points = np.hstack([x[:, None] + np.diag(step), x[:, None] - np.diag(step)])
+    values = np.array(problem.values["dynamics"](points, u, p, w)).reshape(problem.nx, -1)
+    return (values[:, : problem.nx] - values[:, problem.nx :]) / (2.0 * step)  # type: ignore[no-any-return]
 
 
 def unseen_inputs(problem: Transcription) -> list[str]:
@@ -133,8 +228,14 @@ def _first_bad_number(problem: Transcription, ws: Any) -> str:
     bad = []
     names = (("state", problem.ocp.dynamics.state.names, ws.x), ("input", problem.ocp.dynamics.input.names, ws.u))
     for order, (kind, labels, values) in enumerate(names):
-        bad += [(k, order, f"{kind} '{labels[i]}'") for k, i in np.argwhere(~np.isfinite(values))[:1]]
-    return f"{min(bad)[2]} at node {min(bad)[0]} of the guess or the last iterate" if bad else ""
+        bad += [(int(k), order, f"{kind} '{labels[i]}'") for k, i in np.argwhere(~np.isfinite(values))[:1]]
+    if not bad:
+        return ""
+    k, order, name = min(bad)
+    origin = "of the guess or the last iterate"
+    if k > 0 and order == 0 and not np.isfinite(_end(problem, ws, k - 1)).all():
+        origin = f"from {'the jump there' if _events(problem, ws)[k - 1] else DYNAMICS}"
+    return f"{name} at node {k} {origin}"
 
 
 def _nodes(name: str, ws: Any) -> range:
@@ -153,7 +254,8 @@ def _pieces(problem: Transcription) -> Mapping[str, ca.Function]:
     """Every term, the dynamics and their derivatives as functions of (x, u, p, w)."""
     args = [problem.x, problem.u, problem.p, problem.w]
     z = problem.z
-    make = lambda e: ca.Function("piece", args, [ca.densify(e), ca.densify(ca.jacobian(e, z))])
+    second = lambda e: [ca.densify(ca.hessian(ca.sum1(e), z)[0])] if problem.exact else []
+    make = lambda e: ca.Function("piece", args, [ca.densify(e), ca.densify(ca.jacobian(e, z)), *second(e)])
     pieces = {DYNAMICS: make(problem.rates)}
     for name, value in problem.term_values("path").items():
         pieces[f"term '{name}'"] = make(value)

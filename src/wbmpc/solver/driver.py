@@ -17,6 +17,7 @@ from wbmpc.solver.places import (
     DX,
     END_BOXES,
     END_COST,
+    EPS,
     EXACT,
     FILTER,
     FILTERED,
@@ -29,6 +30,7 @@ from wbmpc.solver.places import (
     LX,
     MISSED,
     MU,
+    NG,
     NP,
     NU,
     NX,
@@ -56,6 +58,7 @@ from wbmpc.solver.places import (
 )  # fmt: skip
 from wbmpc.solver.riccati import backward, forward, kkt_residual
 from wbmpc.solver.rows import end_values, rows_merit, rows_step, start_rows, take_rows
+from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import interval, normalise, row_count, stage_end
 from wbmpc.solver.workspace import LOG
 
@@ -79,14 +82,13 @@ SETTINGS = (
     "extra_when_cut",
     "largest_shift",
     "keep_slacks",
+    "mu_floor",
 )
 (
     ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT, KEEP_SLACKS,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR,
 ) = range(len(SETTINGS))  # fmt: skip
 LOG_COLUMNS = len(LOG)
-#: A plan that has grown beyond this [units of the states] has diverged.
-HUGE = 1e10
 #: What overshooting directions shorten a step to at least.
 SHORTEST = 0.15
 
@@ -333,6 +335,33 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
 
 
+@compiled(NUM, NUMS, INTS)
+def moved(m, o):  # type: ignore[no-untyped-def]
+    """The largest part of the step beside 1 + |x| or 1 + |u|.
+
+    Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
+    """
+    n, nx, nu, lx = o[N], o[NX], o[NU], o[LX]
+    largest = 0.0
+    for k in range(n + 1):
+        for i in range(nx):
+            largest = max(largest, abs(m[o[DX] + k * lx + i]) / (1.0 + abs(m[o[X] + k * nx + i])))
+    for i in range(n * nu):
+        largest = max(largest, abs(m[o[DU] + i]) / (1.0 + abs(m[o[U] + i])))
+    return largest
+
+
+@compiled(BOOL, NUMS, INTS, NUM, NUM, NUM)
+def met(m, o, violation, equalities, limit):  # type: ignore[no-untyped-def]
+    """Whether the constraints are met. Equality rows with a compliance keep a residual, which is theirs once nothing moves."""
+    if m[o[STATE] + RESIDUAL] > limit:
+        return False
+    soft = False
+    for j in range(o[NG]):
+        soft = soft or m[o[EPS] + j] > 1e-13
+    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= AT_REST)
+
+
 @compiled(BOOL, NUMS, INTS, NUMS)
 def make_convex(m, o, s):  # type: ignore[no-untyped-def]
     """Fewer second derivatives, then a larger shift, for a subproblem that is not convex; whether there is one to try."""
@@ -344,8 +373,8 @@ def make_convex(m, o, s):  # type: ignore[no-untyped-def]
     return m[state + SHIFT] <= s[LARGEST_SHIFT]
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM)
-def settle_rows(m, o, s, alpha, kkt, violation, last_residual):  # type: ignore[no-untyped-def]
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM, NUM)
+def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: ignore[no-untyped-def]
     """Slacks and multipliers after a step of ``alpha``; μ and ρ for the next one.
 
     Returns the residual to compare the next one with, and 1 when the problem is another one now (μ or ρ has changed).
@@ -357,7 +386,7 @@ def settle_rows(m, o, s, alpha, kkt, violation, last_residual):  # type: ignore[
     take_rows(m, o, alpha, m[state + DUAL], solved)
     feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
-    after = next_mu(mu, s[MU_END], max(kkt, error) if certify else 0.0, product)
+    after = next_mu(mu, level, max(kkt, error) if certify else 0.0, product)
     if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
         after = min(s[MU_START], 10.0 * mu)
     if certify and (solved or alpha > 0.9):
@@ -374,6 +403,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
     penalty, first, last_kkt, last_residual, certify = 0.0, 1.0, np.inf, np.inf, s[CERTIFY] > 0.0
     rows, state, limit, it = row_count(o) > 0, o[STATE], int(s[ITERATIONS]), 0
+    # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
+    level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     hold = m[state + HOLD]
     while it < limit:
@@ -388,11 +419,16 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if abs(cost) > HUGE or largest > HUGE:
             return DIVERGED, it
         mu, product = m[state + MU], m[state + PRODUCT]
-        feasible = violation <= s[FEASIBILITY] and m[state + RESIDUAL] <= s[FEASIBILITY]
-        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu:
-            if mu <= s[MU_END] or not rows:
+        feasible = met(m, o, violation, log[row + 6], s[FEASIBILITY])
+        if certify and mu < last_mu:
+            bias = moved(m, o) * mu / (last_mu - mu)
+        last, last_mu = mu <= level or not rows, mu
+        small = not last or moved(m, o) <= UNSETTLED
+        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
+            if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
                 return CONVERGED, it
-            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, s[MU_END], 0.0, mu), 0.0, 1.0, np.inf
+            level = max(0.2 * mu, s[MU_FLOOR]) if last else level
+            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
             continue
         drop = violation - m[state + LEFT]
         if drop > 1e-10:
@@ -420,7 +456,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         )
         take(m, o)
         if rows:
-            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual)
+            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
             if changed > 0.0:
                 last_kkt = np.inf
         log[row + 4], m[state + LAST_ALPHA] = alpha, alpha

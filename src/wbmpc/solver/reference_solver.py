@@ -187,6 +187,17 @@ class RowState:
         return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))
 
 
+def lacking(problem: Transcription, settings: Any) -> str:
+    """What a problem or its settings need and the twin has not; empty if there is nothing."""
+    needs = {
+        "exact Hessian": problem.exact,
+        "filter line search": settings.line_search != "merit",
+        "grid that follows events": problem.ocp.align_events,
+        "jumps of the state": problem.jumps,
+    }
+    return next((name for name, needed in needs.items() if needed), "")
+
+
 class InterpretedSolver:
     """Runs what ``receding_solve`` runs, on the same fields x, u, p, w, k, grid of its ``ws``."""
 
@@ -376,10 +387,9 @@ class InterpretedSolver:
         from wbmpc.solver.driver import SETTINGS
         from wbmpc.solver.receding import sample
 
-        if settings.line_search != "merit" or self.problem.ocp.align_events or self.problem.jumps:
-            raise InputError(
-                "the interpreted backend has neither filter nor aligned events nor jumps; valid: 'compiled'"
-            )
+        missing = lacking(self.problem, settings)
+        if missing:
+            raise InputError(f"the interpreted backend has no {missing}; valid: 'compiled'")
         ws = self.ws
         for k in range(len(ws.grid)):
             sample.python(*tables, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
@@ -409,15 +419,32 @@ class InterpretedSolver:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
-        from wbmpc.solver.driver import DIVERGED, HUGE, LIMIT_MISSED, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.driver import DIVERGED, LIMIT_MISSED, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 
         penalty, first, last_kkt, it, limit = 0.0, 1.0, np.inf, 0, int(c.iterations)
-        last_residual, hold = np.inf, self.hold
+        last_residual, hold, level, last_mu, bias = np.inf, self.hold, c.mu_end, c.mu_start, 0.0
         self.shift, shift, has_rows = 0.0, 0.0, any(r.kind.size for r in self.own)
         while it < limit:
             self.shift = shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
-            s = self.iterate(x0)
+            try:
+                s = self.iterate(x0)
+            except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite
+                shift = max(10.0 * shift, 1e-6)
+                log[it] = (
+                    cost - self._row_cost(self.ws.x, self.ws.u),
+                    violation,
+                    np.nan,
+                    np.nan,
+                    0.0,
+                    violation,
+                    *[np.nan] * 6,
+                )
+                it += 1
+                if it < limit and np.isfinite([cost, violation]).all() and 0.0 < shift <= c.largest_shift:
+                    continue
+                return NOT_FINITE, it
             size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
             product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
             kkt = s["kkt"] if c.certify else np.nan
@@ -442,10 +469,18 @@ class InterpretedSolver:
             if abs(cost) > HUGE or size > HUGE:
                 return DIVERGED, it
             feasible = max(violation, residual) <= c.feasibility
-            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu:
-                if self.mu <= c.mu_end or not has_rows:
+            moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
+            if self.problem.compliance.any() and residual <= c.feasibility and moved <= AT_REST:
+                feasible = violation - self._equalities() <= c.feasibility
+            if self.mu < last_mu:
+                bias = moved * self.mu / (last_mu - self.mu)
+            last, last_mu = self.mu <= level or not has_rows, self.mu
+            small = moved <= UNSETTLED or not last
+            if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
+                if last and (not has_rows or bias <= BIAS or self.mu <= c.mu_floor):
                     return 0, it
-                self.mu, first, last_kkt = next_mu.python(self.mu, c.mu_end, 0.0, self.mu), 1.0, np.inf
+                level = max(0.2 * self.mu, c.mu_floor) if last else level
+                self.mu, first, last_kkt = next_mu.python(self.mu, level, 0.0, self.mu), 1.0, np.inf
                 continue
             h = np.append(np.diff(self.ws.grid), 1.0)
             drop = violation - sum(
@@ -476,7 +511,7 @@ class InterpretedSolver:
                 rows.take(alpha, dual, solved)
             if has_rows:
                 error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
-                after = next_mu.python(self.mu, c.mu_end, error, product)
+                after = next_mu.python(self.mu, level, error, product)
                 after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
                 if c.certify and (solved or alpha > 0.9):
                     if residual > c.feasibility and residual > 0.25 * last_residual:
@@ -491,6 +526,11 @@ class InterpretedSolver:
             if it == limit and alpha < 0.9 * first and limit < int(c.iterations) + int(c.extra_when_cut):
                 limit += 1
         return (LIMIT_MISSED if self.ws.state[MISSED] > LIMIT_TOLERANCE else 1), it
+
+    def _equalities(self) -> float:
+        """1-norm of the rows of the recursion at the iterate."""
+        ws, f = self.ws, self.values["equality"]
+        return float(sum(np.abs(np.array(f(ws.x[k], ws.u[k], self._p(k), ws.w))).sum() for k in range(len(ws.u))))
 
     def _longest_step(self, du: np.ndarray, first: bool) -> float:
         """As longest_step of the compiled solver."""

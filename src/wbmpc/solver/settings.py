@@ -9,6 +9,15 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 
+#: A plan that has grown beyond this [units of the states], or a cost, has diverged.
+HUGE = 1e10
+#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
+UNSETTLED = 1e-3
+#: The same for equalities with a compliance: what they still lack when nothing moves is their share.
+AT_REST = 1e-7
+#: By how much the plan may still depend on μ at the end (of 1 + |x| or 1 + |u|), and how far μ falls for that at most.
+BIAS, LEAST_MU = 1e-4, 1e-18
+
 
 def _count(value: object, least: int) -> bool:
     """Whether this is a whole number of at least ``least``."""
@@ -19,7 +28,8 @@ def _count(value: object, least: int) -> bool:
 class InteriorPoint:
     """How hard inequalities are treated.
 
-    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4); "real_time" keeps
+    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4,
+    and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
     it at ``mu`` and starts every solve from slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration
     per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many
     more iterations while the step is cut below 0.9 of the longest that is tried (docs/derivations.md, section 3).
@@ -62,6 +72,7 @@ class InteriorPoint:
             "tau": 0.99 if real_time else self.tau,
             "extra_when_cut": float(self.extra_when_cut if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
+            "mu_floor": mu if real_time or self.mu is not None else min(LEAST_MU, mu),
         }
 
 

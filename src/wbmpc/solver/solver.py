@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Literal
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from wbmpc.errors import InputError, SolveFailed, unknown_name
+from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
-from wbmpc.solver.certificate import Checks, largest_gap, largest_term, not_finite, unseen_inputs
+from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, LONGEST, MISSED, MOST_AT, VIOLATION
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
+from wbmpc.solver.verdict import verdict
 from wbmpc.solver.workspace import LOG
 
+if TYPE_CHECKING:
+    from wbmpc.kernel import Kernel
+
+_LOG = logging.getLogger("wbmpc")
 _STATUS = (
     Status.CONVERGED,
     Status.ITERATION_LIMIT,
@@ -29,6 +35,12 @@ _STATUS = (
     Status.DIVERGED,
     Status.LIMIT_MISSED,
 )
+
+
+@cache
+def _tell(why: str) -> None:
+    """Once for each problem's reason."""
+    _LOG.warning("%s: CasADi's interpreter evaluates the whole problem, thousands of times slower", why)
 
 
 @dataclass
@@ -47,11 +59,8 @@ class Solver:
         from wbmpc.solver.workspace import make_workspace
 
         self.problem = Transcription(self.ocp, self._exact())
-        self.kernel = None
-        if self.settings.backend == "compiled":
-            from wbmpc.kernel import build_kernel
-
-            self.kernel = build_kernel(self.problem, self.use_cache)
+        self.kernel = self._build()
+        if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
         else:
             self.twin = InterpretedSolver(self.problem)
@@ -64,6 +73,23 @@ class Solver:
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
             self._bind()
+
+    def _build(self) -> Kernel | None:
+        """The machine code; None for the interpreted twin, which also steps in for operations that cannot be compiled."""
+        if self.settings.backend == "interpreted":
+            return None
+        from wbmpc.kernel import build_kernel
+        from wbmpc.solver.reference_solver import lacking
+
+        try:
+            return build_kernel(self.problem, self.use_cache)
+        except UnsupportedOperation as error:
+            missing = lacking(self.problem, self.settings)
+            if missing:
+                raise UnsupportedOperation(f"{error}, and the interpreted twin has no {missing}") from None
+            _tell(str(error))
+            self.settings = replace(self.settings, backend="interpreted")
+            return None
 
     def _exact(self) -> bool:
         if self.settings.hessian != "exact":
@@ -140,7 +166,7 @@ class Solver:
         for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
             if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
                 raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
-            trajectory[:] = given[name]
+        self.ws.x[:], self.ws.u[:] = given["x"], given["u"]
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
@@ -165,6 +191,7 @@ class Solver:
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
         if self.settings.backend == "interpreted":
+            self.x0 = x0
             return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
         self.x0[:] = x0
         tables, out = self.tables(), self._out
@@ -206,8 +233,8 @@ class Solver:
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
         solution = self.solution(status, count, elapsed)
-        if self.settings.certify or not solution.usable:
-            solution = self._certified(solution)
+        if self.settings.certify or not solution.usable or solution.status is Status.NO_STEP:
+            solution = verdict(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -238,53 +265,10 @@ class Solver:
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
-        return self._certified(self.solution(status, count, elapsed))
-
-    def _certified(self, solution: Solution) -> Solution:
-        """The solution with its violations by name, and the status that these show."""
-        ws, status, detail = self.ws, solution.status, solution.detail
-        if status is Status.NOT_FINITE:
-            solution, detail = replace(solution, kkt=np.nan), not_finite(self.problem, ws)
-            free = unseen_inputs(self.problem)
-            if free:
-                detail = f"{detail or 'the step'}; no term looks at input '{free[0]}'"
-            if detail or solution.violation < self.settings.feasibility:
-                return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
-            status = Status.INFEASIBLE  # the iterate is finite, and the step towards the constraints is not
-        violations = self._checks.violations(ws.x, ws.u, ws.p, ws.w)
-        if status is Status.LIMIT_MISSED:
-            return replace(solution, violations=violations)
-        worst = max(violations.values(), key=lambda v: v.value, default=None)
-        if status is Status.DIVERGED:
-            k, i = np.unravel_index(int(np.argmax(np.abs(ws.x))), ws.x.shape)
-            name = self.ocp.dynamics.state.names[i]
-            detail = f"largest state: '{name}' = {ws.x[k, i]:.3g} at node {k}"
-            term = largest_term(self.problem, ws)
-            detail += f", largest term: {term}" if term else ""
-            detail += f", last step {solution.log[-1, COLUMNS['step']]:.3g}"
-        elif status is not Status.CONVERGED and solution.log[-1, COLUMNS["violation"]] > self.settings.feasibility:
-            gap, where = largest_gap(self.problem, ws)
-            missed = worst is not None and worst.value > self.settings.feasibility
-            if missed or gap > self.settings.feasibility:
-                detail = f"largest violation: {worst}" if missed else where
-                status = Status.INFEASIBLE if self._stuck(solution) else status
-            else:
-                detail = "the last step met the constraints, but nothing has settled"
-        elif status is Status.CONVERGED:
-            hard = [violations[t.name] for t in self.ocp.inequalities if t.hard and t.name in violations]
-            most = max(hard, key=lambda v: v.value, default=None)
-            if most is not None and most.value > 1e-5:
-                status, detail = Status.RELAXED, str(most)
-        return replace(solution, status=status, violations=violations, detail=detail)
-
-    def _stuck(self, solution: Solution) -> bool:
-        """Whether the violation has not halved over the second half of the iterations."""
-        violation = solution.log[:, COLUMNS["violation"]]
-        slow = len(violation) >= 10 and violation[-1] > 0.5 * violation[len(violation) // 2]
-        return solution.status is Status.NO_STEP or bool(slow)
+        return verdict(self, self.solution(status, count, elapsed))
 
     @cached_property
-    def _checks(self) -> Checks:
+    def checks(self) -> Checks:
         return Checks(self.problem)
 
     @staticmethod

@@ -142,7 +142,24 @@ POINTERS = ADDRESSES + len(FUNCTIONS)
 INDICES = POINTERS + 16
 
 _ROWS = ("rows_h", "rows_t", "rows_l", "rows_s", "rows_c", "rows_e", "rows_d", "rows_n", "rows_dt", "rows_ds", "rows_y")
-_VIEWS = ("grid", "x", "u", "p", "w", "k", "value", "dx", "du", "rows_h", "rows_t", "rows_l", "rows_s", "state")
+_VIEWS = (
+    "grid",
+    "x",
+    "u",
+    "x_trial",
+    "u_trial",
+    "p",
+    "w",
+    "k",
+    "value",
+    "dx",
+    "du",
+    "rows_h",
+    "rows_t",
+    "rows_l",
+    "rows_s",
+    "state",
+)
 
 
 def aligned(count: int) -> np.ndarray:
@@ -177,6 +194,8 @@ class Workspace:
     grid: np.ndarray
     x: np.ndarray
     u: np.ndarray
+    x_trial: np.ndarray
+    u_trial: np.ndarray
     p: np.ndarray
     w: np.ndarray
     k: np.ndarray

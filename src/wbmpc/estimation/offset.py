@@ -1,0 +1,136 @@
+"""Offset-free control of any system: constant parameters of its dynamics estimated along with the state.
+
+The wanted parameter (a generalised force, a bias of a twist) is a state that does not move, and an extended Kalman filter
+follows [x; d] by the model itself. The estimate goes into the problem as the same parameter (``set_parameters``), so that plan
+and plant agree at rest. What is left of an offset then comes from the costs: an input must be weighed against what holds the
+plant under d, not against zero.
+
+Source: Pannocchia and Rawlings 2003, "Disturbance models for offset-free model-predictive control" (AIChE Journal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.errors import InputError, NotFinite
+
+Array = NDArray[np.float64]
+
+
+class OffsetObserver:
+    """Estimates the parameters ``group`` of ``dynamics`` from the measured entries of the state (all when left out).
+
+    ``x``, ``u`` (nx, nu): where the filter starts, and where it is checked that the parameters can be told apart; ``mode``: the
+    model's mode values. Standard deviations: ``noise`` of a measurement; ``process`` by which a state, and ``walk`` by which a
+    parameter, leaves the model in a second; ``spread`` of both at the start. One number or one per entry each, in their units.
+    ``offset``: the estimate; ``state``: the filtered state. Angles are not wrapped.
+
+    Raises :class:`InputError` naming a parameter that leaves no trace in the measurements or looks like another quantity.
+    """
+
+    def __init__(
+        self, dynamics: Any, group: str, x: ArrayLike, u: ArrayLike, *, noise: ArrayLike, measured: Sequence[str] | None = None,
+        process: ArrayLike = 1e-3, walk: ArrayLike = 1.0, spread: ArrayLike = 1.0, mode: ArrayLike = (),
+    ) -> None:  # fmt: skip
+        self.dynamics, self.part = dynamics, dynamics.parameters[group]
+        self.names = dynamics.parameters.names[self.part]
+        labels = dynamics.state.names if measured is None else tuple(measured)
+        self.measured = np.array([dynamics.state.index(name) for name in labels], int)
+        nx, nd = dynamics.state.size, len(self.names)
+        m = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else np.asarray(mode, float)
+        self.mode, self.labels = m, labels
+        self.noise = _positive("noise", noise, len(labels)) ** 2
+        self._walk = np.concatenate([_positive("process", process, nx), _positive("walk", walk, nd)]) ** 2
+        self.mean = np.concatenate([np.asarray(x, float), np.zeros(nd)])
+        self.covariance = np.diag(_positive("spread", spread, nx + nd) ** 2)
+        self._step, self._rates = self._functions()
+        self._refuse_what_cannot_be_told(np.asarray(u, float))
+
+    @property
+    def offset(self) -> Array:
+        """The estimated parameters of the group."""
+        return self.mean[self.dynamics.state.size :]
+
+    @property
+    def state(self) -> Array:
+        """The filtered state (nx)."""
+        return self.mean[: self.dynamics.state.size]
+
+    def parameters(self) -> Array:
+        """All parameters of the model, the estimate in its place, the others zero."""
+        out = np.zeros(self.dynamics.parameters.size)
+        out[self.part] = self.offset
+        return out
+
+    def update(self, y: ArrayLike, u: ArrayLike, h: float) -> Array:
+        """The estimate after the measurement ``y`` (measured entries), ``h`` [s] after the last one.
+
+        ``u`` (nu): the input that acted in between. Pass what the plant got, limits included: an input that was cut and is
+        believed whole is explained by a disturbance that does not exist, and the estimate winds up.
+        """
+        y, u = np.asarray(y, float), np.asarray(u, float)
+        if not (np.isfinite(y).all() and np.isfinite(u).all()):
+            raise NotFinite("offset observer: the measurement and the input must be finite")
+        mean, slope = (np.array(v) for v in self._step(self.mean, u, self.mode, h))
+        p = slope @ self.covariance @ slope.T + np.diag(self._walk * h)
+        chosen = p[:, self.measured]
+        gain = np.linalg.solve(chosen[self.measured] + np.diag(self.noise), chosen.T).T
+        self.mean = mean.ravel() + gain @ (y - mean.ravel()[self.measured])
+        rest = np.eye(len(p))
+        rest[:, self.measured] -= gain
+        self.covariance = rest @ p @ rest.T + gain @ np.diag(self.noise) @ gain.T  # Joseph's form stays positive
+        return self.offset
+
+    def _functions(self) -> tuple[ca.Function, ca.Function]:
+        """(z, u, m, h) to the next z = [x; d] and its Jacobian (midpoint rule); (z, u, m) to ∂ẋ/∂z."""
+        d = self.dynamics
+        z, u = ca.SX.sym("z", self.mean.size), ca.SX.sym("u", d.input.size)
+        m, h = ca.SX.sym("m", d.mode.size), ca.SX.sym("h")
+        nx, first, last = d.state.size, self.part.start, d.parameters.size - self.part.stop
+        w = ca.vertcat(ca.SX.zeros(first), z[nx:], ca.SX.zeros(last))
+        rate = lambda x: ca.SX(d(x, u, w, m))
+        after = ca.vertcat(z[:nx] + h * rate(z[:nx] + 0.5 * h * rate(z[:nx])), z[nx:])
+        step = ca.Function("step", [z, u, m, h], [after, ca.densify(ca.jacobian(after, z))])
+        return step, ca.Function("rates", [z, u, m], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
+
+    def _refuse_what_cannot_be_told(self, u: Array) -> None:
+        """The largest subspace of [x; d] that the measurements never see must not have a part in d."""
+        nx, size = self.dynamics.state.size, self.mean.size
+        flow = np.vstack([np.array(self._rates(self.mean, u, self.mode)), np.zeros((size - nx, size))])
+        unseen = np.delete(np.eye(size), self.measured, axis=1)
+        while unseen.shape[1]:
+            leaving = flow @ unseen
+            leaving -= unseen @ (unseen.T @ leaving)
+            kept = _null_space(leaving, 1e-9 * (1.0 + np.abs(flow).max()))
+            if kept.shape[1] == unseen.shape[1]:
+                break
+            unseen = unseen @ kept
+        hidden = np.linalg.norm(unseen[nx:], axis=1) if unseen.shape[1] else np.zeros(len(self.names))
+        if hidden.max(initial=0.0) < 1e-6:
+            return
+        i = int(np.argmax(hidden))
+        direction = unseen @ unseen[nx + i]  # the unseen motion that has most of this parameter
+        others = [*self.dynamics.state.names, *self.names]
+        like = [f"'{others[k]}'" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > 1e-3 and k != nx + i]
+        how = f"cannot be told apart from {', '.join(like[:3])}" if like else "leaves no trace"
+        raise InputError(f"offset observer: '{self.names[i]}' {how} by measuring {', '.join(self.labels)}")
+
+
+def _null_space(matrix: Array, tolerance: float) -> Array:
+    """Orthonormal columns that the matrix maps to (nearly) nothing."""
+    _, size, right = np.linalg.svd(matrix)
+    return right[int(np.sum(size > tolerance)) :].T  # type: ignore[no-any-return]
+
+
+def _positive(name: str, value: ArrayLike, size: int) -> Array:
+    given = np.asarray(value, float)
+    if given.ndim and given.shape != (size,):
+        raise InputError(f"offset observer, {name}: one number or {size} are needed, got {given.size}")
+    if not (np.isfinite(given).all() and np.all(given > 0.0)):
+        raise InputError(f"offset observer, {name}: must be positive and finite, got {given.tolist()}")
+    return np.broadcast_to(given, size).copy()

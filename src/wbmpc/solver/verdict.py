@@ -1,0 +1,136 @@
+"""The last word on a solve: its status, and a sentence that names what a failed one died of or what is doubtful about one that
+converged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wbmpc.ocp import AugmentedLagrangian
+from wbmpc.solver import certificate
+from wbmpc.solver.certificate import Violation
+from wbmpc.solver.settings import HUGE
+from wbmpc.solver.solution import COLUMNS, Solution, Status
+
+if TYPE_CHECKING:
+    from wbmpc.solver.solver import Solver
+
+#: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed.
+RELAXED = 1e-5
+
+
+def verdict(solver: Solver, solution: Solution) -> Solution:
+    """The solution with its violations by name, and the status and the sentence that these show."""
+    problem, ws = solver.problem, solver.ws
+    if solution.status is Status.NOT_FINITE:
+        solution = replace(solution, kkt=np.nan)
+        detail = _not_finite(solver)
+        if detail or solution.violation < solver.settings.feasibility:
+            return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
+        solution = replace(
+            solution, status=Status.INFEASIBLE
+        )  # the iterate is finite, the step to the constraints is not
+    violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
+    if solution.status is Status.LIMIT_MISSED:
+        return replace(solution, violations=violations)
+    worst = max(violations.values(), key=lambda v: v.value, default=None)
+    missed = worst if worst is not None and worst.value > solver.settings.feasibility else None
+    if solution.status is Status.CONVERGED:
+        status, detail = _converged(solver, violations)
+    elif solution.status is Status.DIVERGED and not (missed and _multipliers_diverged(solution)):
+        status, detail = Status.DIVERGED, _diverged(solver)
+    else:
+        status, detail = _unfinished(solver, solution, missed)
+    if solution.status in (Status.DIVERGED, Status.NO_STEP) and not certificate.not_finite_trial(problem, ws):
+        detail += certificate.unstable_interval(problem, ws)
+    return replace(solution, status=status, violations=violations, detail=detail or solution.detail)
+
+
+def _not_finite(solver: Solver) -> str:
+    found = certificate.not_finite(solver.problem, solver.ws)
+    free = certificate.unseen_inputs(solver.problem)
+    return f"{found or 'the step'}; no term looks at input '{free[0]}'" if free else found
+
+
+def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status, str]:
+    """Hard limits that gave way, and rows whose numbers are so small that meeting them means nothing."""
+    problem, ws = solver.problem, solver.ws
+    for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
+        term: Any = problem.ocp.terms[name]
+        multiplier = isinstance(term.penalty, AugmentedLagrangian)
+        exact = term.hard or multiplier or (term.equality and term.compliance == 0.0)
+        if not exact or found.value < 1e-10:
+            continue
+        if term.hard and found.value > RELAXED:
+            return Status.RELAXED, str(found)
+        slope = max(solver.checks.slope(term, found, ws), 1e-300)
+        if term.equality and found.value > 1e3 * solver.settings.feasibility * max(slope, 1.0):
+            return Status.INFEASIBLE, f"largest violation: {found}"
+        if found.value > 1e-3 * slope * (1.0 + np.abs(ws.x).max() + np.abs(ws.u).max()):
+            status = Status.RELAXED if term.hard else Status.CONVERGED
+            reach = f"{found.value / slope:.3g} in the variables"
+            return status, f"{found}, which is {reach}: the row is too small, multiply it"
+    return Status.CONVERGED, certificate.unstable_interval(problem, ws).removeprefix("; ")
+
+
+def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) -> tuple[Status, str]:
+    """Infeasible, no step, the iteration limit, or multipliers without bound."""
+    problem, ws, feasibility = solver.problem, solver.ws, solver.settings.feasibility
+    status = Status.INFEASIBLE if solution.status is Status.DIVERGED else solution.status
+    outside = certificate.not_finite_trial(problem, ws) if status is Status.NO_STEP else ""
+    if outside:
+        return status, f"a step further {outside} is not finite"
+    if not missed and _unmet(solution)[-1] <= feasibility:
+        step = certificate.largest_step(problem, ws)
+        return status, f"largest step: {step}" if step and solver.settings.certify else ""
+    gap, where = certificate.largest_gap(problem, ws, solver.x0)
+    if not missed and gap <= feasibility:
+        return status, "the last step met the constraints, but nothing has settled"
+    if _stuck(solution):
+        status = Status.INFEASIBLE
+    if missed:
+        return status, f"largest violation: {missed}"
+    if where.startswith("the start") and hasattr(ws, "x_trial"):
+        there = certificate.largest_gap(problem, certificate.trial(ws), solver.x0)[1]
+        where += f"; a step further: {there}" if not there.startswith("the start") else ""
+    return status, where
+
+
+def _diverged(solver: Solver) -> str:
+    """The largest state or input and term, and what the last step was to change most."""
+    problem, ws = solver.problem, solver.ws
+    parts = {
+        "largest": certificate.largest_variable(problem, ws),
+        "largest term": certificate.largest_term(problem, ws),
+        "largest step": certificate.largest_step(problem, ws),
+    }
+    if not parts["largest term"] and hasattr(ws, "dx"):
+        parts["largest term a step further"] = certificate.largest_term(
+            problem, certificate.after_full_step(problem, ws)
+        )
+    free = certificate.unseen_inputs(problem)
+    if free:
+        parts["no term looks at"] = f"input '{free[0]}'"
+    told = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
+    start = np.abs(solver.x0).max()
+    return f"the start has a state of {start:.3g}, {told}" if start > HUGE else told
+
+
+def _multipliers_diverged(solution: Solution) -> bool:
+    """Whether trajectories and costs are of a sane size: then it is what the constraints add that grows."""
+    row = solution.log[-1]
+    return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]], np.abs(solution.x).max()) < HUGE
+
+
+def _unmet(solution: Solution) -> np.ndarray:
+    """Per iteration: gaps, equalities and hard rows (1-norm), or the largest residual of a row with a multiplier."""
+    return np.maximum(solution.log[:, COLUMNS["violation"]], solution.log[:, COLUMNS["inequality"]])  # type: ignore[no-any-return]
+
+
+def _stuck(solution: Solution) -> bool:
+    """Whether the violation has not halved over the second half of the iterations."""
+    unmet = _unmet(solution)
+    slow = len(unmet) >= 10 and unmet[-1] > 0.5 * unmet[len(unmet) // 2]
+    return solution.status is Status.NO_STEP or bool(slow)
