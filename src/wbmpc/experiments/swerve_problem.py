@@ -91,10 +91,10 @@ def swerve_problem(
     limited = [
         g for g in robot.input.groups if accelerations and np.isfinite(limits.input_change[robot.input[g]]).all()
     ]
-    free_input = residuals.Input(robot, [g for g in robot.input.groups if g not in limited], tracked=False)
-    box = sets.Box(limits.input_lower[free_input.indices], limits.input_upper[free_input.indices])
+    free_input = residuals.Input(robot, tracked=False)
+    box = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", free_input, box, penalty=barrier, hard=hard))
-    if limited:
+    if limited:  # with a slack, unlike speeds: a brake that closes under a moving leg stops wheels harder than they may
         reachable = residuals.ReachableInput(robot, limited)
         ocp.add(Constraint("accelerations", reachable, sets.NonNegative(), penalty=barrier, hard=hard))
     return ocp
