@@ -105,7 +105,7 @@ def test_a_controller_and_a_driver_that_hang_in_real_time() -> None:
         bus.control.send_signal(signal.SIGCONT)
         bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
         bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
-        assert np.ptp(np.array(recorder.rows["base"])[rows:, 1]) < 0.02  # but for a tick before it knew
+        assert np.ptp(np.array(recorder.rows["base"])[rows:, 1]) < 0.04  # but for a tick before it knew, and the ramp
         goal.publish({"header": {"frame_id": "base_link"}})
         bus.wait_for(lambda: "running" in bus.said, 20.0)
         bus.sim.send_signal(signal.SIGSTOP)

@@ -113,7 +113,7 @@ def test_the_runner_is_watched_and_steered() -> None:
         give(weights=weights)
         seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * before) & (before > 0.0))))
         at = hand()
-        give(pushes=1, push=np.array([300.0, 0.0, 0.0]), push_time=1.0)
+        give(pushes=1, push=np.array([900.0, 0.0, 0.0]), push_time=1.0)
         seen["push"] = until(lambda: float(np.linalg.norm(hand() - at)) > 5e-4)
         give(brake_clicks=1, brakes_open=1.0)
         seen["brakes"] = until(lambda: bool(runner.agent.brakes(0.0).all()))
