@@ -439,7 +439,8 @@ class InterpretedSolver:
                     np.nan,
                     0.0,
                     violation,
-                    *[np.nan] * 6,
+                    self._equalities(),
+                    *[np.nan] * 5,
                 )
                 it += 1
                 if it < limit and np.isfinite([cost, violation]).all() and 0.0 < shift <= c.largest_shift:
@@ -455,7 +456,7 @@ class InterpretedSolver:
                 size,
                 0.0,
                 violation,
-                0.0,
+                self._equalities(),
                 residual,
                 product,
                 self.mu,
