@@ -295,7 +295,8 @@ class Solver:
         )
 
     def missed_limit(self) -> str:
-        """The hard row of the inputs that the last plan misses most, where it is curved in them; empty where none is missed."""
+        """The hard row of the inputs that the last plan misses most, where plans are held within them (curved rows, roll-outs in
+        real time); empty where none is missed."""
         state = self.ws.state
         if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
             return ""
