@@ -85,7 +85,9 @@ class OffsetObserver:
             raise InputError(f"offset observer: '{self.group}' is estimated and cannot be in 'known'")
         vector = layout.vector(values)
         if not np.isfinite(vector).all():
-            raise InputError(f"offset observer: known '{layout.names[int(np.argmin(np.isfinite(vector)))]}' is not finite")
+            raise InputError(
+                f"offset observer: known '{layout.names[int(np.argmin(np.isfinite(vector)))]}' is not finite"
+            )
         self._known = vector
 
     def update(self, y: ArrayLike, u: ArrayLike, h: float) -> Array:
