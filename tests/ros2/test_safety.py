@@ -378,6 +378,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
     [
         ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
         ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
+        ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
         ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
     ],
 )
@@ -393,6 +394,38 @@ def test_a_bad_goal_changes_nothing(
     assert p.control._task is task and p.control.running
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
     assert p.until(lambda: any(says in text for text in said()), 3.0)
+
+
+def test_whatever_a_goal_does_what_runs_goes_on(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Too far away, and a planner that fails as nobody foresaw: the robot drives on, one log line each, diagnostics say so;
+    the next goal that is taken ends it."""
+    p = pair()
+    running(p)
+    task = p.control._task
+    for _ in range(2):
+        p.go(1e9)
+        p.run(0.05)
+    assert p.control._task is task and "the base's goal is 1e+09 m away" in p.control.inbox.refused
+    assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
+
+    def fails(*_: Any) -> None:
+        raise MemoryError("no room")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(p.control.pilot.planner, "to_base", fails)
+        for _ in range(2):
+            p.go(1.5)
+            p.run(0.05)
+    assert p.control._task is task and p.control.running and p.standin.speed > 0.5
+    says = "a goal is refused: MemoryError: no room"
+    assert p.control.inbox.refused == says and sum(says in r.getMessage() for r in caplog.records) == 1
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    assert p.until(lambda: says in said(), 3.0)
+    p.go(1.5)
+    p.run(0.05)
+    assert p.control._task is not task and p.control.inbox.refused == ""
 
 
 @pytest.mark.parametrize("stamped", [False, True])

@@ -18,7 +18,7 @@ from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
 from wbmpc.ros2.legs import Legs
@@ -236,13 +236,15 @@ class ControlNode:
             x, t = seen[1], self.clock.now() if self.running else 0.0
             try:
                 task = request(x, t)
-            except InputError as error:
-                self.inbox.refuse(f"a goal is refused: {error}")
-                continue
-            if not self.running:
-                self._start(x, task)
+                if not self.running:
+                    self._start(x, task)
+                else:
+                    self._put(task, x)
+            except Exception as error:  # whatever a goal does, a robot that moves is not left alone
+                self.inbox.refuse(f"a goal is refused: {sentence_of(error)}")
+                self.inbox.running = self.inbox.running if self.running else None
             else:
-                self._put(task, x)
+                self.inbox.refused = ""
 
     def _not_for_legs(self) -> str:
         """Why legs cannot be moved now; empty if they can."""
@@ -284,8 +286,8 @@ class ControlNode:
                 sender.send(policy, t, self.now())
 
     def _put(self, task: Task, x: np.ndarray) -> None:
-        self.inbox.running, self._task = task, task
         self.pilot.follow(task, x)
+        self.inbox.running, self._task = task, task
 
     def _start(self, x: np.ndarray, task: Task) -> None:
         self._end_runner()

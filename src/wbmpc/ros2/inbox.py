@@ -14,7 +14,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
-from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, upright
+from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
 from wbmpc.ros2.settings import RosSettings
 
@@ -35,7 +35,7 @@ _TWISTS: dict[str, Callable[[Any], Any]] = {
 
 class Inbox:
     """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was
-    not taken.
+    not taken; empty when one has been taken since.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
     force, set by who takes them up.
@@ -104,12 +104,12 @@ class Inbox:
     def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
         try:
             take(message)
-        except InputError as error:
-            self.refuse(f"{topic}: {error}")
+        except Exception as error:
+            self.refuse(f"{topic}: {sentence_of(error)}")
 
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
-        self.refused, self._moving = "", False
+        self._moving = False
         with self._lock:
             others = {k: r for k, r in self._requests.items() if kind and k and k != kind}
             self._requests = {**others, kind: request}

@@ -83,6 +83,13 @@ class Speeds(Settings):
     hand: float = Field(0.2, gt=0)
 
 
+class Goals(Settings):
+    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
+
+    base: float = Field(100.0, gt=0, le=10_000)
+    hand: float = Field(100.0, gt=0, le=10_000)
+
+
 class Safety(Settings):
     """``watchdog`` [s]: largest age of joint states; ``ramp`` [s] of a stop; ``cmd_vel`` [s]: a speed holds this long;
     ``clock`` [s]: with simulated time, largest wall time without it."""
@@ -125,6 +132,7 @@ class RosSettings(Settings):
     frames: Frames = Frames()
     rates: Rates = Rates()
     speeds: Speeds = Speeds()
+    goals: Goals = Goals()
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
     ignore: tuple[str, ...] = ()
