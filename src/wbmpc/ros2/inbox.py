@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -27,10 +27,39 @@ Time = Callable[[], float]
 _MOST_POINTS = 20_000
 #: Largest time [s] without a pose of another localisation.
 POSE_AGE = 0.5
-_TWISTS: dict[str, Callable[[Any], Any]] = {
+_TWISTS: dict[str, Callable[[Any], Any]] = {  # what of a message is the speed
     "geometry_msgs/msg/Twist": lambda message: message,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
 }
+
+
+_POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
+
+
+class Several:
+    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type."""
+
+    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[[Any], None]]) -> None:
+        self._node, self._topic, self._takes = node, topic, takes
+        self._ends: dict[str, Callable[[], None]] = {}
+        self._said = ""
+
+    def look(self) -> None:
+        """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
+        one type only."""
+        kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
+        for kind in [k for k in self._ends if kinds and k not in kinds]:
+            self._ends.pop(kind)()
+        for kind in sorted(kinds - self._ends.keys()):
+            try:
+                self._ends[kind] = self._node.subscribe(
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
+                )
+            except Exception as error:
+                sentence = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                if sentence != self._said:
+                    _LOG.error("%s", sentence)
+                self._said = sentence
 
 
 class Inbox:
@@ -49,7 +78,8 @@ class Inbox:
         self._lock = threading.Lock()
         self._twist, self._twist_at = np.zeros(3), -np.inf
         self._moving = False
-        self._twist_kind = ""
+        takes = {kind: partial(self._take_speed, part) for kind, part in _TWISTS.items()}
+        self._speeds = Several(node, settings.topics.cmd_vel, takes)
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         topics = settings.topics
         for topic, kind, take in (
@@ -89,16 +119,8 @@ class Inbox:
         self.refused = sentence
 
     def look_for_speeds(self) -> None:
-        """Subscribe to speeds in the type in which somebody publishes them (Twist or TwistStamped)."""
-        topic = self.settings.topics.cmd_vel
-        if not topic or self._twist_kind:
-            return
-        kinds = {e.type for e in self.node.publishers(topic)}
-        for kind, part in _TWISTS.items():
-            if kind in kinds:
-                self._twist_kind = kind
-                self.node.subscribe(topic, kind, partial(self._take_speed, part), SENSOR)
-                return
+        """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
+        self._speeds.look()
 
     # ------------------------------------------------------------------ messages
     def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
@@ -210,16 +232,11 @@ class PoseSource:
         self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
         self.at = -np.inf
         self._fix: tuple[float, Array, Array] | None = None
-        self._listening = False
+        self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
 
     def look(self) -> None:
         """Subscribe in the type in which somebody publishes it."""
-        topic = self.settings.topics.pose
-        kinds = {e.type for e in self.node.publishers(topic)} if topic and not self._listening else set()
-        for kind in ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"):
-            if kind in kinds and not self._listening:
-                self._listening = True
-                self.node.subscribe(topic, kind, self._take, SENSOR)
+        self._messages.look()
 
     def take(self) -> tuple[float, Array, Array] | None:
         """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once. Raises
