@@ -63,6 +63,7 @@ def stopped(p: Any, because: str, caplog: pytest.LogCaptureFixture) -> None:
     p.run(0.1)
     assert p.standin.speed == 0.0
     assert sum(because in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records) == 1
+    assert sum(r.getMessage() == p.control.state for r in caplog.records) == 1
     assert p.until(lambda: any(s.level == 2 and because in s.message for m in p.said for s in m.status), 2.0)
 
 
@@ -253,6 +254,30 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     p.standin.answers = 0.5
     p.go(2.0)
     assert p.until(lambda: "running" in p.control.state, 3.0), (p.control.state, p.control.inbox.refused)
+
+
+def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    p = pair(topics={"pose": "/amcl_pose"})
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    says = "/amcl_pose: the pose is in frame 'map', 'odom' is needed"
+
+    def tell(frame: str, times: int) -> None:
+        for _ in range(times):
+            publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
+            time.sleep(0.02)
+
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused pose"]
+    for k in (1, 2):
+        tell("map", 5)
+        assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
+        assert sum(r.getMessage() == says for r in caplog.records) == k
+        assert p.until(lambda: says in said(), 3.0)
+        tell("odom", 1)
+        assert p.until(lambda: p.control.source.fault == "")
+        time.sleep(0.6)
 
 
 def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

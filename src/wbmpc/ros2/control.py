@@ -121,7 +121,8 @@ class ControlNode:
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
-            _LOG.info("%s", self.state)
+            if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
+                _LOG.info("%s", self.state)
 
     def close(self) -> None:
         """Bring the robot to rest and end."""
@@ -180,7 +181,7 @@ class ControlNode:
             return "waiting: no time on /clock yet"
         why = self._rival or self.body.waits_for()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
-            why = f"no pose on {self.settings.topics.pose}"
+            why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
 
     def now(self) -> float:
@@ -258,7 +259,14 @@ class ControlNode:
         seen = pilot.snapshot()
         if seen is None:
             return
-        x = seen[1]
+        try:
+            self._order(legs, seen[1])
+        except Exception as error:
+            legs.drop()
+            legs.refuse(f"an order to the legs is refused: {sentence_of(error)}")
+
+    def _order(self, legs: Legs, x: np.ndarray) -> None:
+        pilot = self.pilot
         if not self.running:
             self._start(x, pilot.planner.hold(x, 0.0))
         assert pilot.brakes is not None
@@ -380,6 +388,10 @@ class ControlNode:
         values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
         if self.inbox.refused:
             values["refused"] = self.inbox.refused
+        if self.legs is not None and self.legs.refused:
+            values["refused order to the legs"] = self.legs.refused
+        if self.source.fault:
+            values["refused pose"] = self.source.fault
         if self.runner is None:
             return values
         r = self.runner.report()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import InputError, NotFinite
+from wbmpc.errors import InputError
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
@@ -226,11 +226,12 @@ class PoseSource:
     """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame).
 
     ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
+    ``fault``: what is wrong with those that come; empty when they are right again.
     """
 
     def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
         self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
-        self.at = -np.inf
+        self.at, self.fault = -np.inf, ""
         self._fix: tuple[float, Array, Array] | None = None
         self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
 
@@ -250,21 +251,29 @@ class PoseSource:
     def lost(self) -> str:
         """Why there is no pose any more; empty if there is."""
         topic, silent = self.settings.topics.pose, self.now() - self.at
-        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s" if silent > POSE_AGE else ""
+        if silent <= POSE_AGE:
+            return ""
+        why = f" ({self.fault})" if self.fault else ""
+        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
 
     def _take(self, message: Any) -> None:
+        try:
+            self._read(message)
+        except InputError as error:
+            if str(error) != self.fault:
+                _LOG.error("%s", error)
+            self.fault = str(error)
+        else:
+            self.fault = ""
+
+    def _read(self, message: Any) -> None:
         topic, world = self.settings.topics.pose, self.settings.frames.world
         if message.header.frame_id != world:
             raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
         covariance = np.asarray(message.pose.covariance, float).reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
-        try:
-            pose = planar(*read_pose(message.pose.pose, topic))
-        except NotFinite as error:
-            _LOG.error("%s", error)
-            return
+        pose = planar(*read_pose(message.pose.pose, topic))
         if not np.isfinite(covariance).all():
-            _LOG.error("%s: a number of the covariance is not finite", topic)
-            return
+            raise InputError(f"{topic}: a number of the covariance is not finite")
         now, stamped = self.stamp(), seconds(message.header.stamp)
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now
         self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance
