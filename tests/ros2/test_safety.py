@@ -13,7 +13,7 @@ import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.model import load_robot, rolling_inverse_kinematics
-from wbmpc.ros2 import Network
+from wbmpc.ros2 import Network, open_node
 
 pytestmark = needs_dds
 if not MISSING:
@@ -469,3 +469,22 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
     assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2, 1.5)  # 20 mm/s
     assert p.control.state == "running: base to rest"
     assert p.control.running
+
+
+def test_stamped_speeds_drive_the_base_beside_somebody_who_could_send_plain_ones(pair: Callable[..., Any]) -> None:
+    """A teleoperator who is silent, then a navigator: both types of one topic, and no mismatch is told."""
+    p = pair()
+    p.ready()
+    silent = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+    assert p.until(lambda: silent._writer.get_matched_subscriptions())
+    other = open_node("navigator", "dds", NETWORK)
+    try:
+        publisher = other.publisher("/cmd_vel", "geometry_msgs/msg/TwistStamped")
+        assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+        for _ in range(4):
+            publisher.publish({"twist": {"linear": {"x": 0.4}}})
+            p.run(0.1)
+        assert p.control.state == "running: base at a speed" and p.standin.speed > 1.0
+        assert p.node.faults == []
+    finally:
+        other.close()
