@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -372,3 +373,24 @@ def test_a_table_in_a_pipe_is_plain_columns() -> None:
     row = next(line.split() for line in lines if "hand_error_mean_odometry" in line)
     assert row[:3] == ["fake", "hand_error_mean_odometry", "m"] and row[4:] == ["0.0167", "0.003", "reached"]
     assert not any(ord(c) > 0x2000 and c not in "≥…" for c in "".join(lines)) and "\x1b" not in "".join(lines)
+
+
+def test_help_shows_its_words_as_they_are() -> None:
+    """What looks like markup ([s] strikes through) would vanish. Truth: rich, which prints the help."""
+    from rich.markup import render
+    from typer.main import get_command
+
+    def texts(command: Any) -> Iterator[str]:
+        yield command.help or ""
+        yield from (getattr(p, "help", None) or "" for p in command.params)
+        for inner in getattr(command, "commands", {}).values():
+            yield from texts(inner)
+
+    found = list(texts(get_command(app)))
+    assert len(found) > 60
+    assert [text for text in found if render(text).plain != text] == []
+
+
+def test_a_picture_before_the_start_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["render", str(tmp_path), "--png", str(tmp_path / "a.png"), "--start", "-5"]) == 2
+    assert capsys.readouterr().err == "wbmpc: --start: must not be negative, got -5\n"

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
+from wbmpc.compare import overlay, wheels
 
 
 @pytest.fixture
@@ -54,3 +56,20 @@ def test_what_is_no_run_is_said(runs: list[dict], capsys: pytest.CaptureFixture[
     Path("b/metrics.json").write_text("{")
     assert main(["compare", "a", "b"]) == 2
     assert "metrics.json or log.npz cannot be read" in capsys.readouterr().err
+
+
+def test_curves_have_names_and_the_runs_the_same_colours() -> None:
+    rng = np.random.default_rng(1)
+    log = {}
+    for channel, width in (("tour.base_odometry", 3), ("hand", 3), ("leg", 4), ("other", 2)):
+        log |= {channel: rng.normal(size=(5, width)), f"{channel}.time": np.arange(5.0)}
+    modules = wheels({"settings": {"robot": "swerve-ur10"}})
+    plots = {p.title: p.series for p in overlay([log, log], ["a", "b"], modules)}
+    names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
+    assert names["tour.base_odometry"] == ["a x", "a y", "a yaw"] and names["hand"] == ["a x", "a y", "a z"]
+    assert names["leg"] == [f"a {wheel}" for wheel in ("LF", "RF", "LB", "RB")] and names["other"] == ["a [0]", "a [1]"]
+    for series in plots.values():
+        half = len(series) // 2
+        assert [s.colour for s in series[:half]] == [s.colour for s in series[half:]] == list(range(half))
+        assert all(s.dashed for s in series[half:])
+    assert wheels({"settings": {"robot": "nowhere.yaml"}}) == wheels({}) == ()

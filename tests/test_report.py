@@ -195,3 +195,12 @@ def test_versions_are_known() -> None:
     found = versions()
     assert found["wbmpc"] and found["cpu"]
     assert "unknown" not in found.values()
+
+
+def test_a_run_that_did_not_complete_reaches_no_goal() -> None:
+    result = run(FELL, 3)
+    judged = [name for name, m in result.metrics.items() if m.met is not None]
+    text = page(result)
+    assert any(result.metrics[name].met for name in judged)  # as far as the run went
+    assert f"0 of {len(judged)} goals reached" in text
+    assert '<span class="met">' not in text

@@ -10,9 +10,13 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.result import Plot, Series
+from wbmpc.robots import SwerveBaseDescription, load_description
 
 #: Components of a channel, at most, that are drawn.
 MOST_LINES = 6
+#: What the components of channels are called, by the first word of their names; those of wheels are the robot's.
+_PLACES = {"base": ("x", "y", "yaw"), "hand": ("x", "y", "z", "qw", "qx", "qy", "qz"), "force": ("x", "y", "z")}
+_WHEELS = ("leg", "brake", "steer", "wheel")
 
 
 def load(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -58,17 +62,38 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def overlay(logs: list[dict[str, np.ndarray]], names: list[str]) -> list[Plot]:
-    """A plot for each channel that both runs have; the second run is dashed."""
+def wheels(run: dict[str, Any]) -> tuple[str, ...]:
+    """What the wheels of a run's robot are called; nothing where that is not known."""
+    robot = run.get("settings", {}).get("robot")
+    try:
+        base = load_description(robot).base if isinstance(robot, str) else None
+    except InputError:  # a file that is elsewhere
+        return ()
+    return (
+        tuple(m.wheel.removeprefix("wheel_") for m in base.modules) if isinstance(base, SwerveBaseDescription) else ()
+    )
+
+
+def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of a channel's components: numbers where none are known."""
+    kind = channel.split(".")[-1].split("_")[0]
+    names = modules if kind in _WHEELS and len(modules) == count else _PLACES.get(kind, ())
+    known = len(names) == count or (kind == "hand" and count == 3)
+    return names[:count] if known else tuple(f"[{i}]" for i in range(count))
+
+
+def overlay(logs: list[dict[str, np.ndarray]], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
+    """A plot for each channel that both runs have; the second run has the same colours, dashed. ``modules``: :func:`wheels`."""
     channels = [c for c in logs[0] if f"{c}.time" in logs[0] and f"{c}.time" in logs[1]]
-    return [Plot(channel, "time [s]", channel, _lines(channel, logs, names)) for channel in channels]
+    return [Plot(channel, "time [s]", channel, _lines(channel, logs, names, modules)) for channel in channels]
 
 
-def _lines(channel: str, logs: list[dict[str, np.ndarray]], names: list[str]) -> list[Series]:
+def _lines(channel: str, logs: list[dict[str, np.ndarray]], names: list[str], modules: tuple[str, ...]) -> list[Series]:
     lines = []
     for k, (log, name) in enumerate(zip(logs, names, strict=True)):
-        rows = np.atleast_2d(log[channel].T)[:MOST_LINES]
-        for i, row in enumerate(rows):
-            label = f"{name} [{i}]" if len(rows) > 1 else name
-            lines.append(Series(label, log[f"{channel}.time"], row, dashed=k == 1))
+        rows = np.atleast_2d(log[channel].T)
+        parts = _components(channel, len(rows), modules)
+        for i, row in enumerate(rows[:MOST_LINES]):
+            label = f"{name} {parts[i]}" if len(rows) > 1 else name
+            lines.append(Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i))
     return lines

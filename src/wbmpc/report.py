@@ -23,6 +23,8 @@ RECORDING = "run.mcap"
 RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
+#: Names in a row of a legend, about.
+_LEGEND = 4
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
 _GRID = "rgba(128, 140, 152, 0.25)"
 _STYLE = """
@@ -153,7 +155,10 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     }
     if (directory / RECORDING).exists():
         files["recording"] = str(directory / RECORDING)
-    targets = {n: {"paper": _plain(m.paper), "goal": _plain(m.goal)} for n, m in result.metrics.items()}
+    targets = {
+        n: {"paper": _plain(m.paper), "goal": _plain(m.goal), "least": _plain(m.least)}
+        for n, m in result.metrics.items()
+    }
     more = {
         "targets": targets,
         "settings": _plain(result.settings),
@@ -203,13 +208,15 @@ def _figure(plot: Plot | Drawing) -> str:
     figure = go.Figure()
     for k, line in enumerate(plot.series):
         x, y = _thin(np.asarray(line.x, float), np.asarray(line.y, float), plot.equal_axes)
-        style = {"width": 1.6, "color": _COLOURS[k % len(_COLOURS)], "dash": "dash" if line.dashed else "solid"}
+        colour = _COLOURS[(k if line.colour is None else line.colour) % len(_COLOURS)]
+        style = {"width": 1.6, "color": colour, "dash": "dash" if line.dashed else "solid"}
         # plain lists: browsers draw them the same, and the page stays readable
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
+    rows = math.ceil(len(plot.series) / _LEGEND)
     figure.update_layout(
         xaxis_title=plot.x_label, yaxis_title=plot.y_label,
-        template=_template(), height=340, margin={"l": 60, "r": 16, "t": 36, "b": 88},
-        legend={"orientation": "h", "y": -0.25}, font={"family": "system-ui, sans-serif", "size": 12},
+        template=_template(), height=340 + 20 * max(rows - 1, 0), margin={"l": 60, "r": 16, "t": 36, "b": 88},
+        legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},
     )  # fmt: skip
     if plot.equal_axes:
         figure.update_yaxes(scaleanchor="x", scaleratio=1)
@@ -230,7 +237,7 @@ def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
     return f'<div class="card scroll"><table>{line("th", header)}{"".join(line("td", r) for r in rows)}</table></div>'
 
 
-def _metric_rows(metrics: dict[str, Metric]) -> list[list[str]]:
+def _metric_rows(result: RunResult) -> list[list[str]]:
     verdicts = {True: '<span class="met">reached</span>', False: '<span class="missed">missed</span>', None: ""}
     return [
         [
@@ -238,9 +245,9 @@ def _metric_rows(metrics: dict[str, Metric]) -> list[list[str]]:
             html.escape(m.unit),
             *("" if v is None else number(v) for v in (m.value, m.paper)),
             goal_text(m),
-            verdicts[m.met],
+            verdicts[result.reached(name)],
         ]
-        for name, m in metrics.items()
+        for name, m in result.metrics.items()
     ]
 
 
@@ -250,7 +257,7 @@ def goal_notes(result: RunResult) -> list[str]:
 
 
 def _verdict(result: RunResult) -> str:
-    judged = {name: m.met for name, m in result.metrics.items() if m.met is not None}
+    judged = {name: met for name in result.metrics if (met := result.reached(name)) is not None}
     missed = [html.escape(name) for name, met in judged.items() if not met]
     text = "The run completed" if result.completed else f"The run did not complete: {html.escape(result.reason)}"
     if judged:
@@ -282,7 +289,7 @@ def page(result: RunResult) -> str:
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
     settings = html.escape(json.dumps(_plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
-    metrics = table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result.metrics), {2, 3, 4})
+    metrics = table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result), {2, 3, 4})
     return document(
         f"{result.experiment}, seed {result.seed}",
         f"""<h1>{html.escape(result.experiment)}</h1>

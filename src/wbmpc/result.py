@@ -78,12 +78,13 @@ class MpcStatistics:
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a plot."""
+    """One line of a plot. Lines of the same ``colour`` (a number) look alike; left out: each has its own."""
 
     name: str
     x: np.ndarray
     y: np.ndarray
     dashed: bool = False
+    colour: int | None = None
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,11 @@ class RunResult:
     idealisations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
+
+    def reached(self, name: str) -> bool | None:
+        """Whether the goal of a metric is reached; None without a goal. A run that did not complete reaches none."""
+        met = self.metrics[name].met
+        return met if met is None else met and self.completed
 
     @classmethod
     def aborted(cls, experiment: str, seed: int, reason: str, settings: dict[str, Any]) -> RunResult:

@@ -3,6 +3,7 @@ errors, and what the simulated robot did."""
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -162,3 +163,14 @@ def test_steering_branches_are_those_of_a_search_over_all() -> None:
         assert np.abs(np.sin(found - angle)).max() < 1e-9  # up to half turns
         assert cost(found) == pytest.approx(best, rel=1e-9)
     assert np.all(branches(np.ones(5), np.zeros(5), -limit, limit) == 0.0)  # a wheel that stands
+
+
+def test_the_door_is_seen_and_touches_nothing() -> None:
+    """Its posts stand beside the gap that the clearance is measured in; MuJoCo gives them no contact bits."""
+    spec = mujoco.MjSpec()
+    swerve_drive.terrain(spec)
+    model = spec.compile()
+    posts = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX]
+    inner = sorted(float(abs(model.geom_pos[g, 1]) - model.geom_size[g, 1]) for g in posts)
+    assert inner == pytest.approx([0.45, 0.45]) and {float(model.geom_pos[g, 0]) for g in posts} == {swerve_drive.DOOR}
+    assert not model.geom_contype[posts].any() and not model.geom_conaffinity[posts].any()

@@ -87,6 +87,7 @@ def test_a_run_with_a_view_is_in_real_time_and_the_same() -> None:
         ending, watched = run(view, 1.5)
         assert ending.reason == "" and time.perf_counter() - opened == pytest.approx(1.5, abs=1.0)
         assert opened - start < 60.0
+        assert view.board.text == "The run is over"
     finally:
         view.close()
     _, alone = run(None, 1.5)
@@ -169,7 +170,8 @@ def test_pause_step_speed_and_end() -> None:
         hand_begin = hand.begin
         hand.begin = lambda running: (hand_begin(running), thread.start())  # type: ignore[method-assign,assignment]
         ending, _ = run(view, 60.0, hand)
-        assert ending.reason.endswith("ended in the view")
+        assert ending.reason.endswith("ended in the view") and view.ended
+        assert view.board.text == f"The run is over: {ending.reason}"
         seen = np.array(hand.seen)
         wall = lambda a, b: np.interp(b, seen[:, 0], seen[:, 1]) - np.interp(a, seen[:, 0], seen[:, 1])
         assert wall(0.25, 0.55) == pytest.approx(0.6, abs=0.15)  # half the speed

@@ -13,6 +13,7 @@ import pytest
 from test_live import free_port, panel_of
 
 from wbmpc import lie
+from wbmpc.cli import main
 from wbmpc.model import load_robot
 from wbmpc.mpc.buffer import Mailbox
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
@@ -130,3 +131,26 @@ def test_the_runner_is_watched_and_steered() -> None:
     assert seen == dict.fromkeys(("running", "hand", "base", "weights", "push", "brakes", "reset"), True)
     assert reason == "ended in the view" and not runs[1][0].stopped
     assert not runs[0][1].process.is_alive() and not runs[1][1].process.is_alive()
+
+
+def test_a_stop_by_safety_is_told_once_and_in_the_page(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status 1; the sentence on standard error and on the page's board."""
+    pages: list[str] = []
+    make, close = session.runner_of, realtime.RealtimeView.close
+
+    def stopping(*arguments: Any) -> Any:
+        runner, world = make(*arguments)
+        threading.Timer(1.5, runner.halt, ("a test wanted it",)).start()
+        return runner, world
+
+    def closed(view: Any) -> None:
+        pages.append(view.board.text)
+        close(view)
+
+    monkeypatch.setattr(session, "runner_of", stopping)
+    monkeypatch.setattr(realtime.RealtimeView, "close", closed)
+    assert main(["view", "swerve-ur10", "--realtime", "--port", str(free_port())]) == 1
+    assert capsys.readouterr().err.count("a test wanted it") == 1
+    assert pages[0].startswith("The run is over: stopped at ") and pages[0].endswith(": a test wanted it")

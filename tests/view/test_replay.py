@@ -113,6 +113,7 @@ def page(run: SimpleNamespace) -> Path:
 def test_the_page_holds_the_whole_film(page: Path) -> None:
     msgpack = pytest.importorskip("msgspec").msgpack
     zstandard = pytest.importorskip("zstandard")
+    assert re.findall(r"<title>(.*?)</title>", page.read_text())[0] != "Viser"
     data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]*)"', page.read_text())[0])
     plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
     content = msgpack.decode(plain[8 : 8 + int.from_bytes(plain[:8], "little")])

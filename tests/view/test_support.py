@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from wbmpc.plant.scene import Contact
-from wbmpc.view.snapshot import ground
+from wbmpc.view.snapshot import ground, spoken
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 
@@ -76,3 +76,8 @@ def test_contacts_are_drawn() -> None:
     assert sorted(corners) == sorted(p.tolist() for p in (feet[0], feet[1], feet[3]))
     none = ground([])
     assert np.isnan(none["support"]).all() and float(none["margin"]) == 0.0
+
+
+def test_margins_are_distances_inside_or_outside() -> None:
+    said = spoken({"error": np.nan, "margin": 0.0312, "triangle_margin": -0.148})
+    assert said == "  \nZMP 31 mm inside the polygon, 148 mm outside the triangle"

@@ -12,6 +12,7 @@ from wbmpc import lie
 from wbmpc.loop import Ending, Running, Watch, run_lockstep
 from wbmpc.model import load_robot
 from wbmpc.mpc import Plans
+from wbmpc.ocp import Reference
 from wbmpc.view.session import _ball, _swerve
 from wbmpc.view.steering import CONFIGURATIONS, Steering, no_orders
 
@@ -99,6 +100,61 @@ def test_legs_move_and_are_braked_again(name: str) -> None:
     np.testing.assert_allclose(legs, CONFIGURATIONS[name], atol=0.02)
     assert list(dict.fromkeys(modes)) == ["default", "legs free", "legs braked"]
     np.testing.assert_array_equal(running.agent.brakes(0.0), 0.0)
+
+
+SPEED, STARTS = 0.15, 0.5
+
+
+def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
+    """A run whose base goes ahead, while it turns a little, with its hand beside it: references that move."""
+    plant, agent, mpc, timing = _swerve(robot, seed)
+    t = np.arange(0.0, 12.0, 0.02)
+    gone, moving = SPEED * np.maximum(t - STARTS, 0.0), t >= STARTS
+    states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
+    states[:, robot.state["base"].start] += gone
+    inputs[:, robot.input["base"].start] = SPEED * moving
+    position, orientation = robot.pose(robot.home)
+    mpc.reference["hand"] = Reference.poses(t, position + gone[:, None] * [1.0, 0.0, 0.0], orientation)
+    mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
+    return plant, agent, mpc, timing
+
+
+def test_a_driving_base_goes_on_while_its_legs_move() -> None:
+    """Told of MuJoCo: it neither turns back towards where its reference began nor stops."""
+    seen: list[tuple[float, float]] = []
+    look = lambda t, running: seen.append((t, running.plant.truth().pose[0]))
+    order = {"configurations": 1, "configuration": list(CONFIGURATIONS).index("A")}
+    running = drive(on_its_way, "swerve-ur10", 6.0, [(3.0, order)], look)
+    t, x = np.array(seen).T
+    assert np.diff(x[t > 2.0]).min() > -1e-3
+    assert np.abs(x - SPEED * np.maximum(t - STARTS, 0.0))[t > 2.0].max() < 0.08
+    angles = [running.plant.truth().joints[f"leg_{leg}"] for leg in ("LF", "RF", "LB", "RB")]
+    assert np.abs(angles - CONFIGURATIONS["A"]).max() < np.abs(CONFIGURATIONS["X"] - CONFIGURATIONS["A"]).max() - 0.3
+
+
+def test_orders_take_the_reference_of_their_moment() -> None:
+    """Legs and yaw of a reference that has moved on are kept when the base's goal is dragged, the base's path when legs are."""
+    robot = load_robot("swerve-ur10")
+    plant, agent, mpc, _ = on_its_way(robot, 1)
+    agent.measure(plant.measure())
+    base, leg = robot.state["base"], robot.state["leg"]
+    before = mpc.reference["state"]
+    before.values[:, base.start + 2] = 0.1 * before.times
+    before.values[:, leg] += 0.05 * before.times[:, None]
+    running: Any = Running(plant, agent, mpc, None, np.inf)  # type: ignore[arg-type]
+    steering, orders = Steering(running, np.zeros(3)), no_orders()
+    position, orientation = robot.pose(robot.home)
+    orders["goals"][...], orders["goal"][...] = 1, [*position, *orientation]
+    steering.apply(4.0, orders, NOWHERE)
+    held = mpc.reference["state"].at(4.0)
+    assert held[base.start + 2] == pytest.approx(0.4)
+    np.testing.assert_allclose(held[leg], robot.home[leg] + 0.2)
+    mpc.reference["state"] = before
+    orders["configurations"][...], orders["configuration"][...] = 1, list(CONFIGURATIONS).index("H")
+    steering.apply(4.0, orders, NOWHERE)
+    for t in (4.0, 7.0):
+        np.testing.assert_allclose(mpc.reference["state"].at(t)[base], before.at(t)[base])
+        np.testing.assert_allclose(mpc.reference["state"].at(t)[leg], 0.0)
 
 
 def test_brakes_open_at_once() -> None:

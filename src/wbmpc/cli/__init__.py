@@ -158,7 +158,7 @@ def _table(results: list[RunResult]) -> None:
     for result in results:
         for k, (name, m) in enumerate(result.metrics.items()):
             figures = [*("" if v is None else number(v) for v in (m.value, m.paper)), goal_text(m)]
-            verdict = {True: "reached", False: "missed", None: ""}[m.met]
+            verdict = {True: "reached", False: "missed", None: ""}[result.reached(name)]
             table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, verdict)
         mpc = result.mpc
         if mpc is not None:

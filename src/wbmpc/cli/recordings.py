@@ -104,7 +104,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, load, overlay, table
+    from wbmpc.compare import differences, load, overlay, table, wheels
     from wbmpc.report import plots_page
 
     runs, logs = zip(*(load(d) for d in (first, second)), strict=True)
@@ -112,7 +112,7 @@ def compare(
     names = [first.name or str(first), second.name or str(second)]
     out = out or next(p for p in _fresh("compare", ".html") if not p.exists())
     about = f"{first} (solid) and {second} (dashed)"
-    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names)))
+    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names, wheels(runs[0]))))
     if as_json:
         typer.echo(
             json.dumps({"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "page": str(out)})

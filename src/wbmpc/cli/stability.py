@@ -15,14 +15,14 @@ from wbmpc.errors import InputError
 def stability(
     robot: Annotated[str, typer.Argument(help="A robot's name (see 'wbmpc list') or its YAML file.")],
     configuration: Annotated[
-        str | None, typer.Option(help="H, X, A, or one leg angle [rad] per leg: 0.1,-0.1,0,0 (default: home).")
+        str | None, typer.Option(help="H, X, A, or one leg angle (rad) per leg: 0.1,-0.1,0,0 (default: home).")
     ] = None,
     wrench: Annotated[
-        str, typer.Option(help="What the world does to the hand: force [N], or force and moment [N m]: 0,0,-50.")
+        str, typer.Option(help="What the world does to the hand: force (N), or force and moment (N m): 0,0,-50.")
     ] = "0,0,0",
-    arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints [rad] (default: home).")] = None,
-    slope: Annotated[float, typer.Option(help="Slope of the ground [rad].")] = 0.0,
-    uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead [rad].")] = 0.0,
+    arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints (rad; default: home).")] = None,
+    slope: Annotated[float, typer.Option(help="Slope of the ground (rad).")] = 0.0,
+    uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead (rad).")] = 0.0,
     plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:

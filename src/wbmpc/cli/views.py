@@ -14,7 +14,7 @@ import typer
 
 from wbmpc.cli.directories import run_directory
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import robot_names
+from wbmpc.cli.terminal import ABORTED, robot_names
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,10 +72,12 @@ def view(
     from wbmpc.view.session import run_session
 
     shown, recorders, reason = open_view(robot, host, port, reset=True, as_json=as_json), [], "an error of the program"
+    wanted = False
     if out is not None:
         recorders = [Recorder(run_directory(out, robot, seed) / RECORDING, about_run(f"view {robot}", seed, {}))]
     try:
-        reason = run_session(robot, seed, shown, *recorders).reason
+        ending = run_session(robot, seed, shown, *recorders)
+        reason, wanted = ending.reason, ending.interrupted or shown.ended or not ending.reason
     finally:
         shown.close()
         for recorder in recorders:
@@ -83,6 +85,8 @@ def view(
     typer.echo(reason, err=True)
     for recorder in recorders:
         typer.echo(f"the recording is {recorder.path}", err=True)
+    if not wanted:
+        raise typer.Exit(ABORTED)
 
 
 def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -> None:
@@ -98,6 +102,8 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -
             reason = run_realtime(robot, seed, shown)
     finally:
         shown.close()
+    if shown.stopped:  # the runner has said why
+        raise typer.Exit(ABORTED)
     typer.echo(reason, err=True)
 
 
@@ -136,8 +142,8 @@ def render(
     mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
     gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
-    start: Annotated[float, typer.Option(help="From this time on [s].")] = 0.0,
-    end: Annotated[float, typer.Option(help="Up to this time [s] (default: all).")] = math.inf,
+    start: Annotated[float, typer.Option(help="From this time on (seconds).")] = 0.0,
+    end: Annotated[float, typer.Option(help="Up to this time (seconds; default: all).")] = math.inf,
     speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
@@ -154,6 +160,8 @@ def render(
     for path, kind in wanted:
         if path.suffix.lower() != kind:
             raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
+    if not start >= 0.0:
+        raise InputError(f"--start: must not be negative, got {start:g}")
     film = Film(read(file))
     drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
     if as_json:

@@ -33,8 +33,8 @@ _KEPT = 100_000
 class View(Window):
     """A :class:`~wbmpc.loop.Watcher` that shows a run at ``url`` and paces it to the clock.
 
-    ``reset``: whether the run can begin anew; ``wants_reset``: whether it ended for that. ``opened(url)`` is called once the
-    server answers; no browser is waited for. Times in s.
+    ``reset``: whether the run can begin anew; ``wants_reset``: whether it ended for that; ``ended``: whether the user ended it.
+    ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class View(Window):
         opened: Callable[[str], None] = lambda url: None,
     ) -> None:
         super().__init__(title, host, port, opened)
-        self.reset, self.wants_reset = reset, False
+        self.reset, self.wants_reset, self.ended = reset, False, False
         self._orders = no_orders()
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
@@ -69,6 +69,7 @@ class View(Window):
         self.running, self.wants_reset = running, False
         if self.process is None:
             self.open(running)
+        self.say("")
         self._observer = Observer(running)
         velocity = running.plant.description.limits.velocity
         self._limits = np.array([velocity.get(n, np.inf) for n in self._observer.reader.joint_names])
@@ -91,7 +92,8 @@ class View(Window):
         self._wait(t, plans)
 
     def end(self, ending: Ending) -> None:
-        """Nothing: the last picture stays until :meth:`close`."""
+        """Say so; the last picture stays until :meth:`close`."""
+        self.say(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
@@ -130,6 +132,7 @@ class View(Window):
             return
         self._orders = message.values
         if int(self._orders["ends"]) != self._ends:
+            self.ended = True
             raise RunAborted("ended in the view")
         if int(self._orders["resets"]) != self._resets:
             self.wants_reset = True

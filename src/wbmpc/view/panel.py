@@ -28,7 +28,7 @@ class Panel:
     def __init__(self, server: viser.ViserServer, orders: Mailbox, controls: Controls) -> None:
         self.server, self._orders, self.controls = server, orders, controls
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
-        self._dragged = False
+        self._dragged, self._about, self._said = False, "", ""
         server.gui.main_panel.dock_right()
         self._status = server.gui.add_markdown(f"**{controls.title}**")
         self._follow = add_follow(server)
@@ -165,10 +165,21 @@ class Panel:
         if self._count % _EVERY:
             return
         value = dict(zip(NUMBERS, numbers, strict=True))
-        self._status.content = f"**{self.controls.title}**, {value['t']:.1f} s{spoken(value)}"
+        self._about = f", {value['t']:.1f} s{spoken(value)}"
+        self._head()
         rows = np.array(self._rows)
         for handle, lines in self._figures:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
+
+    def say(self, sentence: str) -> None:
+        """Show a sentence under the title; empty: none."""
+        if sentence != self._said:
+            self._said = sentence
+            self._head()
+
+    def _head(self) -> None:
+        said = f"  \n**{self._said}**" if self._said else ""
+        self._status.content = f"**{self.controls.title}**{self._about}{said}"
 
     @staticmethod
     def _place(handle: Any, pose: Array) -> None:

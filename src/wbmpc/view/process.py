@@ -14,7 +14,9 @@ from wbmpc.plant.scene import Scene
 
 #: Pictures per second.
 RATE = 30.0
-#: What the process (``ready``, ``port``) and the run (``end``) tell each other.
+#: How long a page goes on saying why the run is over [s], if there is a browser.
+FAREWELL = 4.0
+#: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why) tell each other.
 BOARD = ("ready", "port", "end")
 #: Makes, in this process, what turns messages into snapshots.
 Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
@@ -42,7 +44,11 @@ def serve(
             stage.show(snapshot)
             panel.show(snapshot)
             stage.follow(snapshot["poses"], panel.follows)
+        panel.say(board.text)
         time.sleep(1.0 / RATE)
+    panel.say(board.text)
+    if board.text and stage.server.get_clients() and os.getppid() == parent:
+        time.sleep(FAREWELL)
     stage.server.stop()
 
 

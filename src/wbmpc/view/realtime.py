@@ -37,7 +37,8 @@ _LOOK = 0.05
 
 
 class RealtimeView(Window):
-    """Shows one runner after another at ``url``; ``wants_reset``, ``ended``: what the user asked for.
+    """Shows one runner after another at ``url``; ``wants_reset``, ``ended``: what the user asked for; ``stopped``: whether the last
+    one stopped by safety.
 
     ``robot``: name or path, for the view's process loads it too; ``push(force)``: what a push (3) [N] does; ``seen``: mailbox of
     what a simulation shows (:data:`wbmpc.view.physics.SEEN`). Give :attr:`watch` to the runner; :meth:`guide` steers its MPC.
@@ -49,7 +50,7 @@ class RealtimeView(Window):
     ) -> None:  # fmt: skip
         super().__init__(title, host, port, opened)
         self.robot_name, self.robot = robot, load_robot(robot)
-        self.wants_reset = self.ended = False
+        self.wants_reset = self.ended = self.stopped = False
         self._orders, self._shown_at, self._late = no_orders(), -np.inf, 0.0
 
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
@@ -78,7 +79,8 @@ class RealtimeView(Window):
     def guide(self, mpc: MPC, agent: Any, push: Callable[[Array], None]) -> None:
         """Steer this MPC from now on, before each of its solves; ``agent`` is the runner's."""
         self._agent, self._shown_at = agent, -np.inf
-        self.wants_reset = False
+        self.wants_reset = self.stopped = False
+        self.say("")
         lift = np.array([0.0, 0.0, self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
@@ -108,9 +110,11 @@ class RealtimeView(Window):
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
                 time.sleep(_LOOK)
-        if runner.stopped:
-            return runner.state
-        return "begun anew in the view" if self.wants_reset else "ended in the view"
+        self.stopped = runner.stopped
+        reason = "begun anew in the view" if self.wants_reset else "ended in the view"
+        reason = runner.state if runner.stopped else reason
+        self.say(f"The run is over: {reason}")
+        return reason
 
 
 class _Robot:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from pathlib import Path
 from typing import Any
@@ -190,6 +191,7 @@ def write_page(film: Film, path: Path, port: int) -> None:
                 serializer = server.get_scene_serializer()
             serializer.insert_sleep(1.0 / PAGE_RATE)
         assert serializer is not None
-        path.write_text(serializer.as_html())
+        title = f"<title>{html.escape(film.recording.title)}</title>"
+        path.write_text(serializer.as_html().replace("<title>Viser</title>", title, 1))
     finally:
         server.stop()

@@ -76,7 +76,7 @@ def spoken(numbers: Mapping[str, float]) -> str:
     """The hand's error and how far the ZMP is inside of what it must stay in, in Markdown's lines that follow a first one."""
     lines = [f"hand error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
     margins = [
-        f"{1e3 * numbers[name]:.0f} mm inside the {what}"
+        f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
         for name, what in (("margin", "polygon"), ("triangle_margin", "triangle"))
         if np.isfinite(numbers[name]) and numbers[name] != 0.0
     ]

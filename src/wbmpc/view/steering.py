@@ -91,9 +91,9 @@ class Steering:
     def apply(self, t: float, orders: dict[str, Array], drift: Array) -> None:
         """Do what is new at time t [s]."""
         if self._asked(orders, "goals"):
-            self._hand_goal(lie.pose_between(drift, orders["goal"]))
+            self._hand_goal(t, lie.pose_between(drift, orders["goal"]))
         if self._asked(orders, "base_goals"):
-            self._base_goal(planar(lie.pose_between(drift, spatial(orders["base_goal"]))))
+            self._base_goal(t, planar(lie.pose_between(drift, spatial(orders["base_goal"]))))
         if self._asked(orders, "pushes"):
             self._push_ends = t + float(orders["push_time"])
             self.running.plant.push(orders["push"])
@@ -111,7 +111,7 @@ class Steering:
             self._weigh(orders["weights"])
 
     # ------------------------------------------------------------------ goals
-    def _hand_goal(self, goal: Array) -> None:
+    def _hand_goal(self, t: float, goal: Array) -> None:
         """The hand's goal from now on; the base goes to where the hand is beside it as at home."""
         if "hand" not in self.mpc.reference:
             return
@@ -119,23 +119,23 @@ class Steering:
         self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
         robot = self.running.agent.robot
         if "state" in self.mpc.reference:
-            yaw = self._target()[2]
+            yaw = self._target(t)[2]
             beside = robot.pose(robot.home)[0][:2] - robot.home[robot.state["base"]][:2]
             c, s = np.cos(yaw), np.sin(yaw)
             self._base_goal(
-                np.array([*(goal[:2] - [c * beside[0] - s * beside[1], s * beside[0] + c * beside[1]]), yaw])
+                t, np.array([*(goal[:2] - [c * beside[0] - s * beside[1], s * beside[0] + c * beside[1]]), yaw])
             )
 
-    def _target(self) -> Array:
-        """The present reference (nx) of the state."""
-        value: Array = self.mpc.reference["state"].values[0].copy()
+    def _target(self, t: float) -> Array:
+        """The reference (nx) of the state at time t [s]: one that moves has left its start."""
+        value: Array = self.mpc.reference["state"].at(t)
         return value
 
-    def _base_goal(self, pose: Array) -> None:
+    def _base_goal(self, t: float, pose: Array) -> None:
         """The base's goal (x, y, yaw) from now on, at rest. A ball robot has none: it goes where its hand needs it."""
         if "state" not in self.mpc.reference:
             return
-        target, part = self._target(), self.mpc.ocp.dynamics.state["base"]
+        target, part = self._target(t), self.mpc.ocp.dynamics.state["base"]
         if part.stop - part.start == 3:
             target[part] = pose
             self._hold(target)
@@ -152,9 +152,17 @@ class Steering:
         return part
 
     def _move_legs(self, angles: Array) -> None:
-        target = self._target()
-        target[self._leg_part] = angles
-        self._hold(target)
+        """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
+        reference = self.mpc.reference["state"]
+        values = reference.values.copy()
+        values[:, self._leg_part] = angles
+        self.mpc.reference["state"] = Reference(reference.times, values, reference.kind)
+        layout = self.mpc.ocp.dynamics.input
+        if "input" in self.mpc.reference and "leg" in layout:
+            reference = self.mpc.reference["input"]
+            values = reference.values.copy()
+            values[:, layout["leg"]] = 0.0
+            self.mpc.reference["input"] = Reference(reference.times, values, reference.kind)
         self._legs = angles
         self._brakes(True)
 

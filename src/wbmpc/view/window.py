@@ -12,7 +12,7 @@ from typing import Any
 from wbmpc.errors import InputError
 from wbmpc.mpc.buffer import Board, Fields, Mailbox
 from wbmpc.plant.scene import Scene
-from wbmpc.view.process import BOARD, Drawer, serve
+from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
 from wbmpc.view.steering import ORDERS, Controls
 
 _START = 60.0
@@ -55,11 +55,16 @@ class Window:
         self.port = int(self.board["port"])
         self.opened(self.url)
 
+    def say(self, sentence: str) -> None:
+        """Let the page say something beside its title until something else is said; empty: nothing."""
+        if self.process is not None:
+            self.board.text = sentence
+
     def close(self) -> None:
-        """End the process."""
+        """End the process; a browser is left the time to read what was said last."""
         if self.process is not None:
             self.board["end"] = 1.0
-            self.process.join(3.0)
+            self.process.join(FAREWELL + 3.0)
             if self.process.is_alive():
                 self.process.kill()
             self.process = None
