@@ -5,6 +5,8 @@ The plant is exact in its own (virtual or wall) time: x' = v, v' = u with u held
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,6 +39,11 @@ def make_mpc(rate: float = 50.0) -> MPC:
 
 def make_nothing() -> MPC:
     raise ValueError("no robot of that name")
+
+
+def make_killed() -> MPC:
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError("killed before")
 
 
 def integrate(x: np.ndarray, u: float, h: float) -> np.ndarray:

@@ -226,6 +226,50 @@ def test_bad_settings(settings: dict[str, object], message: str) -> None:
         OffsetObserver(mass_point(), "d", [0, 0], [0], **({"measured": ["x.place"], "noise": 1e-3} | settings))  # type: ignore[arg-type]
 
 
+def spring() -> Equations:
+    """1 kg on a spring of known stiffness, pushed by an unknown force."""
+    f = lambda x, u, w, m: ca.vertcat(x[1], u[0] - w[0] * x[0] + w[1])
+    return Equations({"x": ["place", "speed"]}, {"u": ["force"]}, f, parameters={"k": ["spring"], "d": ["force"]})
+
+
+def pull_on_spring(observer: OffsetObserver, stiffness: float, seed: int) -> float:
+    """Mean estimate over the last 2 of 4 s at a spring held away from rest by u = 9 and a force of 1.5, damped by u."""
+    rng, x, found = np.random.default_rng(seed), np.array([1.0, 0.0]), []
+    for _ in range(200):
+        u = 9.0 - 4.0 * x[1]
+        x = moved(lambda x, u: np.array([x[1], u - stiffness * x[0] + 1.5]), x, u)
+        found.append(observer.update([x[0] + NOISE * rng.normal()], [u], H)[0])
+    return float(np.mean(found[-100:]))
+
+
+def test_known_parameters_are_part_of_the_model() -> None:
+    """With the true stiffness the force is found; told another one, the spring's error passes for a force. They are kept."""
+    system, how = spring(), {"measured": ["x.place"], "noise": NOISE, "process": 1e-2, "walk": 2.0}
+    observer = OffsetObserver(system, "d", [1, 0], [0], known={"k": 8.0}, **how)  # type: ignore[arg-type]
+    assert abs(pull_on_spring(observer, 8.0, 0) - 1.5) < 0.3
+    np.testing.assert_array_equal(observer.parameters(), [8.0, observer.offset[0]])
+    wrong = OffsetObserver(system, "d", [1, 0], [0], known={"k": 0.0}, **how)  # type: ignore[arg-type]
+    assert pull_on_spring(wrong, 8.0, 0) < -5.0
+    wrong.set_known({"k": [8.0]})  # and it recovers
+    assert abs(pull_on_spring(wrong, 8.0, 1) - 1.5) < 0.3
+    assert wrong.parameters()[0] == 8.0
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        (None, "'known' needs the values of the other parameters: 'k'"),
+        ({"k": 8.0, "d": 0.0}, "'d' is estimated"),
+        ({"k": np.nan}, "'k.spring' is not finite"),
+        ({"k": [1.0, 2.0]}, "group 'k' has 1 entries"),
+        ({"k": 8.0, "mass": 1.0}, "mass"),
+    ],
+)
+def test_other_parameters_are_asked_for(known: dict[str, object] | None, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        OffsetObserver(spring(), "d", [0, 0], [0], measured=["x.place"], noise=NOISE, known=known)  # type: ignore[arg-type]
+
+
 def test_numbers_that_are_not_finite_are_refused() -> None:
     observer = OffsetObserver(lag(), "d", [0.0], [0.0], noise=1e-3)
     with pytest.raises(NotFinite, match="offset observer"):

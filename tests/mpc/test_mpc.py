@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 
-from toys import pendulum, robot
+from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
-from wbmpc.ocp import OptimalControlProblem, Reference
+from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.driver import DIVERGED
 from wbmpc.solver.solution import COLUMNS
@@ -277,3 +279,47 @@ def test_a_policy_refuses_what_is_not_finite() -> None:
     for t, x in ((np.nan, START), (0.0, START * np.nan)):
         with pytest.raises(NotFinite):
             policy(t, x)
+
+
+def blinking(*events: float) -> ModeSchedule:
+    """A mode of its own after each event."""
+    return ModeSchedule(tuple(Mode(str(k), {"m": [k % 2]}) for k in range(len(events) + 1)), events)
+
+
+def follower(align: bool = True) -> MPC:
+    """1 s in 4 intervals: 3 inner nodes."""
+    dynamics = ToyDynamics(1, 1, lambda x, u, w, m: u * m[0], mode=1)
+    ocp = OptimalControlProblem(dynamics, 1.0, 4, align_events=align)
+    ocp.add(Cost("state", Rows(1, lambda s: s.x - 1.0), 10.0, at="all"))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
+    mpc = MPC(ocp, rate=10.0)
+    mpc.reset(np.zeros(1))
+    return mpc
+
+
+def test_a_schedule_that_never_fits_is_refused_and_the_old_one_stays() -> None:
+    mpc, fits = follower(), blinking(0.2, 0.5, 0.8, 1.3)
+    mpc.set_schedule(fits)
+    with pytest.raises(
+        InputError, match=r"4 events from 5.1 to 5.9 s are within one horizon, but it has 3 inner nodes"
+    ):
+        mpc.set_schedule(blinking(0.2, 5.1, 5.2, 5.5, 5.9))
+    assert mpc.solver.schedule is fits
+    mpc.set_schedule(blinking(0.2, 0.5, 0.8, 1.2))  # a whole horizon from first to last: no plan has both inside
+    mpc.update(Observation(6.0, np.zeros(1)))
+    mpc.set_schedule(blinking(0.2, 5.1, 5.2, 5.5, 5.9))  # that is over
+    follower(align=False).set_schedule(blinking(0.1, 0.2, 0.3, 0.4, 0.5))
+
+
+def test_events_without_a_node_do_not_stop_the_mpc_but_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    mpc, events = follower(), (0.1, 0.25, 0.45, 0.6, 0.75, 0.9)
+    mpc.solver.set_schedule(blinking(*events))
+    counted = []
+    with caplog.at_level(logging.WARNING, "wbmpc"):
+        for k in range(10):
+            mpc.update(Observation(0.1 * k, np.zeros(1)))
+            counted.append(mpc.figures["events_without_node"])
+    # truth: events strictly within (t, t + 1), less 3
+    assert counted == [max(sum(e > 0.1 * k + 1e-6 for e in events) - 3, 0) for k in range(10)]
+    assert counted[0] == 3 and counted[-1] == 0
+    assert [r.getMessage()[:30] for r in caplog.records] == ["mode schedule: from 0.000 s on,"[:30]]

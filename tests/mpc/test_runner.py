@@ -22,6 +22,7 @@ from realtime_toys import (
     ToyAgent,
     ToyRobot,
     make_faulty,
+    make_killed,
     make_mpc,
     make_nothing,
     problem,
@@ -441,6 +442,11 @@ def test_a_process_that_cannot_make_its_mpc(capfd: pytest.CaptureFixture[str]) -
     with pytest.raises(InputError, match="did not come up: ValueError: no robot of that name"):
         runner.start()
     assert "no robot of that name" in capfd.readouterr().err  # with its traceback
+
+
+def test_a_process_that_is_killed_before_it_is_ready() -> None:
+    with pytest.raises(InputError, match="did not come up: it ended with exit code -9"):
+        real(make_killed).start()
 
 
 # ---------------------------------------------------------------------- the same faults in threads and in two processes

@@ -215,10 +215,16 @@ class FakeNode:
     def create_subscription(
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile | int, *, callback_group: Any = None,
         event_callbacks: SubscriptionEventCallbacks | None = None, qos_overriding_options: Any = None, raw: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> Any:  # fmt: skip
         assert isinstance(qos_profile, QoSProfile) and isinstance(event_callbacks, SubscriptionEventCallbacks)
         self.topics.append(("subscription", topic, self.name, qos_profile))
         FakeNode.bus.append((topic, msg_type, callback))
+        return FakeNode.bus[-1]
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        FakeNode.bus.remove(subscription)
+        self.topics.remove(next(t for t in self.topics if t[:2] == ("subscription", subscription[0])))
+        return True
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Any, *, qos_profile: Any = None, callback_group: Any = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
+from wbmpc.ros2.inbox import Several
 
 pytestmark = needs_dds
 if not MISSING:
@@ -158,6 +160,39 @@ def test_a_mismatch_is_said_on_both_sides(nodes: tuple[Any, Any]) -> None:
     (offered,) = other.publishers("/scan")
     assert DEFAULT.refuses(offered.qos) == "it offers best effort, reliable is asked for"
     assert not SENSOR.refuses(offered.qos)
+
+
+def test_another_type_is_named_and_forgotten_when_it_has_gone(
+    nodes: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = nodes
+    monkeypatch.setattr("wbmpc.ros2.mismatch._UNSEEN", 0.2)
+    one.publisher("/scan", STRING)
+    other.subscribe("/scan", JOINTS, print)
+    assert wait_until(lambda: one.faults and other.faults)
+    time.sleep(0.3)
+    says = "another type (std_msgs/msg/String) than is asked for (sensor_msgs/msg/JointState)"
+    assert other.faults == [f"a publisher of /scan has {says}; no message will come through"]
+    one.close()
+    assert wait_until(lambda: not other.faults)
+
+
+def test_a_topic_of_two_types_is_heard_in_both_whoever_comes_first(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    got: list[str] = []
+    kinds = ("std_msgs/msg/Bool", STRING)
+    topic = Several(other, "/mixed", {k: lambda m, k=k: got.append(k) for k in kinds})
+    third = open_node("third", "dds", NETWORK)
+    for k, node in zip(kinds, (one, third), strict=True):
+        publisher = node.publisher("/mixed", k)
+        assert wait_until(lambda p=publisher: topic.look() or p._writer.get_matched_subscriptions())
+        publisher.publish({})
+        assert wait_until(lambda k=k: k in got)
+    time.sleep(0.3)
+    assert other.faults == []
+    third.close()
+    assert wait_until(lambda: topic.look() or list(topic._ends) == [kinds[0]])
+    assert wait_until(lambda: [e.type for e in one.subscribers("/mixed")] == [kinds[0]])
 
 
 def test_a_callback_that_raises_does_not_end_the_bus(nodes: tuple[Any, Any], caplog: pytest.LogCaptureFixture) -> None:

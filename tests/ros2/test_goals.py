@@ -9,10 +9,10 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.ros2.goals import LEASH, HandTrack, Planner, Task, Track, base_track, hand_track
-from wbmpc.ros2.settings import Speeds
+from wbmpc.ros2.settings import Goals, Speeds
 from wbmpc.ros2.swerve import references_of
 
-ROBOT = load_robot("swerve-ur10")
+ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
 SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)
 PLANNER = Planner(ROBOT, SPEEDS)
 HAND, TURNED = ROBOT.pose(ROBOT.home)
@@ -86,6 +86,40 @@ def test_too_high_is_refused() -> None:
     assert 0.5 < PLANNER.shoulder < 0.8 and 1.3 < PLANNER.reach < 1.9
     with pytest.raises(InputError, match=r"out of reach: height 2.60 m"):
         PLANNER.to_hand(at(), 0.0, HAND + [0.0, 0.0, 1.8], TURNED)
+
+
+@pytest.mark.parametrize("height", [-0.4, -0.01])
+def test_under_the_floor_is_refused(height: float) -> None:
+    with pytest.raises(InputError, match=rf"height {height:.2f} m, possible 0.00 to"):
+        PLANNER.to_hand(at(), 0.0, np.array([HAND[0], HAND[1], height]), TURNED)
+    ball = Planner(BALL, SPEEDS)  # heights of its tasks are above the ball's middle
+    with pytest.raises(InputError, match=r"height -0.01 m, possible 0.00 to"):
+        ball.to_hand(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift - 0.01]), TURNED)
+    ball.to_hand(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift]), TURNED)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e9, 1e200])
+def test_too_far_is_refused_at_once(far: float) -> None:
+    pose = np.array([far, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"the base's goal is .* m away, valid: 0 to 100 m \(key 'goals.base'\)"):
+        PLANNER.to_base(at(), 0.0, pose)
+    with pytest.raises(InputError, match=r"the base's goal is"):
+        PLANNER.along_base(at(), 0.0, Track(np.array([0.0, 1.0]), np.stack([np.zeros(3), pose])), None)
+    with pytest.raises(InputError, match=r"the hand's goal is .* m away, valid: 0 to 100 m \(key 'goals.hand'\)"):
+        PLANNER.to_hand(at(), 0.0, HAND + pose, TURNED)
+    path = HandTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + pose]), np.tile(TURNED, (2, 1)))
+    with pytest.raises(InputError, match=r"the hand's goal is"):
+        PLANNER.along_hand(at(), 0.0, path, None)
+
+
+def test_a_long_way_has_few_samples() -> None:
+    """As far as the settings may ever allow: two hours and more by the same speeds."""
+    planner = Planner(ROBOT, SPEEDS, Goals(base=1e4, hand=1e4))
+    base = planner.to_base(at(), 3.0, np.array([9e3, 0.0, 0.0])).base
+    assert base.times.size < 3000 and base.times[0] == 3.0
+    assert base.times[-1] == pytest.approx(3.0 + 0.5 * np.pi * 9e3 / 0.4)
+    assert 0.99 * 0.4 < (np.diff(base.poses[:, 0]) / np.diff(base.times)).max() <= 0.4 + 1e-9
+    assert planner.to_hand(at(), 0.0, HAND + [9e3, 0.0, 0.0], TURNED).hand.times.size < 3000
 
 
 def test_paths_keep_their_times_or_get_them_from_the_speeds() -> None:

@@ -119,6 +119,9 @@ def test_a_bad_topic_is_told(robot: Any, caplog: pytest.LogCaptureFixture) -> No
     robot.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [2.0]})
     assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.legs.refused)
     assert caplog.text.count("unknown configuration 'Z'") == 1
+    robot.said.clear()
+    told = lambda: [v.value for m in robot.said for s in m.status for v in s.values if "legs" in v.key]
+    assert robot.until(lambda: any("4 numbers" in text for text in told()))
 
 
 def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:

@@ -13,7 +13,7 @@ import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.model import load_robot, rolling_inverse_kinematics
-from wbmpc.ros2 import Network
+from wbmpc.ros2 import Network, open_node
 
 pytestmark = needs_dds
 if not MISSING:
@@ -63,6 +63,7 @@ def stopped(p: Any, because: str, caplog: pytest.LogCaptureFixture) -> None:
     p.run(0.1)
     assert p.standin.speed == 0.0
     assert sum(because in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records) == 1
+    assert sum(r.getMessage() == p.control.state for r in caplog.records) == 1
     assert p.until(lambda: any(s.level == 2 and because in s.message for m in p.said for s in m.status), 2.0)
 
 
@@ -255,6 +256,30 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     assert p.until(lambda: "running" in p.control.state, 3.0), (p.control.state, p.control.inbox.refused)
 
 
+def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    p = pair(topics={"pose": "/amcl_pose"})
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    says = "/amcl_pose: the pose is in frame 'map', 'odom' is needed"
+
+    def tell(frame: str, times: int) -> None:
+        for _ in range(times):
+            publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
+            time.sleep(0.02)
+
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused pose"]
+    for k in (1, 2):
+        tell("map", 5)
+        assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
+        assert sum(r.getMessage() == says for r in caplog.records) == k
+        assert p.until(lambda: says in said(), 3.0)
+        tell("odom", 1)
+        assert p.until(lambda: p.control.source.fault == "")
+        time.sleep(0.6)
+
+
 def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     p = pair(topics={"pose": "/amcl_pose"})
     assert p.until(lambda: p.control.state == "waiting: no pose on /amcl_pose"), p.control.state
@@ -378,6 +403,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
     [
         ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
         ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
+        ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
         ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
     ],
 )
@@ -393,6 +419,38 @@ def test_a_bad_goal_changes_nothing(
     assert p.control._task is task and p.control.running
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
     assert p.until(lambda: any(says in text for text in said()), 3.0)
+
+
+def test_whatever_a_goal_does_what_runs_goes_on(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Too far away, and a planner that fails as nobody foresaw: the robot drives on, one log line each, diagnostics say so;
+    the next goal that is taken ends it."""
+    p = pair()
+    running(p)
+    task = p.control._task
+    for _ in range(2):
+        p.go(1e9)
+        p.run(0.05)
+    assert p.control._task is task and "the base's goal is 1e+09 m away" in p.control.inbox.refused
+    assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
+
+    def fails(*_: Any) -> None:
+        raise MemoryError("no room")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(p.control.pilot.planner, "to_base", fails)
+        for _ in range(2):
+            p.go(1.5)
+            p.run(0.05)
+    assert p.control._task is task and p.control.running and p.standin.speed > 0.5
+    says = "a goal is refused: MemoryError: no room"
+    assert p.control.inbox.refused == says and sum(says in r.getMessage() for r in caplog.records) == 1
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    assert p.until(lambda: says in said(), 3.0)
+    p.go(1.5)
+    p.run(0.05)
+    assert p.control._task is not task and p.control.inbox.refused == ""
 
 
 @pytest.mark.parametrize("stamped", [False, True])
@@ -411,3 +469,22 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
     assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2, 1.5)  # 20 mm/s
     assert p.control.state == "running: base to rest"
     assert p.control.running
+
+
+def test_stamped_speeds_drive_the_base_beside_somebody_who_could_send_plain_ones(pair: Callable[..., Any]) -> None:
+    """A teleoperator who is silent, then a navigator: both types of one topic, and no mismatch is told."""
+    p = pair()
+    p.ready()
+    silent = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+    assert p.until(lambda: silent._writer.get_matched_subscriptions())
+    other = open_node("navigator", "dds", NETWORK)
+    try:
+        publisher = other.publisher("/cmd_vel", "geometry_msgs/msg/TwistStamped")
+        assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+        for _ in range(4):
+            publisher.publish({"twist": {"linear": {"x": 0.4}}})
+            p.run(0.1)
+        assert p.control.state == "running: base at a speed" and p.standin.speed > 1.0
+        assert p.node.faults == []
+    finally:
+        other.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,8 +16,19 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, sets
+from wbmpc.ocp import (
+    AugmentedLagrangian,
+    Constraint,
+    Cost,
+    Mode,
+    ModeSchedule,
+    OptimalControlProblem,
+    Reference,
+    RelaxedBarrier,
+    sets,
+)
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
+from wbmpc.solver.verdict import _stuck
 
 SOLVERS = {
     "sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR(), "slq": SLQ(step=0.025),
@@ -179,6 +191,60 @@ def test_contradictions_of_multipliers_are_named(algorithm: str, terms: tuple[Co
     found = solve(cart(*terms), SOLVERS[algorithm])
     assert found.status is Status.INFEASIBLE
     assert re.search(f"largest violation: (?:{named})", found.detail), found
+
+
+WISH = row("wish", lambda s: s.x[0] - 100, penalty=RelaxedBarrier(1e-3, 1e-2))
+SOFT = row("soft", lambda s: s.u - 100, ZERO, compliance=1e3)
+
+
+@everywhere
+@pytest.mark.parametrize("wish", [WISH, SOFT], ids=["barrier", "compliance"])
+@pytest.mark.parametrize(
+    ("terms", "named"),
+    [
+        (
+            (row("one", lambda s: s.u - 1, ZERO), row("two", lambda s: s.u - 1.5, ZERO)),
+            r"(one|two).all\[0\] by 0\.\d+ ",
+        ),
+        ((row("up", lambda s: s.u - 1, hard=True), row("down", lambda s: -s.u - 1, hard=True)), "(up|down)"),
+        ((row("end", lambda s: 0 * s.x[0] - 1, ZERO, at="terminal"),), r"end.all\[0\] by 1 at node [24]0"),
+    ],
+    ids=["equalities", "limits", "the end"],
+)
+def test_wishes_are_never_the_culprit(
+    algorithm: str, wish: Constraint, terms: tuple[Constraint, ...], named: str
+) -> None:
+    """What is wished for is missed by a hundred, what must hold by a unit: it is the latter that makes the problem infeasible."""
+    found = solve(cart(*terms, wish), SOLVERS[algorithm])
+    assert found.violations[wish.name].value > 50.0
+    assert found.status is Status.INFEASIBLE, found
+    assert re.match(f"largest violation: {named}", found.detail), found
+
+
+@everywhere
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize(
+    "term",
+    [
+        row("kink", lambda s: ca.fabs(s.x[0]) * ca.sign(s.x[1] - 0.3) - 100, penalty=RelaxedBarrier(1.0, 1e-2)),
+        row("soft", lambda s: s.u - 100 + ca.sin(3 * s.x[0]), ZERO, compliance=1e3),
+    ],
+    ids=["barrier", "compliance"],
+)
+def test_a_problem_of_wishes_alone_is_feasible(algorithm: str, backend: str, term: Constraint) -> None:
+    """Whatever becomes of the iteration: every motion of the model meets what must hold."""
+    settings = replace(SOLVERS[algorithm], backend=backend)
+    if backend == "interpreted" and algorithm in ("filter", "exact"):
+        pytest.skip("the twin has neither")
+    found = solve(cart(term), settings)
+    assert found.status in (Status.CONVERGED, Status.NO_STEP, Status.ITERATION_LIMIT), found
+    assert term.name not in found.detail
+
+
+def test_rounding_is_not_stuck() -> None:
+    """Gaps of 1e-15 that do not halve are no contradiction: this one was only stopped too early."""
+    noise = np.full(20, 1e-15)
+    assert not _stuck(noise, 1e-6) and _stuck(np.full(20, 1e-3), 1e-6)
 
 
 @everywhere

@@ -159,7 +159,8 @@ def ros2_check(
     if as_json:
         typer.echo(json.dumps({"findings": [vars(f) for f in found]}))
     else:
+        width = max(len(f.topic) for f in found) + 2
         for f in found:
-            typer.echo(f"{f.level:8s}{f.topic:34s}{f.text}")
+            typer.echo(f"{f.level:8s}{f.topic:{width}s}{f.text}")
     if any(f.level == ERROR for f in found):
         raise typer.Exit(ABORTED)

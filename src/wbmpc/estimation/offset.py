@@ -10,7 +10,7 @@ Source: Pannocchia and Rawlings 2003, "Disturbance models for offset-free model-
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -28,16 +28,20 @@ class OffsetObserver:
     ``x``, ``u`` (nx, nu): where the filter starts, and where it is checked that the parameters can be told apart; ``mode``: the
     model's mode values. Standard deviations: ``noise`` of a measurement; ``process`` by which a state, and ``walk`` by which a
     parameter, leaves the model in a second; ``spread`` of both at the start. One number or one per entry each, in their units.
-    ``offset``: the estimate; ``state``: the filtered state. Angles are not wrapped.
+    ``known``: the values of the model's other parameters by group, needed if there are any, for the model is only right with
+    them; :meth:`set_known` when they change. ``offset``: the estimate; ``state``: the filtered state. Angles are not wrapped.
 
-    Raises :class:`InputError` naming a parameter that leaves no trace in the measurements or looks like another quantity.
+    Raises :class:`InputError` naming the groups that ``known`` lacks, or a parameter that leaves no trace in the measurements or
+    looks like another quantity.
     """
 
     def __init__(
         self, dynamics: Any, group: str, x: ArrayLike, u: ArrayLike, *, noise: ArrayLike, measured: Sequence[str] | None = None,
         process: ArrayLike = 1e-3, walk: ArrayLike = 1.0, spread: ArrayLike = 1.0, mode: ArrayLike = (),
+        known: Mapping[str, ArrayLike] | None = None,
     ) -> None:  # fmt: skip
-        self.dynamics, self.part = dynamics, dynamics.parameters[group]
+        self.dynamics, self.group, self.part = dynamics, group, dynamics.parameters[group]
+        self.set_known(known or {})
         self.names = dynamics.parameters.names[self.part]
         labels = dynamics.state.names if measured is None else tuple(measured)
         self.measured = np.array([dynamics.state.index(name) for name in labels], int)
@@ -62,10 +66,29 @@ class OffsetObserver:
         return self.mean[: self.dynamics.state.size]
 
     def parameters(self) -> Array:
-        """All parameters of the model, the estimate in its place, the others zero."""
-        out = np.zeros(self.dynamics.parameters.size)
+        """All parameters of the model: the estimate in its place, the others as known. For ``set_parameters``."""
+        out = self._known.copy()
         out[self.part] = self.offset
         return out
+
+    def set_known(self, values: Mapping[str, ArrayLike]) -> None:
+        """The model's other parameters by group, all of them; they hold from the next :meth:`update` on.
+
+        Raises :class:`InputError` naming a group that is missing, unknown, the estimated one, or not finite.
+        """
+        layout = self.dynamics.parameters
+        others = [g for g in layout.groups if g != self.group and layout.groups[g]]
+        missing = [f"'{g}'" for g in others if g not in values]
+        if missing:
+            raise InputError(f"offset observer: 'known' needs the values of the other parameters: {', '.join(missing)}")
+        if self.group in values:
+            raise InputError(f"offset observer: '{self.group}' is estimated and cannot be in 'known'")
+        vector = layout.vector(values)
+        if not np.isfinite(vector).all():
+            raise InputError(
+                f"offset observer: known '{layout.names[int(np.argmin(np.isfinite(vector)))]}' is not finite"
+            )
+        self._known = vector
 
     def update(self, y: ArrayLike, u: ArrayLike, h: float) -> Array:
         """The estimate after the measurement ``y`` (measured entries), ``h`` [s] after the last one.
@@ -76,7 +99,7 @@ class OffsetObserver:
         y, u = np.asarray(y, float), np.asarray(u, float)
         if not (np.isfinite(y).all() and np.isfinite(u).all()):
             raise NotFinite("offset observer: the measurement and the input must be finite")
-        mean, slope = (np.array(v) for v in self._step(self.mean, u, self.mode, h))
+        mean, slope = (np.array(v) for v in self._step(self.mean, u, self.mode, h, self._known))
         p = slope @ self.covariance @ slope.T + np.diag(self._walk * h)
         chosen = p[:, self.measured]
         gain = np.linalg.solve(chosen[self.measured] + np.diag(self.noise), chosen.T).T
@@ -87,21 +110,25 @@ class OffsetObserver:
         return self.offset
 
     def _functions(self) -> tuple[ca.Function, ca.Function]:
-        """(z, u, m, h) to the next z = [x; d] and its Jacobian (midpoint rule); (z, u, m) to ∂ẋ/∂z."""
+        """(z, u, m, h, w) to the next z = [x; d] and its Jacobian (midpoint rule); (z, u, m, w) to ∂ẋ/∂z.
+
+        w: all parameters, of which those in d's place are not looked at.
+        """
         d = self.dynamics
         z, u = ca.SX.sym("z", self.mean.size), ca.SX.sym("u", d.input.size)
         m, h = ca.SX.sym("m", d.mode.size), ca.SX.sym("h")
-        nx, first, last = d.state.size, self.part.start, d.parameters.size - self.part.stop
-        w = ca.vertcat(ca.SX.zeros(first), z[nx:], ca.SX.zeros(last))
+        nx, known = d.state.size, ca.SX.sym("w", d.parameters.size)
+        w = ca.SX(known)
+        w[self.part] = z[nx:]
         rate = lambda x: ca.SX(d(x, u, w, m))
         after = ca.vertcat(z[:nx] + h * rate(z[:nx] + 0.5 * h * rate(z[:nx])), z[nx:])
-        step = ca.Function("step", [z, u, m, h], [after, ca.densify(ca.jacobian(after, z))])
-        return step, ca.Function("rates", [z, u, m], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
+        step = ca.Function("step", [z, u, m, h, known], [after, ca.densify(ca.jacobian(after, z))])
+        return step, ca.Function("rates", [z, u, m, known], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
 
     def _refuse_what_cannot_be_told(self, u: Array) -> None:
         """The largest subspace of [x; d] that the measurements never see must not have a part in d."""
         nx, size = self.dynamics.state.size, self.mean.size
-        flow = np.vstack([np.array(self._rates(self.mean, u, self.mode)), np.zeros((size - nx, size))])
+        flow = np.vstack([np.array(self._rates(self.mean, u, self.mode, self._known)), np.zeros((size - nx, size))])
         unseen = np.delete(np.eye(size), self.measured, axis=1)
         while unseen.shape[1]:
             leaving = flow @ unseen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
 
+_LOG = logging.getLogger("wbmpc")
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
 Guess = Callable[[Solver, float, np.ndarray], None]
 
@@ -97,6 +99,9 @@ class MPC:
         self._outcome = (0, 0, 0.0)
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
+        #: events of the mode schedule within the last pass's horizon that got no node of their own (see ``align_events``)
+        self.events_without_node = 0
+        self._told = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
         self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.ReachableInput)}
 
@@ -106,8 +111,28 @@ class MPC:
         return 1.0 / self.rate
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
-        """Modes over absolute time."""
+        """Modes over absolute time.
+
+        Raises :class:`InputError`, and keeps the schedule that was there, if the grid follows events (``align_events``) and any
+        horizon to come has more of them than inner nodes.
+        """
+        self._check_room(schedule)
         self.solver.set_schedule(schedule)
+
+    def _check_room(self, schedule: ModeSchedule) -> None:
+        ocp = self.solver.ocp
+        if not ocp.align_events:
+            return
+        nodes, since = ocp.intervals - 1, -np.inf if self._t is None else self._t
+        events = np.array([t for t in schedule.events if t > since])
+        first, last = events[: max(events.size - nodes, 0)], events[nodes:]
+        crowded = np.flatnonzero(last - first < ocp.horizon - 2e-6)
+        if crowded.size:
+            i = crowded[0]
+            raise InputError(
+                f"mode schedule: {nodes + 1} events from {first[i]:g} to {last[i]:g} s are within one horizon, but it has"
+                f" {nodes} inner nodes: more intervals are needed"
+            )
 
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Forget the last plan; start from ``x`` (nx) and ``u`` (nu) held, or from trajectories (N + 1, nx), (N, nu).
@@ -145,10 +170,13 @@ class MPC:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Of the last pass: iterations, cost, constraint violation, optimality, solve time [s]."""
+        """Of the last pass: iterations, cost, constraint violation, optimality, solve time [s]; where the grid follows
+        events, how many found no node."""
         count = self._outcome[1]
         row = self.solver.log[max(count, 1) - 1]
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
+        if self.ocp.align_events:
+            found["events_without_node"] = float(self.events_without_node)
         return {"solve_time": self.solve_time, "iterations": float(count), **found}
 
     def advance(self, observation: Observation) -> bool:
@@ -170,8 +198,20 @@ class MPC:
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
+        self._count_events(observation.t)
         self.fault = self._find_fault()
         return not self.fault
+
+    def _count_events(self, t: float) -> None:
+        """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""
+        self.events_without_node = self.solver.events_without_node(t)
+        if self.events_without_node and not self._told:
+            self._told = True
+            _LOG.warning(
+                "mode schedule: from %.3f s on, %d events more than inner nodes: plans see the last modes late or not at all",
+                t,
+                self.events_without_node,
+            )
 
     def _go_on_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""

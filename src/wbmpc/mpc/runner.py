@@ -178,8 +178,10 @@ class Runner:
         while not self.board["ready"] and self._process.is_alive() and waiting.now() < 60.0:
             waiting.wait(waiting.now() + 5e-3)
         if not self.board["ready"]:
+            code = self._process.exitcode
+            ended = "no answer within 60 s" if code is None else f"it ended with exit code {code}"
             self._process.kill()
-            raise InputError(f"runner: the MPC's process did not come up: {self.board.text or 'no answer within 60 s'}")
+            raise InputError(f"runner: the MPC's process did not come up: {self.board.text or ended}")
 
     # ------------------------------------------------------------------ control
     def _control_thread(self, loop: Loop) -> None:

@@ -162,7 +162,7 @@ class BallPilot:
 
     def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
-        self.planner = Planner(robot, settings.speeds)
+        self.planner = Planner(robot, settings.speeds, settings.goals)
         self.pending = Pending()
         self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
         self.mpc.guess = self.pending

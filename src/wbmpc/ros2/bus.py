@@ -55,18 +55,21 @@ class Publisher(Protocol):
 
 class Node(Protocol):
     """A node. Callbacks come from a thread of the back end, one at a time, so they must be short; those of ``deferred``
-    subscriptions from :meth:`work`. Messages have attributes as in ROS.
+    subscriptions from :meth:`work`. Messages have attributes as in ROS. :meth:`subscribe` gives a function that ends the
+    subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once.
 
-    ``faults``: sentences about endpoints that do not match, each once; ``backend``: its name.
+    ``faults``: sentences about endpoints that do not match, as long as these are there; ``backend``: its name.
     """
 
     backend: str
-    faults: list[str]
 
+    @property
+    def faults(self) -> list[str]: ...
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> Publisher: ...
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
-    ) -> None: ...
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (),
+    ) -> Callable[[], None]: ...  # fmt: skip
     def work(self) -> None: ...
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...
     def publishers(self, topic: str) -> list[Endpoint]: ...

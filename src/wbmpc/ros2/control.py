@@ -18,7 +18,7 @@ from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
 from wbmpc.ros2.legs import Legs
@@ -121,7 +121,8 @@ class ControlNode:
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
-            _LOG.info("%s", self.state)
+            if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
+                _LOG.info("%s", self.state)
 
     def close(self) -> None:
         """Bring the robot to rest and end."""
@@ -180,7 +181,7 @@ class ControlNode:
             return "waiting: no time on /clock yet"
         why = self._rival or self.body.waits_for()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
-            why = f"no pose on {self.settings.topics.pose}"
+            why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
 
     def now(self) -> float:
@@ -236,13 +237,15 @@ class ControlNode:
             x, t = seen[1], self.clock.now() if self.running else 0.0
             try:
                 task = request(x, t)
-            except InputError as error:
-                self.inbox.refuse(f"a goal is refused: {error}")
-                continue
-            if not self.running:
-                self._start(x, task)
+                if not self.running:
+                    self._start(x, task)
+                else:
+                    self._put(task, x)
+            except Exception as error:  # whatever a goal does, a robot that moves is not left alone
+                self.inbox.refuse(f"a goal is refused: {sentence_of(error)}")
+                self.inbox.running = self.inbox.running if self.running else None
             else:
-                self._put(task, x)
+                self.inbox.refused = ""
 
     def _not_for_legs(self) -> str:
         """Why legs cannot be moved now; empty if they can."""
@@ -256,7 +259,14 @@ class ControlNode:
         seen = pilot.snapshot()
         if seen is None:
             return
-        x = seen[1]
+        try:
+            self._order(legs, seen[1])
+        except Exception as error:
+            legs.drop()
+            legs.refuse(f"an order to the legs is refused: {sentence_of(error)}")
+
+    def _order(self, legs: Legs, x: np.ndarray) -> None:
+        pilot = self.pilot
         if not self.running:
             self._start(x, pilot.planner.hold(x, 0.0))
         assert pilot.brakes is not None
@@ -284,8 +294,8 @@ class ControlNode:
                 sender.send(policy, t, self.now())
 
     def _put(self, task: Task, x: np.ndarray) -> None:
-        self.inbox.running, self._task = task, task
         self.pilot.follow(task, x)
+        self.inbox.running, self._task = task, task
 
     def _start(self, x: np.ndarray, task: Task) -> None:
         self._end_runner()
@@ -378,6 +388,10 @@ class ControlNode:
         values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
         if self.inbox.refused:
             values["refused"] = self.inbox.refused
+        if self.legs is not None and self.legs.refused:
+            values["refused order to the legs"] = self.legs.refused
+        if self.source.fault:
+            values["refused pose"] = self.source.fault
         if self.runner is None:
             return values
         r = self.runner.report()

@@ -13,6 +13,11 @@ from wbmpc.errors import InputError, NotFinite
 Array = np.ndarray
 
 
+def sentence_of(error: Exception) -> str:
+    """What a goal or a message was refused for: our own sentence, or what went wrong by its kind."""
+    return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+
+
 def stamp(seconds: float) -> dict[str, int]:
     """A time [s] as a stamp."""
     nanoseconds = round(seconds * 1e9)

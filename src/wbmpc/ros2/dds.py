@@ -36,6 +36,7 @@ from rosbags.interfaces import Nodetype
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
 from wbmpc.ros2.messages import Types, request, response, types
+from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.network import Network
 
 _LOG = logging.getLogger("wbmpc")
@@ -51,8 +52,8 @@ _BASE: dict[str, Any] = {name: getattr(idl_types, name) for name in _INTEGERS}
 _BASE |= {"float32": idl_types.float32, "float64": idl_types.float64, "bool": bool}
 _BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
 Take = Callable[[DataReader], None]
-#: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3).
-_POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation"}
+#: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3; DDS-XTypes 1.3, section 7.6.3).
+_POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation", 24: "type"}
 #: A domain is configured once in a process and stays.
 _DOMAINS: dict[int, tuple[Network, Domain]] = {}
 _DOMAINS_LOCK = threading.Lock()
@@ -79,7 +80,7 @@ class DdsNode:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
-        self.faults: list[str] = []
+        self._mismatches = Mismatches(self)
         self._lock = threading.RLock()
         _open_domain(network)
         try:
@@ -87,7 +88,7 @@ class DdsNode:
         except DDSException as error:
             raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
         self._key = self._participant.guid
-        self._topics: dict[str, tuple[str, Any]] = {}
+        self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._readers: list[DataReader] = []
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
@@ -101,20 +102,27 @@ class DdsNode:
         self._announce()
 
     # ------------------------------------------------------------------ topics
+    @property
+    def faults(self) -> list[str]:
+        """Sentences about endpoints that do not match."""
+        return self._mismatches.sentences()
+
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
         name = full_name(topic)
         place = self._topic(f"rt{name}", kind)
-        listener = _Watch(lambda policy: self._mismatch("subscription", name, policy))
+        ours = Ours("publisher", name, kind, qos)
+        listener = _Watch(lambda policy: self._mismatch(ours, policy))
         writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
         self._own(self._writers, writer)
         return DdsPublisher(writer, place.data_type, self.types, kind)
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
-    ) -> None:
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (),
+    ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
-        go on."""
+        go on. Returns what ends it."""
         name = full_name(topic)
 
         def call(data: bytes) -> None:
@@ -131,8 +139,10 @@ class DdsNode:
                     with self._lock:
                         call(data)
 
-        qualities = self._qos(qos, kind)
-        self._read(self._topic(f"rt{name}", kind), qualities, take, lambda p: self._mismatch("publisher", name, p))
+        ours = Ours("subscription", name, kind, qos, others)
+        place = self._topic(f"rt{name}", kind, others=others)
+        reader = self._read(place, self._qos(qos, kind), take, lambda policy: self._mismatch(ours, policy))
+        return lambda: self._end(reader)
 
     def work(self) -> None:
         """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
@@ -241,7 +251,7 @@ class DdsNode:
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
 
     # ------------------------------------------------------------------ inside
-    def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> None:
+    def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> DataReader:
         """A reader that calls ``take``. The package calls listeners before the reader is complete: what came then is taken
         as soon as it is."""
         complete = threading.Event()
@@ -250,24 +260,37 @@ class DdsNode:
         complete.set()
         self._own(self._readers, reader)
         take(reader)
+        return reader
+
+    def _end(self, reader: DataReader) -> None:
+        with self._lock:
+            if reader not in self._readers:
+                return
+            self._readers.remove(reader)
+        reader.set_listener(None)  # without the lock: it waits for callbacks
+        reader.__del__()
+        self._announce()
 
     def _own(self, group: list[Any], entity: Any) -> None:
         with self._lock:
             group.append(entity)
         self._announce()
 
-    def _topic(self, name: str, kind: str, header: Mapping[str, Any] | None = None) -> Topic:
+    def _topic(
+        self, name: str, kind: str, header: Mapping[str, Any] | None = None, others: tuple[str, ...] = ()
+    ) -> Topic:
         self.types.check(kind)
-        if name not in self._topics:
+        known = self._topics.setdefault(name, {})
+        strange = known.keys() - {kind, *others}
+        if strange:
+            raise InputError(f"{name.removeprefix('rt')}: is used with {strange.pop()} and {kind}")
+        if kind not in known:
             try:
-                topic: Any = Topic(self._participant, name, carrier(self.types, kind, header))
+                known[kind] = Topic(self._participant, name, carrier(self.types, kind, header))
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
-            self._topics[name] = kind, topic
-        known, present = self._topics[name]
-        if known != kind:
-            raise InputError(f"{name.removeprefix('rt')}: is used with {known} and {kind}")
-        return present
+        topic: Topic = known[kind]
+        return topic
 
     def _qos(self, qos: Qos, kind: str, mark: str = "") -> DdsQos:
         reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
@@ -279,14 +302,8 @@ class DdsNode:
             Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
         )
 
-    def _mismatch(self, who: str, topic: str, policy: int) -> None:
-        asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
-        sentence = (
-            f"{topic}: a {who} {asks} ({_POLICIES.get(policy, f'policy {policy}')}); no message will come through"
-        )
-        if sentence not in self.faults:
-            self.faults.append(sentence)
-            _LOG.error("%s", sentence)
+    def _mismatch(self, ours: Ours, policy: int) -> None:
+        self._mismatches.notice(ours, _POLICIES.get(policy, f"policy {policy}"))
 
 
 class DdsPublisher:

@@ -16,11 +16,13 @@ from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
 from wbmpc.ros2.convert import nearest_turn, planar
-from wbmpc.ros2.settings import Speeds
+from wbmpc.ros2.settings import Goals, Speeds
 
 Array = np.ndarray
 #: Between two samples of a reference [s]; how far the hand goes before the base comes along [m].
 STEP, LEASH = 0.02, 0.3
+#: A way has no more samples than this, however long it takes: they are farther apart then.
+_MOST_SAMPLES = 2000
 #: Ways that take less than this [s] are none.
 _ROUNDING = 1e-4
 #: A speed is held for longer than the horizon [s].
@@ -70,11 +72,12 @@ class Planner:
     """Makes tasks that begin at a state ``x`` (nx) and time ``t`` [s].
 
     ``lift`` [m]: height of the model's origin above the floor, that is of a ball robot's ball; heights on the bus are above the
-    floor, those of tasks above the origin. ``base_height`` [m] of the base's frame above the floor.
+    floor, those of tasks above the origin. ``base_height`` [m] of the base's frame above the floor. ``goals``: how far they may
+    be; farther ones, and those that the arm cannot reach, raise :class:`InputError`.
     """
 
-    def __init__(self, robot: RobotModel, speeds: Speeds) -> None:
-        self.robot, self.speeds = robot, speeds
+    def __init__(self, robot: RobotModel, speeds: Speeds, goals: Goals | None = None) -> None:
+        self.robot, self.speeds, self.goals = robot, speeds, goals or Goals()
         self.lift = robot.base.radius if isinstance(robot.base, BallBase) else 0.0
         self.base_height = self.lift if isinstance(robot.base, BallBase) else robot.base.height
         self.shoulder, self.reach = _arm(robot)
@@ -87,15 +90,16 @@ class Planner:
     def to_base(self, x: Array, t: float, goal: Array) -> Task:
         """The base goes to the pose ``goal`` (x, y, yaw), the shorter way round."""
         start = self._base(x)
+        self._check_far("base", goal[None, :2], start[:2])
         goal = np.array([goal[0], goal[1], nearest_turn(goal[2], start[2])])
         way = float(np.hypot(*(goal - start)[:2])) / self.speeds.base
-        share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
+        times, share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
         poses = start + share[:, None] * (goal - start)
-        return self._carry(x, Track(t + STEP * np.arange(share.size), poses), "base to a goal")
+        return self._carry(x, Track(t + times, poses), "base to a goal")
 
     def to_hand(self, x: Array, t: float, position: Array, orientation: Array) -> Task:
         """The hand goes to a pose; the base comes along by what it is farther than :data:`LEASH`."""
-        self._check_reach(position[None])
+        self._check_hand(x, position[None])
         hand = self._approach(x, t, position, orientation)
         return Task(self._follow(x, hand), hand, False, "hand to a goal")
 
@@ -104,13 +108,14 @@ class Planner:
 
         ``base``: the base's own track; left out, it comes along.
         """
-        self._check_reach(path.positions)
+        self._check_hand(x, path.positions)
         hand = self._join(x, t, path)
         return Task(base or self._follow(x, hand), hand, False, "hand along a path")
 
     def along_base(self, x: Array, t: float, path: Track, hand: HandTrack | None) -> Task:
         """The base goes along a path at its times, from where it is; ``hand``: the hand's own track, else it is carried."""
         start = self._base(x)
+        self._check_far("base", path.poses[:, :2], start[:2])
         first = path.poses[0] + np.array([0.0, 0.0, nearest_turn(path.poses[0, 2], start[2]) - path.poses[0, 2]])
         poses = path.poses + (first - path.poses[0])
         approach = self.to_base(x, t, first).base
@@ -162,9 +167,9 @@ class Planner:
             lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(turned), orientation))
         )
         way = float(np.linalg.norm(position - start)) / self.speeds.hand
-        share = _profile(max(way, float(angle) / self.speeds.turn))
+        times, share = _profile(max(way, float(angle) / self.speeds.turn))
         quaternions = np.array([lie.slerp(turned, orientation, s) for s in share])
-        return HandTrack(t + STEP * np.arange(share.size), start + share[:, None] * (position - start), quaternions)
+        return HandTrack(t + times, start + share[:, None] * (position - start), quaternions)
 
     def _join(self, x: Array, t: float, path: HandTrack) -> HandTrack:
         way = self._approach(x, t, path.positions[0], path.orientations[0])
@@ -189,16 +194,24 @@ class Planner:
             poses[k, :2] += shift
         return Track(hand.times, poses)
 
-    def _check_reach(self, positions: Array) -> None:
-        """The base can go anywhere on the floor, so only the height can be too much."""
-        over = np.abs(positions[:, 2] - self.shoulder)
+    def _check_hand(self, x: Array, positions: Array) -> None:
+        """The base takes the arm there over the floor; the height is what the arm reaches above the floor."""
+        self._check_far("hand", positions[:, :2], self.robot.pose(x)[0][:2])
+        middle, heights = self.lift + self.shoulder, self.lift + positions[:, 2]
+        low, high = max(middle - self.reach, 0.0), middle + self.reach
+        over = np.maximum(heights - high, low - heights)
         k = int(np.argmax(over))
-        if over[k] > self.reach:
-            low, high = self.lift + self.shoulder - self.reach, self.lift + self.shoulder + self.reach
-            height = self.lift + positions[k, 2]
+        if over[k] > 1e-9:
             raise InputError(
-                f"the hand's goal is out of reach: height {height:.2f} m, possible {max(low, 0.0):.2f} to {high:.2f} m"
+                f"the hand's goal is out of reach: height {heights[k]:.2f} m, possible {low:.2f} to {high:.2f} m"
             )
+
+    def _check_far(self, who: str, places: Array, here: Array) -> None:
+        """Places (n, 2) on the floor against the settings' ``goals``, from ``here`` (2)."""
+        limit = getattr(self.goals, who)
+        farthest = float(np.hypot(*(places - here).T).max())
+        if farthest > limit:
+            raise InputError(f"the {who}'s goal is {farthest:.4g} m away, valid: 0 to {limit:g} m (key 'goals.{who}')")
 
 
 def timed(positions: Array, turns: Array, times: Array | None, t: float, speed: float, turn: float) -> Array:
@@ -230,12 +243,15 @@ def planar_path(positions: Array, orientations: Array) -> Array:
     return np.array([planar(p, q) for p, q in zip(positions, orientations, strict=True)])
 
 
-def _profile(shortest: float) -> Array:
-    """Shares of a way over samples every :data:`STEP`, as a cosine; ``shortest`` [s]: at full speed all the way."""
+def _profile(shortest: float) -> tuple[Array, Array]:
+    """Times [s] every :data:`STEP` or, of a long way, every so often that they are not too many, and the shares of the way by
+    then, as a cosine; ``shortest`` [s]: at full speed all the way."""
     if shortest < _ROUNDING:
-        return np.ones(1)
-    count = int(np.ceil(0.5 * np.pi * shortest / STEP))
-    return np.asarray(0.5 * (1.0 - np.cos(np.pi * np.arange(count + 1) / count)))
+        return np.zeros(1), np.ones(1)
+    duration = 0.5 * np.pi * shortest
+    count = int(np.ceil(min(duration / STEP, _MOST_SAMPLES)))
+    numbers = np.arange(count + 1)
+    return max(STEP, duration / count) * numbers, 0.5 * (1.0 - np.cos(np.pi * numbers / count))
 
 
 def _arm(robot: RobotModel) -> tuple[float, float]:

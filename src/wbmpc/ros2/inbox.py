@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import InputError, NotFinite
+from wbmpc.errors import InputError
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
-from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, upright
+from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
 from wbmpc.ros2.settings import RosSettings
 
@@ -27,15 +27,44 @@ Time = Callable[[], float]
 _MOST_POINTS = 20_000
 #: Largest time [s] without a pose of another localisation.
 POSE_AGE = 0.5
-_TWISTS: dict[str, Callable[[Any], Any]] = {
+_TWISTS: dict[str, Callable[[Any], Any]] = {  # what of a message is the speed
     "geometry_msgs/msg/Twist": lambda message: message,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
 }
 
 
+_POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
+
+
+class Several:
+    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type."""
+
+    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[[Any], None]]) -> None:
+        self._node, self._topic, self._takes = node, topic, takes
+        self._ends: dict[str, Callable[[], None]] = {}
+        self._said = ""
+
+    def look(self) -> None:
+        """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
+        one type only."""
+        kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
+        for kind in [k for k in self._ends if kinds and k not in kinds]:
+            self._ends.pop(kind)()
+        for kind in sorted(kinds - self._ends.keys()):
+            try:
+                self._ends[kind] = self._node.subscribe(
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
+                )
+            except Exception as error:
+                sentence = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                if sentence != self._said:
+                    _LOG.error("%s", sentence)
+                self._said = sentence
+
+
 class Inbox:
     """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was
-    not taken.
+    not taken; empty when one has been taken since.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
     force, set by who takes them up.
@@ -49,7 +78,8 @@ class Inbox:
         self._lock = threading.Lock()
         self._twist, self._twist_at = np.zeros(3), -np.inf
         self._moving = False
-        self._twist_kind = ""
+        takes = {kind: partial(self._take_speed, part) for kind, part in _TWISTS.items()}
+        self._speeds = Several(node, settings.topics.cmd_vel, takes)
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         topics = settings.topics
         for topic, kind, take in (
@@ -89,27 +119,19 @@ class Inbox:
         self.refused = sentence
 
     def look_for_speeds(self) -> None:
-        """Subscribe to speeds in the type in which somebody publishes them (Twist or TwistStamped)."""
-        topic = self.settings.topics.cmd_vel
-        if not topic or self._twist_kind:
-            return
-        kinds = {e.type for e in self.node.publishers(topic)}
-        for kind, part in _TWISTS.items():
-            if kind in kinds:
-                self._twist_kind = kind
-                self.node.subscribe(topic, kind, partial(self._take_speed, part), SENSOR)
-                return
+        """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
+        self._speeds.look()
 
     # ------------------------------------------------------------------ messages
     def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
         try:
             take(message)
-        except InputError as error:
-            self.refuse(f"{topic}: {error}")
+        except Exception as error:
+            self.refuse(f"{topic}: {sentence_of(error)}")
 
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
-        self.refused, self._moving = "", False
+        self._moving = False
         with self._lock:
             others = {k: r for k, r in self._requests.items() if kind and k and k != kind}
             self._requests = {**others, kind: request}
@@ -204,22 +226,18 @@ class PoseSource:
     """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame).
 
     ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
+    ``fault``: what is wrong with those that come; empty when they are right again.
     """
 
     def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
         self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
-        self.at = -np.inf
+        self.at, self.fault = -np.inf, ""
         self._fix: tuple[float, Array, Array] | None = None
-        self._listening = False
+        self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
 
     def look(self) -> None:
         """Subscribe in the type in which somebody publishes it."""
-        topic = self.settings.topics.pose
-        kinds = {e.type for e in self.node.publishers(topic)} if topic and not self._listening else set()
-        for kind in ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"):
-            if kind in kinds and not self._listening:
-                self._listening = True
-                self.node.subscribe(topic, kind, self._take, SENSOR)
+        self._messages.look()
 
     def take(self) -> tuple[float, Array, Array] | None:
         """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once. Raises
@@ -233,21 +251,29 @@ class PoseSource:
     def lost(self) -> str:
         """Why there is no pose any more; empty if there is."""
         topic, silent = self.settings.topics.pose, self.now() - self.at
-        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s" if silent > POSE_AGE else ""
+        if silent <= POSE_AGE:
+            return ""
+        why = f" ({self.fault})" if self.fault else ""
+        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
 
     def _take(self, message: Any) -> None:
+        try:
+            self._read(message)
+        except InputError as error:
+            if str(error) != self.fault:
+                _LOG.error("%s", error)
+            self.fault = str(error)
+        else:
+            self.fault = ""
+
+    def _read(self, message: Any) -> None:
         topic, world = self.settings.topics.pose, self.settings.frames.world
         if message.header.frame_id != world:
             raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
         covariance = np.asarray(message.pose.covariance, float).reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
-        try:
-            pose = planar(*read_pose(message.pose.pose, topic))
-        except NotFinite as error:
-            _LOG.error("%s", error)
-            return
+        pose = planar(*read_pose(message.pose.pose, topic))
         if not np.isfinite(covariance).all():
-            _LOG.error("%s: a number of the covariance is not finite", topic)
-            return
+            raise InputError(f"{topic}: a number of the covariance is not finite")
         now, stamped = self.stamp(), seconds(message.header.stamp)
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now
         self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance

@@ -18,6 +18,7 @@ from wbmpc.control import BrakeControl
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.convert import sentence_of
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.stability import leg_angles
 
@@ -29,7 +30,8 @@ THERE = 0.01
 
 
 class Legs:
-    """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way.
+    """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
+    ``refused``: why the last bad order was not taken, empty when one has been taken since.
 
     :meth:`take` gives an order once to the node's own thread; :meth:`begin` and :meth:`watch` belong to that thread too.
     """
@@ -64,8 +66,9 @@ class Legs:
             if why:
                 raise InputError(why)
             said = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
-        except InputError as error:
-            return {"success": False, "message": str(error)}
+        except Exception as error:
+            self.refuse(f"{self.settings.topics.set_legs}: {sentence_of(error)}")
+            return {"success": False, "message": sentence_of(error)}
         return {"success": True, "message": said}
 
     def _from_topic(self, topic: str, take: Callable[[Any], str], message: Any) -> None:
@@ -73,12 +76,14 @@ class Legs:
             if why := self._ready():
                 raise InputError(why)
             take(message)
-            self.refused = ""
-        except InputError as error:
-            sentence = f"{topic}: {error}"
-            if sentence != self.refused:
-                _LOG.warning("%s", sentence)
-            self.refused = sentence
+        except Exception as error:
+            self.refuse(f"{topic}: {sentence_of(error)}")
+
+    def refuse(self, sentence: str) -> None:
+        """Say once why an order is not taken."""
+        if sentence != self.refused:
+            _LOG.warning("%s", sentence)
+        self.refused = sentence
 
     def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
         """A configuration by name or angles, or single legs: ``angles`` (not a number: as it is), brakes; what will be done."""
@@ -130,6 +135,7 @@ class Legs:
                 raise InputError(f"legs: {name} at {angle:g} rad is outside its limits {low:g} to {high:g}")
 
     def _put(self, goal: Array, brake: Array) -> None:
+        self.refused = ""
         with self._lock:
             if self._order is not None:  # what has not been taken yet is completed
                 goal = np.where(np.isnan(goal), self._order[0], goal)
@@ -141,6 +147,11 @@ class Legs:
     def waiting(self) -> bool:
         """Whether there is an order that has not been taken."""
         return self._order is not None
+
+    def drop(self) -> None:
+        """Forget an order that has not been taken."""
+        with self._lock:
+            self._order = None
 
     def apply(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
         """Carry out an order at time t [s], legs being at ``leg`` (n) [rad]; whether there was one."""
@@ -159,7 +170,7 @@ class Legs:
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
-            _LOG.warning("an order to the legs is refused: %s", error)
+            self.refuse(f"an order to the legs is refused: {error}")
             self.angles = before
             return False
         # a leg that is let go, or held where it is, goes nowhere

@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
+from wbmpc.ros2.mismatch import Mismatches, Ours
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -32,7 +33,7 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.faults: list[str] = []
+        self._mismatches = Mismatches(self)
         self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
         self._made: Counter[tuple[str, str]] = Counter()  # publishers and subscriptions of this node by topic
         self._context = rclpy.Context()
@@ -49,21 +50,28 @@ class RosNode:
         except ExternalShutdownException:
             return
 
+    @property
+    def faults(self) -> list[str]:
+        """Sentences about endpoints that do not match."""
+        return self._mismatches.sentences()
+
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
         """A publisher."""
         name, message = full_name(topic), get_message(kind)
         self._made["publisher", name] += 1
-        events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch("subscription", name, e))
+        ours = Ours("publisher", name, kind, qos)
+        events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch(ours, e))
         return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False
-    ) -> None:
+        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (),
+    ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
-        go on."""
+        go on. Returns what ends it."""
         name = full_name(topic)
-        self._made["subscription", name] += 1
-        events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch("publisher", name, e))
+        ours = Ours("subscription", name, kind, qos, others)
+        events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch(ours, e))
 
         def call(message: Any) -> None:
             try:
@@ -73,7 +81,14 @@ class RosNode:
 
         later = lambda message: self._deferred.append((call, message))
         taken = later if deferred else call
-        self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
+        made = self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
+        self._made["subscription", name] += 1
+
+        def end() -> None:
+            self._made["subscription", name] -= 1
+            self._node.destroy_subscription(made)
+
+        return end
 
     def work(self) -> None:
         """Call back for the messages of deferred subscriptions that have come, in this thread."""
@@ -117,13 +132,10 @@ class RosNode:
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
-    def _mismatch(self, who: str, topic: str, event: Any) -> None:
-        asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
+    def _mismatch(self, ours: Ours, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        sentence = f"{topic}: a {who} {asks} ({policy}); no message will come through"
-        if sentence not in self.faults:
-            self.faults.append(sentence)
-            _LOG.error("%s", sentence)
+        # ROS has no name for the policy by which types differ
+        self._mismatches.notice(ours, "type" if policy.startswith("invalid") else policy)
 
 
 class RosPublisher:

@@ -16,11 +16,18 @@ from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES
 from wbmpc.experiments.settings import MpcSettings, Settings
 from wbmpc.experiments.swerve_problem import SwerveCost
 from wbmpc.model import RobotModel
+from wbmpc.ros2.bus import full_name
 
 #: Groups of drives; each that a robot has gets a controller unless the file says otherwise.
 GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
+
+
+def _not_empty(name: str) -> str:
+    if not name.strip("/ "):
+        raise ValueError("a name is needed")
+    return name
 
 
 class Topics(Settings):
@@ -64,6 +71,11 @@ class Frames(Settings):
     world: str = "odom"
     base: str = "base_link"
 
+    @field_validator("world", "base")
+    @classmethod
+    def _named(cls, name: str) -> str:
+        return _not_empty(name)
+
 
 class Rates(Settings):
     """Rates [Hz] of the controller and of what it publishes about itself."""
@@ -81,6 +93,13 @@ class Speeds(Settings):
     base: float = Field(0.4, gt=0)
     turn: float = Field(0.4, gt=0)
     hand: float = Field(0.2, gt=0)
+
+
+class Goals(Settings):
+    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
+
+    base: float = Field(100.0, gt=0, le=10_000)
+    hand: float = Field(100.0, gt=0, le=10_000)
 
 
 class Safety(Settings):
@@ -102,6 +121,11 @@ class Controller(Settings):
     topic: str
     joints: tuple[str, ...]
     takes: Literal["numbers", "trajectory"] = "numbers"
+
+    @field_validator("topic")
+    @classmethod
+    def _named(cls, name: str) -> str:
+        return _not_empty(name)
 
     @property
     def type(self) -> str:
@@ -125,6 +149,7 @@ class RosSettings(Settings):
     frames: Frames = Frames()
     rates: Rates = Rates()
     speeds: Speeds = Speeds()
+    goals: Goals = Goals()
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
     ignore: tuple[str, ...] = ()
@@ -209,7 +234,7 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     try:
         settings = kind.model_validate(data)
         _check_joints(settings, robot)
-        settings.command_topics(robot)
+        _check_topics(settings, settings.command_topics(robot))
     except ValidationError as error:
         unknown = [f["loc"] for f in error.errors(include_url=False) if f["type"] == "extra_forbidden"]
         if unknown:
@@ -225,6 +250,20 @@ def _siblings(kind: type[RosSettings], place: tuple[Any, ...]) -> list[str]:
     prefix = ".".join(map(str, place[:-1]))
     inside = [k for k in keys(kind) if k.startswith(f"{prefix}.")] if prefix else []
     return sorted({".".join(k.split(".")[: len(place)]) for k in inside}) or list(kind.model_fields)
+
+
+def _check_topics(settings: RosSettings, controllers: dict[str, Controller]) -> None:
+    """Nothing else is on a topic; the service's name is no topic."""
+    if settings.frames.world == settings.frames.base:
+        raise InputError(f"key 'frames': world and base are both called '{settings.frames.world}'")
+    seen: dict[str, str] = {}
+    named = {f"topics.{k}": v for k, v in settings.topics.model_dump().items() if v and k != "set_legs"}
+    named |= {f"controllers.{k}.topic": c.topic for k, c in controllers.items()}
+    for key, name in named.items():
+        topic = full_name(name)
+        if topic in seen:
+            raise InputError(f"key '{key}': '{name}' is the topic of '{seen[topic]}' already")
+        seen[topic] = key
 
 
 def _check_joints(settings: RosSettings, robot: RobotModel) -> None:

@@ -67,7 +67,7 @@ class SwervePilot:
 
     def __init__(self, robot: RobotModel, settings: RosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
-        self.planner = Planner(robot, settings.speeds)
+        self.planner = Planner(robot, settings.speeds, settings.goals)
         self._steering = SteeringGuess(robot, self._preview)
         self.pending = Pending(self._steering)
         self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending)

@@ -116,7 +116,8 @@ class Teller:
         c = self.controller
         stopped = c.runner is not None and c.runner.stopped
         level = ERROR if stopped or c.ill else WELL if c.running else WARNING
-        if level == WELL and c.inbox.refused:
+        refused = c.inbox.refused or c.source.fault or (c.legs.refused if c.legs is not None else "")
+        if level == WELL and refused:
             level = WARNING
         entries = [status(level, f"{c.settings.node}: controller", c.state, c.robot.description.name, c.figures())]
         faults = c.node.faults

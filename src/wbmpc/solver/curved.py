@@ -5,7 +5,8 @@ A linearised row says little about where the true one ends. Two things help. The
 inputs, times the multipliers, at nodes where they are positive semidefinite, as those of convex sets are (Nocedal and Wright 2006,
 section 18.1). And in real time every trial point is corrected node by node from the first one on: inputs outside a true row move
 along the rows' gradients by the shortest way (Newton's method for one row, cyclic projection for several; Bauschke and Borwein
-1996), and the states behind follow by the linearised dynamics.
+1996), and the states behind follow by the linearised dynamics. Roll-outs of single shooting are held within straight rows too:
+their feedback takes inputs far beyond what the step was made for.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from wbmpc.solver.places import (
     PULLED,
     ROW_DS,
     ROW_DT,
+    ROW_GENERAL,
     ROW_L,
     ROW_S,
     ROW_SCALED,
@@ -138,11 +140,12 @@ def add_curvature(m, o, k, matrix):  # type: ignore[no-untyped-def]
 @compiled(NONE, NUMS, INTS, INT)
 def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
     """True rows of node k at the trial point: values to ``row_trial``, Jacobians of general ones to ``row_scaled``."""
-    values = o[LANE_VALUES]
-    load_block(m, o, k, 1, o[XT], o[UT])
-    stage_lanes(o, LANES_ROWS_J, o[LANE_X], o[LANE_U], values, o[LANE_ROWS], o[LANE_ROWS])
-    unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_SCALED], 0, 1)
-    take_rows_of_lane(m, o, 0)
+    if o[ROW_GENERAL] > 0:
+        values = o[LANE_VALUES]
+        load_block(m, o, k, 1, o[XT], o[UT])
+        stage_lanes(o, LANES_ROWS_J, o[LANE_X], o[LANE_U], values, o[LANE_ROWS], o[LANE_ROWS])
+        unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_SCALED], 0, 1)
+        take_rows_of_lane(m, o, 0)
     collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
 
 

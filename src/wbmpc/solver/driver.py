@@ -305,7 +305,9 @@ def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
     m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
     m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
     m[state + RHO], m[state + THETA] = 1.0, 1.0
-    m[state + HOLD] = 1.0 + s[KEEP] if o[CURVED] > 0 else 0.0
+    # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
+    rolled = 1.0 if rows and s[SINGLE] * s[KEEP] > 0.0 else 0.0
+    m[state + HOLD] = 1.0 + s[KEEP] if o[CURVED] > 0 else rolled
     forget_outside(m, o)
     if rows:
         start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
@@ -443,7 +445,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         shift = m[state + SHIFT]
         if alpha == 0.0:
             m[state + COST], m[state + VIOLATION] = log[row], violation
-            if m[state + HOLD] == 1.0:  # once more along the step itself
+            if m[state + HOLD] == 1.0 and s[KEEP] == 0.0:  # once more along the step itself
                 m[state + HOLD] = 0.0
                 continue
             m[state + SHIFT] = max(10.0 * shift, 1e-4)

@@ -397,7 +397,8 @@ class InterpretedSolver:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.mu_start, 0.0
-        self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else 0
+        rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
+        self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else int(rolled)
         start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
@@ -439,7 +440,8 @@ class InterpretedSolver:
                     np.nan,
                     0.0,
                     violation,
-                    *[np.nan] * 6,
+                    self._equalities(),
+                    *[np.nan] * 5,
                 )
                 it += 1
                 if it < limit and np.isfinite([cost, violation]).all() and 0.0 < shift <= c.largest_shift:
@@ -455,7 +457,7 @@ class InterpretedSolver:
                 size,
                 0.0,
                 violation,
-                0.0,
+                self._equalities(),
                 residual,
                 product,
                 self.mu,
@@ -498,7 +500,7 @@ class InterpretedSolver:
             alpha = self._search(s, x0, c, (cost, violation, s["slope"], drop), penalty, first, primal)
             if alpha == 0.0:
                 self.ws.state[[COST, VIOLATION]] = log[it - 1, 0], violation
-                if self.hold == 1:  # once more along the step itself
+                if self.hold == 1 and not c.keep_multipliers:  # once more along the step itself
                     self.hold = 0
                     continue
                 shift = max(10.0 * shift, 1e-4)

@@ -228,7 +228,12 @@ class Solver:
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
             raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
-        self._room_for_events(t0)
+        without = self.events_without_node(t0)
+        if without:
+            raise InputError(
+                f"mode schedule: {without + self.ocp.intervals - 1} events within the horizon, but {self.ocp.intervals - 1} inner"
+                " nodes: more intervals are needed"
+            )
         start = time.perf_counter()
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
@@ -239,15 +244,17 @@ class Solver:
             raise SolveFailed(str(solution))
         return solution
 
-    def _room_for_events(self, t0: float) -> None:
-        """Every event needs a node of its own where the grid follows the schedule."""
+    def events_without_node(self, t0: float) -> int:
+        """By how many the events within a horizon from ``t0`` [s] outnumber the inner nodes, where the grid follows the schedule.
+
+        The last ones then wait until the horizon has moved on: a plan changes their modes at a later node, or misses short ones.
+        """
+        if not self.ocp.align_events:
+            return 0
         numbers, integers, *_ = self.tables()
         t = np.unique(numbers[: integers[1]]) - t0
-        inside, nodes = int(np.sum((t > 1e-6) & (t < self.ocp.horizon - 1e-6))), self.ocp.intervals - 1
-        if self.ocp.align_events and inside > nodes:
-            raise InputError(
-                f"mode schedule: {inside} events within the horizon, but {nodes} inner nodes: more intervals are needed"
-            )
+        inside = int(np.sum((t > 1e-6) & (t < self.ocp.horizon - 1e-6)))
+        return max(inside - (self.ocp.intervals - 1), 0)
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
         """``x0`` as (nx) finite numbers."""
@@ -295,7 +302,8 @@ class Solver:
         )
 
     def missed_limit(self) -> str:
-        """The hard row of the inputs that the last plan misses most, where it is curved in them; empty where none is missed."""
+        """The hard row of the inputs that the last plan misses most, where plans are held within them (curved rows, roll-outs in
+        real time); empty where none is missed."""
         state = self.ws.state
         if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
             return ""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.ocp import AugmentedLagrangian
+from wbmpc.ocp import AugmentedLagrangian, Transcription
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
 from wbmpc.solver.settings import HUGE
@@ -24,19 +24,18 @@ RELAXED = 1e-5
 def verdict(solver: Solver, solution: Solution) -> Solution:
     """The solution with its violations by name, and the status and the sentence that these show."""
     problem, ws = solver.problem, solver.ws
+    violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
+    missed = _missed(solver, violations)
     if solution.status is Status.NOT_FINITE:
         solution = replace(solution, kkt=np.nan)
         detail = _not_finite(solver)
-        if detail or solution.violation < solver.settings.feasibility:
+        if detail or _violation(solver, solution, missed)[-1] < solver.settings.feasibility:
             return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
         solution = replace(
             solution, status=Status.INFEASIBLE
         )  # the iterate is finite, the step to the constraints is not
-    violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
     if solution.status is Status.LIMIT_MISSED:
         return replace(solution, violations=violations)
-    worst = max(violations.values(), key=lambda v: v.value, default=None)
-    missed = worst if worst is not None and worst.value > solver.settings.feasibility else None
     if solution.status is Status.CONVERGED:
         status, detail = _converged(solver, violations)
     elif solution.status is Status.DIVERGED and not (missed and _multipliers_diverged(solution)):
@@ -54,14 +53,27 @@ def _not_finite(solver: Solver) -> str:
     return f"{found or 'the step'}; no term looks at input '{free[0]}'" if free else found
 
 
+def _must_hold(problem: Transcription, term: Any) -> bool:
+    """Whether a constraint is to be met exactly. Relaxed barriers are wishes, and so are rows that a compliance softens (those of
+    the Riccati recursion): no problem is infeasible because of them."""
+    if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
+        return term.hard or isinstance(term.penalty, AugmentedLagrangian)
+    return term.compliance == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
+
+
+def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
+    """The largest violation of what must hold, where it is above the tolerance."""
+    exact = [v for name, v in violations.items() if _must_hold(solver.problem, solver.problem.ocp.terms[name])]
+    worst = max(exact, key=lambda v: v.value, default=None)
+    return worst if worst is not None and worst.value > solver.settings.feasibility else None
+
+
 def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status, str]:
     """Hard limits that gave way, and rows whose numbers are so small that meeting them means nothing."""
     problem, ws = solver.problem, solver.ws
     for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
         term: Any = problem.ocp.terms[name]
-        multiplier = isinstance(term.penalty, AugmentedLagrangian)
-        exact = term.hard or multiplier or (term.equality and term.compliance == 0.0)
-        if not exact or found.value < 1e-10:
+        if not _must_hold(problem, term) or found.value < 1e-10:
             continue
         if term.hard and found.value > RELAXED:
             return Status.RELAXED, str(found)
@@ -82,13 +94,15 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     outside = certificate.not_finite_trial(problem, ws) if status is Status.NO_STEP else ""
     if outside:
         return status, f"a step further {outside} is not finite"
-    if not missed and _unmet(solution)[-1] <= feasibility:
+    unmet = _unmet(solver, solution, missed)
+    if not missed and unmet[-1] <= feasibility:
         step = certificate.largest_step(problem, ws)
         return status, f"largest step: {step}" if step and solver.settings.certify else ""
     gap, where = certificate.largest_gap(problem, ws, solver.x0)
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
-    if _stuck(solution):
+    held_up = not missed and (problem.compliance > 0.0).any()  # by wishes: the merit has them among the violations
+    if not held_up and (solution.status is Status.NO_STEP or _stuck(unmet, feasibility)):
         status = Status.INFEASIBLE
     if missed:
         return status, f"largest violation: {missed}"
@@ -124,13 +138,21 @@ def _multipliers_diverged(solution: Solution) -> bool:
     return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]], np.abs(solution.x).max()) < HUGE
 
 
-def _unmet(solution: Solution) -> np.ndarray:
-    """Per iteration: gaps, equalities and hard rows (1-norm), or the largest residual of a row with a multiplier."""
-    return np.maximum(solution.log[:, COLUMNS["violation"]], solution.log[:, COLUMNS["inequality"]])  # type: ignore[no-any-return]
+def _violation(solver: Solver, solution: Solution, missed: Violation | None) -> np.ndarray:
+    """Per iteration: gaps, equalities and hard rows (1-norm), without the equalities that a compliance softens.
+
+    The log has one number for all equalities. Where only some are soft, what is left is theirs unless something is ``missed``.
+    """
+    soft, log = solver.problem.compliance > 0.0, solution.log
+    wished = soft.any() and (soft.all() or missed is None)
+    return log[:, COLUMNS["violation"]] - (log[:, COLUMNS["equality"]] if wished else 0.0)  # type: ignore[no-any-return]
 
 
-def _stuck(solution: Solution) -> bool:
-    """Whether the violation has not halved over the second half of the iterations."""
-    unmet = _unmet(solution)
-    slow = len(unmet) >= 10 and unmet[-1] > 0.5 * unmet[len(unmet) // 2]
-    return solution.status is Status.NO_STEP or bool(slow)
+def _unmet(solver: Solver, solution: Solution, missed: Violation | None) -> np.ndarray:
+    """Per iteration: as :func:`_violation`, or the largest residual of a row with a multiplier."""
+    return np.maximum(_violation(solver, solution, missed), solution.log[:, COLUMNS["inequality"]])  # type: ignore[no-any-return]
+
+
+def _stuck(unmet: np.ndarray, feasibility: float) -> bool:
+    """Whether a violation has not halved over the second half of the iterations; what is met is only rounding."""
+    return bool(len(unmet) >= 10 and unmet[-1] > max(0.5 * unmet[len(unmet) // 2], feasibility))
