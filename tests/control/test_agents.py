@@ -384,3 +384,15 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
     np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
     assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)
+
+
+def test_a_measurement_later_than_all_known_torques_counts_as_from_the_first() -> None:
+    """A machine that stalls hands over what is 0.2 s old at 400 Hz: 64 torques are known. Truth: the torques at the start."""
+    agent = ball_agent(observer=True)
+    agent.measure(RezeroMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
+    x = 0.2 * np.ones(2 * N)
+    agent.measure(RezeroMeasurement(1.0, x, 1000 * PERIOD))
+    expected = x
+    for _ in range(63):
+        expected = linear_step(expected, np.zeros(TORQUES), PERIOD)
+    np.testing.assert_allclose(agent.state(), expected)

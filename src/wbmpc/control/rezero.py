@@ -76,8 +76,9 @@ class RezeroAgent:
         return {"disturbance": self.disturbance}
 
     def _late(self) -> int:
+        """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return round(self.measured.age / self.period)
+        return min(round(self.measured.age / self.period), len(self._torques) - 1)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""

@@ -86,9 +86,6 @@ class BusBallAgent(RezeroAgent):
             disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
         return {"disturbance": disturbance, "force": force}
 
-    def _late(self) -> int:
-        return min(super()._late(), len(self._torques) - 1)
-
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the policy, or of the hold that it has become."""
         policy = plans.current

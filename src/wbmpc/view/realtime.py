@@ -110,11 +110,14 @@ class RealtimeView(Window):
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
                 time.sleep(_LOOK)
+            self.say(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
-        reason = "begun anew in the view" if self.wants_reset else "ended in the view"
-        reason = runner.state if runner.stopped else reason
-        self.say(f"The run is over: {reason}")
-        return reason
+        return self._reason(runner)
+
+    def _reason(self, runner: Runner) -> str:
+        if runner.stopped:
+            return runner.state
+        return "begun anew in the view" if self.wants_reset else "ended in the view"
 
 
 class _Robot:
