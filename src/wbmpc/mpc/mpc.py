@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
@@ -93,6 +93,8 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
+        #: hard bounds of the inputs, which all policies hold
+        self.limits = InputLimits(*self.solver.problem.input_bounds())
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -160,7 +162,7 @@ class MPC:
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
-        self._policy = Policy.of(solution, observation.t)
+        self._policy = Policy.of(solution, observation.t, self.limits)
         return self._policy
 
     @property

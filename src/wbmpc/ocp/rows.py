@@ -284,6 +284,23 @@ def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
     return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
+def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+    """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
+    nx, z = x.shape[0], ca.vertcat(x, u)
+    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
+    for expression, row in zip(place.expressions, place.general, strict=True):
+        found = _selection(expression, z) if row.kind is Kind.HARD else None
+        hard += found or []
+    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
+    for index, slope, offset in hard:  # slope z + offset ≥ 0
+        i, bound = index - nx, -offset / slope
+        if i >= 0 and slope > 0.0:
+            lower[i] = max(lower[i], bound)
+        elif i >= 0:
+            upper[i] = min(upper[i], bound)
+    return lower, upper
+
+
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
     """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
     jacobian = ca.jacobian(r, z)

@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.ocp.rows import BoxRow, Place, curved_in_inputs, depends, equality_rows, inequality_rows
+from wbmpc.ocp.rows import BoxRow, Place, curved_in_inputs, depends, equality_rows, inequality_rows, input_bounds
 from wbmpc.ocp.schedule import ModeSchedule
 from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
@@ -149,6 +149,10 @@ class Transcription:
     def terminal_boxes(self) -> list[BoxRow]:
         """Relaxed barriers on single states at the end."""
         return self.end.barriers
+
+    def input_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(lower, upper) (nu): bounds of single inputs by hard constraints that count in all modes; infinite where there is none."""
+        return input_bounds(self.path, self.x, self.u)
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""
