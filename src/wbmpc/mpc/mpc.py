@@ -201,7 +201,9 @@ class MPC:
             elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
-        self.fault = self._find_fault()
+        before, self.fault = self.fault, self._find_fault()
+        if self.fault and not before:  # the first of a row of them
+            _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 
     def _count_events(self, t: float) -> None:
@@ -237,8 +239,8 @@ class MPC:
         status, ws = self.solver.status(self._outcome[0]), self.solver.ws
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
-        if status is Status.LIMIT_MISSED:
-            return f"{status.value} ({self.solver.missed_limit()})"
+        if status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
+            return f"{status.value} ({self.solver.missed(status)})"
         parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
         bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
         return f"failed: the {bad[0]} is not finite" if bad else ""

@@ -322,16 +322,19 @@ class Runner:
         policy, s = self.plans.current, self.settings
         if policy is None:
             if due > s.patience + _ROUNDING:
-                failed = int(self.board["failures"])
-                raise SafeStop(f"no policy within {s.patience:g} s ({failed} solves failed)")
+                raise SafeStop(f"no policy within {s.patience:g} s ({self._failed()})")
             return False
         assert isinstance(policy, TimedPolicy)
         limit = s.max_policy_age or policy.end - float(policy.times[0])
         age = due - policy.valid_from
         if age > limit + _ROUNDING:
-            failed = int(self.board["failures"])
-            self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
+            self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({self._failed()})")
         return True
+
+    def _failed(self) -> str:
+        """How many solves failed, and why the last one that did."""
+        why = self.board.text
+        return f"{int(self.board['failures'])} solves failed{', the last one: ' if why else ''}{why}"
 
     # ------------------------------------------------------------------ stop
     def halt(self, reason: str, error: BaseException | None = None) -> None:

@@ -90,6 +90,8 @@ class Worker:
         self.board.sample("solve_time", self.mpc.solve_time)
         if not usable:
             self.board.count("failures")
+            if self.mpc.fault:
+                self.board.text = self.mpc.fault
             self._recover()
         return usable
 

@@ -151,7 +151,7 @@ class Transcription:
         return self.end.barriers
 
     def input_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """(lower, upper) (nu): bounds of single inputs by hard constraints that count in all modes; infinite where there is none."""
+        """(lower, upper) (nu): bounds of single inputs by hard constraints of all modes; infinite where there is none."""
         return input_bounds(self.path, self.x, self.u)
 
     def with_input(self, term: Constraint) -> np.ndarray:

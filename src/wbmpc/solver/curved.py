@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.rows import Kind
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, compiled
 from wbmpc.solver.exact import clear_second, stage_with
 from wbmpc.solver.lanes import load_block, stage_lanes, take_rows_of_lane, unpack
@@ -21,8 +20,6 @@ from wbmpc.solver.places import (
     AB,
     BEST,
     CHAINED,
-    COUNTS_FIRST,
-    GIVEN_WAY,
     GRID,
     HOLD,
     LAGRANGIAN,
@@ -32,8 +29,6 @@ from wbmpc.solver.places import (
     LANE_X,
     LANES_ROWS_J,
     LZ,
-    MISSED,
-    MOST_AT,
     MU,
     NP,
     NU,
@@ -61,22 +56,16 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import collect_values, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.row_table import bounds_inputs, entry, node_rows, row_penalty, tell_outside
+from wbmpc.solver.rows import collect_values
 from wbmpc.solver.stages import row_index
 
-HARD = int(Kind.HARD)
 #: Corrections of a node's inputs at most. A circle takes five from three times its radius, rows at acute angles many.
 CORRECTIONS = 30
 #: Where corrections aim [units of the rows], so that they end inside.
 INSIDE = 1e-6
 #: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
 LEAST_SHARE = 0.1
-
-
-@compiled(BOOL, NUMS, INTS, INT)
-def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
-    """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
-    return kind_of(m, o, r) == HARD and m[entry(o, COUNTS_FIRST, r)] > 0.0
 
 
 @compiled(BOOL, NUMS, INTS, INT)
@@ -192,18 +181,6 @@ def correct(m, o, k, share):  # type: ignore[no-untyped-def]
 
 
 @compiled(NONE, NUMS, INTS, INT)
-def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
-    """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
-    _, boxes, general = node_rows(o, k)
-    for j in range(boxes + general):
-        if bounds_inputs(m, o, j):
-            place, by = o[STATE] + (GIVEN_WAY if row_penalty(m, o, j) < np.inf else MISSED), -m[o[ROW_TRIAL] + j]
-            if by > max(m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY]):
-                m[o[STATE] + MOST_AT] = k * o[ROWS] + j
-            m[place] = max(m[place], by)
-
-
-@compiled(NONE, NUMS, INTS, INT)
 def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
     """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
     nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[BEST], np.inf, 1.0
@@ -254,9 +231,3 @@ def follow(m, o, k, alpha):  # type: ignore[no-untyped-def]
         for i in range(nu):
             total += m[row + nx + 1 + i] * (m[u + i] - m[last + i])
         m[x + nx + r] = total
-
-
-@compiled(NONE, NUMS, INTS)
-def forget_outside(m, o):  # type: ignore[no-untyped-def]
-    """Nothing is known to be outside."""
-    m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY] = 0.0, 0.0

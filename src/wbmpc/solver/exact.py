@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.rows import Kind
 from wbmpc.solver.compilation import INT, INTS, NONE, NUM, NUMS, call2, compiled
 from wbmpc.solver.places import (
     AB,
@@ -51,10 +50,8 @@ from wbmpc.solver.places import (
     W,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import counts, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.row_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
 from wbmpc.solver.stages import row_index
-
-HARD, MULTIPLIER = int(Kind.HARD), int(Kind.MULTIPLIER)
 
 
 @compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)

@@ -34,7 +34,7 @@ def verdict(solver: Solver, solution: Solution) -> Solution:
         solution = replace(
             solution, status=Status.INFEASIBLE
         )  # the iterate is finite, the step to the constraints is not
-    if solution.status is Status.LIMIT_MISSED:
+    if solution.status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
         return replace(solution, violations=violations)
     if solution.status is Status.CONVERGED:
         status, detail = _converged(solver, violations)
