@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM6, NUMS, compiled
-from wbmpc.solver.line_search import longest_step, roll_out, search, take
+from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.places import (
     CERTIFY,
     COST,
@@ -181,14 +181,14 @@ def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: 
     return last_residual, changed
 
 
-@compiled(INT, NUMS, INTS, NUMS)
-def verdict_at_the_limit(m, o, s):  # type: ignore[no-untyped-def]
-    """Status of a solve that has done its iterations: in real time of a plan that is to be used."""
+@compiled(INT, NUMS, INTS, NUMS, INT)
+def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
+    """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
         return LIMIT_MISSED
     if s[KEEP] > 0.0 and o[NG] > 0 and first_equalities(m, o) > s[EQUALITY_BOUND]:
         return EQUALITY_MISSED
-    return ITERATION_LIMIT
+    return status
 
 
 @compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
@@ -241,7 +241,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
                 continue
             m[state + SHIFT] = max(10.0 * shift, 1e-4)
             if m[state + SHIFT] > s[LARGEST_SHIFT]:
-                return NO_STEP, it
+                if s[KEEP] > 0.0:  # the trial point that is looked at is to be the iterate
+                    trial(m, o, x0, 0.0, False)
+                return verdict_at_the_limit(m, o, s, NO_STEP), it
             continue
         m[state + SHIFT], m[state + THETA] = (
             0.2 * shift if shift > 1e-6 else 0.0,
@@ -263,4 +265,4 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         elif it == limit and m[state + MISSED] > LIMIT_TOLERANCE and s[KEEP] > 0.0 and hold + o[NG] == 0.0:
             hold, limit = 2.0, limit + 1  # a last time, with inputs held within the rows
             m[state + HOLD] = hold
-    return verdict_at_the_limit(m, o, s), it
+    return verdict_at_the_limit(m, o, s, ITERATION_LIMIT), it

@@ -142,7 +142,7 @@ class InterpretedSolver(InterpretedDirections):
 
     def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
         """(status, iterations); the settings ``c`` by name."""
-        from wbmpc.solver.driver import NOT_FINITE
+        from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
         run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold), 0.0
         while run.count < run.limit:
@@ -165,7 +165,7 @@ class InterpretedSolver(InterpretedDirections):
             ended = self._iteration(x0, s, c, cost, violation, row, run)
             if ended is not None:
                 return ended, run.count
-        return self._status_at_the_limit(c), run.count
+        return self._status_at_the_limit(c, ITERATION_LIMIT), run.count
 
     def _iteration(
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, row: np.ndarray, run: _Progress
@@ -203,7 +203,10 @@ class InterpretedSolver(InterpretedDirections):
                 self.hold = 0
                 return None
             run.shift = max(10.0 * run.shift, 1e-4)
-            return NO_STEP if run.shift > c.largest_shift else None
+            if run.shift > c.largest_shift:
+                self._watch(c)
+                return self._status_at_the_limit(c, NO_STEP)
+            return None
         run.shift = 0.2 * run.shift if run.shift > 1e-6 else 0.0
         error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
         self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual), run)
@@ -276,14 +279,14 @@ class InterpretedSolver(InterpretedDirections):
         for k, rows in enumerate(self.own[:-1]):
             self._tell_outside(k, rows, self._rows(k, self.ws.x[k], self.ws.u[k]))
 
-    def _status_at_the_limit(self, c: Any) -> int:
-        from wbmpc.solver.driver import EQUALITY_MISSED, ITERATION_LIMIT, LIMIT_MISSED
+    def _status_at_the_limit(self, c: Any, status: int) -> int:
+        from wbmpc.solver.driver import EQUALITY_MISSED, LIMIT_MISSED
 
         if self.ws.state[MISSED] > LIMIT_TOLERANCE:
             return LIMIT_MISSED
         if c.keep_multipliers and self._first_equalities() > c.equality_bound:
             return EQUALITY_MISSED
-        return ITERATION_LIMIT
+        return status
 
     def _first_equalities(self) -> float:
         """As first_equalities of the compiled solver, with the rows' slopes at the plan itself."""
