@@ -14,12 +14,14 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, compiled
-from wbmpc.solver.exact import clear_second, stage_with
+from wbmpc.solver.exact import clear_second, costate_node, stage_with
 from wbmpc.solver.lanes import load_block, stage_lanes, take_rows_of_lane, unpack
 from wbmpc.solver.places import (
     AB,
+    BENT,
     BEST,
     CHAINED,
+    EPS,
     GRID,
     HOLD,
     LAGRANGIAN,
@@ -30,6 +32,7 @@ from wbmpc.solver.places import (
     LANES_ROWS_J,
     LZ,
     MU,
+    NG,
     NP,
     NU,
     NU_ROWS,
@@ -107,22 +110,103 @@ def semidefinite(m, o):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def add_curvature(m, o, k, matrix):  # type: ignore[no-untyped-def]
-    """−w l ∇²h by the inputs of node k's hard rows onto its Hessian, where that is positive semidefinite."""
+@compiled(NONE, NUMS, INTS, INT)
+def hard_multipliers(m, o, k):  # type: ignore[no-untyped-def]
+    """−l of node k's general hard rows of the inputs to ``signed``, 0 for the others and for equalities."""
     _, boxes, general = node_rows(o, k)
-    nx, nu, lz = o[NX], o[NU], o[LZ]
     for j in range(general):
         hard = bounds_inputs(m, o, boxes + j)
         m[o[SIGNED] + j] = -m[o[ROW_L] + k * o[ROWS] + boxes + j] if hard else 0.0
     m[o[SMALL] + 2] = m[o[GRID] + k + 1] - m[o[GRID] + k]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+    """Second derivatives by the inputs of node k's rows, times their multipliers, onto its Hessian, where the subproblem stays
+    convex. ``rows``: where its equality rows are."""
+    nx, nu, lz = o[NX], o[NU], o[LZ]
+    if o[BENT] > 0:
+        costate_node(m, o, k, rows)
+    else:
+        hard_multipliers(m, o, k)
     clear_second(m, o)
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
-    if semidefinite(m, o):
+    share, along = 1.0, 0.0
+    if not semidefinite(m, o):
+        along = steepness(m, o, rows) if o[BENT] > 0 else 0.0
+        share = largest_share(m, o, matrix, rows, along)
+    if share == 0.0:
+        return
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, nx + 1 + nu):
+            m[matrix + i * lz + j] += share * m[o[SECOND] + i * lz + j]
+    if along > 0.0:
+        add_along(m, o, matrix, rows, along)
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def steepness(m, o, rows):  # type: ignore[no-untyped-def]
+    """c for c Eᵀ E of the equality rows E: ten times the size of ``second`` across the least of the rows."""
+    nx, nu, lz, size, least = o[NX], o[NU], o[LZ], 0.0, np.inf
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, i + 1):
+            size += m[o[SECOND] + i * lz + j] ** 2
+    for q in range(o[NG]):
+        square = 0.0
         for i in range(nx + 1, nx + 1 + nu):
-            for j in range(nx + 1, nx + 1 + nu):
-                m[matrix + i * lz + j] += m[o[SECOND] + i * lz + j]
+            square += m[rows + q * lz + i] ** 2
+        if square > 1e-12 and m[o[EPS] + q] <= 1e-13:
+            least = min(least, square)
+    return 10.0 * np.sqrt(size) / least
+
+
+@compiled(NUM, NUMS, INTS, INT, INT, NUM)
+def largest_share(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """Largest share of ``second`` with which the node's Hessian by the inputs stays positive definite where equalities let them
+    move: with ``along`` Eᵀ E, which does not change the step, since E is zero along it."""
+    share = 1.0 if along > 0.0 else 0.0
+    while share > 0.01:
+        if definite(m, o, matrix, rows, share, along):
+            return share
+        share *= 0.5
+    return 0.0
+
+
+@compiled(BOOL, NUMS, INTS, INT, INT, NUM, NUM)
+def definite(m, o, matrix, rows, share, along):  # type: ignore[no-untyped-def]
+    """Whether the inputs' block of the Hessian + share second + along Eᵀ E is safely positive definite."""
+    nu, lz, first, chained = o[NU], o[LZ], o[NX] + 1, o[CHAINED]
+    for a in range(nu):
+        for b in range(a + 1):
+            i = (first + a) * lz + first + b
+            total = m[matrix + i] + share * m[o[SECOND] + i]
+            for q in range(o[NG]):
+                if m[o[EPS] + q] <= 1e-13:
+                    total += along * m[rows + q * lz + first + a] * m[rows + q * lz + first + b]
+            least = 0.1 * m[matrix + i] if a == b else 0.0
+            for c in range(b):
+                total -= m[chained + a * lz + c] * m[chained + b * lz + c]
+            if a == b:
+                if not total > least:
+                    return False
+                total = np.sqrt(total)
+            else:
+                total /= m[chained + b * lz + b]
+            m[chained + a * lz + b] = total
+    return True
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, NUM)
+def add_along(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """along [C e D]ᵀ [C e D] of the exact equality rows onto the matrix of the extended node vector."""
+    nz, lz = o[NX] + 1 + o[NU], o[LZ]
+    for q in range(o[NG]):
+        if m[o[EPS] + q] <= 1e-13:
+            row = rows + q * lz
+            for i in range(nz):
+                for j in range(nz):
+                    m[matrix + i * lz + j] += along * m[row + i] * m[row + j]
 
 
 # ---------------------------------------------------------------------- inputs within the true rows

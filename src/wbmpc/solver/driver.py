@@ -206,7 +206,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         it += 1
         if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
             known = np.isfinite(cost) and np.isfinite(violation)
-            if it < limit and known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
+            log[row + 2] = np.nan
+            if known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
                 continue
             return NOT_FINITE, it
         if abs(cost) > HUGE or largest > HUGE:
@@ -241,7 +242,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
                 continue
             m[state + SHIFT] = max(10.0 * shift, 1e-4)
             if m[state + SHIFT] > s[LARGEST_SHIFT]:
-                if s[KEEP] > 0.0:  # the trial point that is looked at is to be the iterate
+                if s[KEEP] > 0.0 and rows:  # the trial point that is looked at is to be the iterate
                     trial(m, o, x0, 0.0, False)
                 return verdict_at_the_limit(m, o, s, NO_STEP), it
             continue

@@ -10,7 +10,7 @@ from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
 (ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY, CURVED) = range(20, len(_w.DIMENSIONS))
+(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))

@@ -15,7 +15,7 @@ from wbmpc.solver.barriers import (
 )
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
 from wbmpc.solver.curved import add_curvature
-from wbmpc.solver.exact import exact_end, exact_node
+from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.lanes import (
     linearise_dynamics,
     load_block,
@@ -27,6 +27,7 @@ from wbmpc.solver.lanes import (
 from wbmpc.solver.places import (
     AB,
     BASE,
+    BENT,
     CURVED,
     DU,
     DX,
@@ -96,7 +97,9 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
     linearise_dynamics(m, o, first, count)
-    if o[ROW_GENERAL] + o[EXACT] > 0:  # rows and second derivatives add where the cost's functions write nothing
+    if (
+        o[ROW_GENERAL] + o[EXACT] + o[BENT] > 0
+    ):  # rows and second derivatives add where the cost's functions write nothing
         for i in range(count * size):
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
@@ -148,8 +151,8 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
-    elif o[CURVED] > 0:
-        add_curvature(m, o, k, matrix)
+    elif o[CURVED] + o[BENT] > 0:
+        add_curvature(m, o, k, matrix, rows)
     m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
@@ -171,6 +174,8 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     m[o[STATE] + ROW_COST] = row_cost
     if o[EXACT] > 0:
         exact_end(m, o, end)
+    elif o[BENT] > 0:
+        costate_end(m, o)
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):
