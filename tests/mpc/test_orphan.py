@@ -50,6 +50,7 @@ def runs(process: int) -> bool:
         return False
 
 
+@pytest.mark.wallclock
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_it_ends_when_the_parent_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
