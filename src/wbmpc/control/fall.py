@@ -23,18 +23,24 @@ class FallForecast:
         balance = Balance.of(robot, arm)
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
-        offset = load_offset(robot.base, x[:n])
+        w = ca.SX.zeros(robot.parameters.size)
+        mass = ca.SX.sym("mass")
+        if "payload" in robot.parameters:
+            w[robot.parameters["payload"]] = mass
+        offset = load_offset(robot.base, x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole
-        self._component = ca.Function("component", [x], [component])
+        self._component = ca.Function("component", [x, mass], [component])
         self._seen: Policy | None = None
 
-    def look(self, policy: Policy) -> None:
-        """Take in the plan in force (the same one again changes nothing)."""
+    def look(self, policy: Policy, payload: float = 0.0) -> None:
+        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it."""
         if policy is self._seen:
             return
         self._seen = policy
         most = float(
-            np.linalg.norm(np.array(self._component(policy.x[1:, : self._component.size1_in(0)].T)), axis=0).max()
+            np.linalg.norm(
+                np.array(self._component(policy.x[1:, : self._component.size1_in(0)].T, payload)), axis=0
+            ).max()
         )
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:

@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.control.fall import FallForecast
 from wbmpc.errors import NotFinite
-from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
+from wbmpc.estimation import DisturbanceObserver, PayloadEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
@@ -21,7 +21,8 @@ _ROUNDING = 1e-9
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
-    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
+    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated, and the mass at
+    the hand where the model has it as a parameter;
     ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
     when the plans say that the robot will fall.
     ``clamped``: whether the last command was cut to the drives' limits.
@@ -41,6 +42,7 @@ class RezeroAgent:
         if observer:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
+        self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
@@ -61,9 +63,17 @@ class RezeroAgent:
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None:
             return
-        past = self._torques[-1 - self._late()]
-        self.disturbance = self._finite(self.observer.update(measurement.time, measurement.state, past, self.period))
+        self._learn(measurement.time, measurement.state, self.period)
         self.mpc.solver.set_parameters(self.parameters())
+
+    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
+        observer, n = self.observer, self.robot.base.nq
+        assert observer is not None
+        observer.update(t, x, self._torques[-1 - self._late()], h)
+        if self.payload is not None:
+            observer.force = self.payload.update(x[:n], observer.force, observer.learning * h)
+        self.disturbance = self._finite(observer.force)
 
     @staticmethod
     def _finite(disturbance: np.ndarray) -> np.ndarray:
@@ -73,7 +83,8 @@ class RezeroAgent:
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
-        return {"disturbance": self.disturbance}
+        own = {"disturbance": self.disturbance}
+        return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
@@ -127,7 +138,7 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current)
+            self.forecast.look(plans.current, self.payload.mass if self.payload else 0.0)
         self.feedforward, self.wanted = self._law(t, self.state(), plans.current, acts=True)
         return self._drive(self._possible(self.wanted))
 

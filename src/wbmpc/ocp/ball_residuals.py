@@ -54,7 +54,7 @@ class CapturePoint:
 
     def __call__(self, s: Symbols) -> ca.SX:
         n = self.robot.base.nq
-        offset = load_offset(self.robot.base, s.x[:n])
+        offset = load_offset(self.robot.base, s.x[:n], s.parameters)
         slope = ca.jacobian(offset, s.x[:n])
         angles = np.pi * np.arange(self.directions) / self.directions
         along = np.round([np.cos(angles), np.sin(angles)], 15).T  # exact zeros
@@ -64,7 +64,7 @@ class CapturePoint:
 @dataclass(frozen=True)
 class JointEffort:
     """What drives a ball robot's arm joints (n) [N m]: torques beyond those that hold the arm at rest in its present pose,
-    contacts and estimated disturbance included. Zero in every equilibrium, so that its cost moves none."""
+    contacts, payload and estimated disturbance included. Zero in every equilibrium, so that its cost moves none."""
 
     robot: RobotModel
     groups: Mapping[str, slice] = field(init=False, repr=False)
@@ -80,8 +80,8 @@ class JointEffort:
 
     def __call__(self, s: Symbols) -> ca.SX:
         base, n = self.robot.base, self.robot.base.nq
-        rest = ca.SX(n, 1)
-        net = base.generalised_force(s.x[:n], s.u, s.parameters) - base.inverse_dynamics(s.x[:n], rest, rest)
+        rest, w = ca.SX(n, 1), s.parameters
+        net = base.generalised_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
         return net[n - self.size :]
 
 
