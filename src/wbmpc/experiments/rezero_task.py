@@ -53,7 +53,7 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 class RezeroSettings(ExperimentSettings):
     """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
-    ``drive_lag`` [s] that the controller assumes;
+    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
     with its gains (``rival``); ``tracking`` of the MPC's plans."""
@@ -63,6 +63,7 @@ class RezeroSettings(ExperimentSettings):
     observer: bool = True
     weigh: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"
@@ -128,6 +129,11 @@ def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: n
     mpc.reference["torque"] = Reference.constant(torque)
 
 
+def robot_of(settings: RezeroSettings) -> RobotModel:
+    """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
+    return load_robot("rezero", payload=settings.weigh and settings.observer and settings.controller == "mpc")
+
+
 def run_task(
     name: str,
     settings: RezeroSettings,
@@ -140,7 +146,7 @@ def run_task(
     before: Callable[[MPC, Timing, float], None] | None = None,
 ) -> RunResult:
     """One run: the MPC of the settings, a perturbed plant, the estimator in the loop. ``before`` is called at every tick."""
-    robot = load_robot("rezero", payload=settings.weigh and settings.observer and settings.controller == "mpc")
+    robot = robot_of(settings)
     home, torque = robot.equilibrium(task.arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
