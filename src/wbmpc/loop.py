@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -99,6 +99,14 @@ class Watch:
     def __call__(self, fraction: float, note: str) -> None:
         if self.progress is not None:
             self.progress(fraction, note)
+
+
+def part_of(progress: Progress | None, k: int, names: Sequence[str]) -> Progress | None:
+    """The progress of the k-th of the parts ``names`` of a run; watchers come along."""
+    if progress is None:
+        return None
+    part = lambda fraction, note: progress((k + fraction) / len(names), f"{names[k]}: {note}")
+    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
 
 
 @contextmanager

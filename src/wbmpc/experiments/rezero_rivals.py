@@ -124,7 +124,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MP
         more = (*own, FallForecast(p.robot, p.arm))
         if settings.tracking.kind == "actuators":
             return TrackingAgent(*more, gains=ActuatorGains(**settings.tracking.gains.model_dump())), p.mpc
-        return RezeroAgent(*more), p.mpc
+        return RezeroAgent(*more, dead_time=settings.drive_dead_time), p.mpc
     if name == "taskspace":
         return _taskspace(settings, p), None
     if name in ("lqr", "scheduled-lqr"):
