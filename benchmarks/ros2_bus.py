@@ -202,11 +202,11 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     recorder, way = Recorder(bus.node), sine(settings)
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
-    bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 20.0)
+    bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 60.0)
     begin = recorder.time
     bus.wait_for(lambda: recorder.time - begin > rest and all(map(_matched, (goal, *paths.values()))), 60.0 + rest)
     goal.publish({"header": header(0.0, "odom")})  # to stay: in lockstep time then passes as fast as the commands come
-    bus.wait_for(lambda: "running" in bus.said, 30.0)
+    bus.wait_for(lambda: "running" in bus.said, 60.0)
     start = recorder.time + LEAD
     t = np.arange(0.0, way.end + 0.5, 0.02)
     s, _ = way.arc(t)
@@ -215,7 +215,7 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
         path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
     )
     paths["hand"].publish(path(start, "odom", hand_of(way, t), np.tile(HAND_ORIENTATION, (t.size, 1)), start + t))
-    bus.wait_for(lambda: "path" in bus.said, 30.0)
+    bus.wait_for(lambda: "path" in bus.said, 60.0)
     bus.wait_for(lambda: recorder.time > start + way.end + 0.4 or "stopped" in bus.said, 600.0)
     if "running" not in bus.said:
         raise RuntimeError(f"{bus.said}\n{bus.output()}")
@@ -247,7 +247,7 @@ def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> S
     schedule, lift = Schedule.of(settings, robot), np.array([0.0, 0.0, robot.base.radius])
     recorder, node = Recorder(bus.node), bus.node
     goal = node.publisher("/hand_path", "nav_msgs/msg/Path", DEFAULT)
-    bus.wait_for(lambda: recorder.rows["base"] and _matched(goal), 30.0)
+    bus.wait_for(lambda: recorder.rows["base"] and _matched(goal), 60.0)
     # the robot is held until it is commanded: the path's first moment is when it starts
     times, positions, turned = [0.0], [schedule.positions[0]], [schedule.quaternions[0]]
     for k in range(1, schedule.times.size):
@@ -311,7 +311,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     bus.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", take("state"), many)
     time.sleep(1.0)  # both ends know each other
     send()
-    bus.wait_for(lambda: bus.said.startswith("running"), 30.0)
+    bus.wait_for(lambda: bus.said.startswith("running"), 60.0)
     gc.collect()
     gc.disable()
     if fifo:  # the watch is not to be late itself
@@ -344,7 +344,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
 def drive(bus: Bus, seconds_: float) -> Callable[[], None]:
     """A goal for the base that takes as long."""
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
-    bus.wait_for(lambda: _matched(goal), 10.0)
+    bus.wait_for(lambda: _matched(goal), 60.0)
     return lambda: goal.publish({"header": header(0.0, "odom"), "pose": {"position": {"x": 0.3 * seconds_}}})
 
 
@@ -353,7 +353,7 @@ def balance(bus: Bus) -> Callable[[], None]:
     robot = load_robot("rezero")
     position, turned = robot.pose(robot.home)
     goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")
-    bus.wait_for(lambda: _matched(goal), 10.0)
+    bus.wait_for(lambda: _matched(goal), 60.0)
     at = pose(position + [0.2, 0.0, robot.base.radius], turned)
     return lambda: goal.publish({"header": header(0.0, "odom"), "pose": at})
 

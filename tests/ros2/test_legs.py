@@ -52,7 +52,7 @@ def angles(s: Any) -> np.ndarray:
 def ask(s: Any, values: dict[str, Any]) -> Any:
     """Call the service while the node goes on."""
     answers: list[Any] = []
-    call = lambda: answers.append(s.other.call("/set_legs", SET_LEGS, values, 20.0))
+    call = lambda: answers.append(s.other.call("/set_legs", SET_LEGS, values, 60.0))
     thread = threading.Thread(target=call)
     thread.start()
     assert s.until(lambda: answers)
@@ -71,7 +71,7 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     assert s.until(lambda: s.sim.plant.brakes.engaged[1] == 0.0), s.control.state
     assert np.array_equal(s.sim.plant.brakes.engaged[[0, 2, 3]], [1.0, 1.0, 1.0])
     wanted = np.where(np.array(LEGS) == "leg_RF", -0.65, home)
-    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s), 30.0), (angles(s), s.control.state)
+    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s)), (angles(s), s.control.state)
     s.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
     assert s.until(lambda: s.sim.plant.brakes.engaged[2] == 0.0)
     np.testing.assert_array_equal(s.sim.plant.brakes.engaged, [1.0, 1.0, 0.0, 1.0])

@@ -43,6 +43,7 @@ def made() -> Iterator[Callable[..., Any]]:
         s.close()
 
 
+@pytest.mark.wallclock
 def test_stamps_of_real_time_are_the_physics_whenever_messages_go_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole periods between stamps, though the process sleeps now and then; what is later than 50 ms is let go, once."""
     node = open_node("robot", "dds", NETWORK)
@@ -85,7 +86,7 @@ def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any]) -> N
     goal = ROBOT.pose(ROBOT.home)[0] + [0.1, 0.0, 0.05]
     s.hand(dx=0.1, dz=0.05)
     away = lambda: float(np.linalg.norm(s.truth().tool - goal))
-    assert s.until(lambda: s.control.running and away() < 0.01, 40.0), (away(), s.control.state)
+    assert s.until(lambda: s.control.running and away() < 0.01), (away(), s.control.state)
     assert list(got["/arm/joint_trajectory"].joint_names) == list(ARM)
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in got["/arm/joint_trajectory"].points]
     assert times[0] > 0.0 and times[-1] < 0.5 and np.all(np.diff(times) > 0.0)

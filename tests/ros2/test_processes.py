@@ -25,7 +25,7 @@ SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, rest=REST)
 
 @pytest.fixture(scope="module")
 def bus() -> Iterator[Any]:
-    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 0.5}}) as opened:
+    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 3.0}}) as opened:
         yield opened
 
 
@@ -40,18 +40,18 @@ def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
     there = lambda: recorder.rows["base"][-1][1]
 
     def go(x: float) -> None:
-        bus.wait_for(lambda: goal._writer.get_matched_subscriptions(), 10.0)
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions(), 60.0)
         start = there()
         goal.publish({"header": {"frame_id": "base_link"}, "pose": {"position": {"x": x}}})
-        bus.wait_for(lambda: abs(there() - start) > 0.1, 30.0)
+        bus.wait_for(lambda: abs(there() - start) > 0.1, 60.0)
 
-    bus.wait_for(lambda: recorder.rows["base"], 10.0)
+    bus.wait_for(lambda: recorder.rows["base"], 60.0)
     go(2.0)
     bus.control.kill()
     bus.control.wait()
-    bus.wait_for(lambda: "the robot stops" in bus.output(), 20.0)
+    bus.wait_for(lambda: "the robot stops" in bus.output(), 60.0)
     stopped_at = len(recorder.rows["base"])
-    bus.wait_for(lambda: len(recorder.rows["base"]) > stopped_at + 60, 20.0)
+    bus.wait_for(lambda: len(recorder.rows["base"]) > stopped_at + 60, 60.0)
     assert bus.output().count("no commands on /") == 1
     rows = np.array(recorder.rows["base"])[-20:]
     assert np.ptp(rows[:, 1:3], axis=0).max() < 1e-3
@@ -61,7 +61,7 @@ def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
     bus.wait_for(lambda: bus.said == "waiting for a goal", 60.0)
     go(-2.0)
     bus.sim.kill()
-    bus.wait_for(lambda: "the time on /clock has stopped" in bus.said and bus.level == 2, 20.0)
+    bus.wait_for(lambda: "the time on /clock has stopped" in bus.said and bus.level == 2, 60.0)
     assert bus.output().count("the time on /clock has stopped") == 1
 
 
@@ -79,40 +79,45 @@ def test_the_ball_robot_takes_a_step_and_falls_without_its_controller() -> None:
         found = steps(bus, settings, 1)
         assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
         bus.control.kill()
-        bus.wait_for(lambda: bus.sim.poll() is not None, 30.0)
+        bus.wait_for(lambda: bus.sim.poll() is not None, 60.0)
         assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == 1
         assert "the robot fell at" in bus.output()
 
 
+@pytest.mark.wallclock
 def test_a_controller_and_a_driver_that_hang_in_real_time() -> None:
     """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached. A controller that hangs
     is stopped by the robot's own timeout, and when it is back it does not go on by itself. States that stop for longer than the
     watchdog stop the robot, and it stays stopped when they come back."""
-    settings = {"topics": {"imu": ""}, "rates": {"control": 100}, "safety": {"watchdog": 1.0, "clock": 60.0}}
+    settings = {
+        "topics": {"imu": ""},
+        "rates": {"control": 100},
+        "safety": {"watchdog": 1.0, "policy": 10.0, "clock": 60.0},
+    }
     with open_bus(72, SEED, lockstep=False, settings=settings) as bus:
         recorder = Recorder(bus.node)
         goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
-        bus.wait_for(lambda: goal._writer.get_matched_subscriptions() and recorder.rows["base"], 10.0)
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions() and recorder.rows["base"], 60.0)
         goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 0.3}}})
-        bus.wait_for(lambda: abs(recorder.rows["base"][-1][1] - 0.3) < 0.02, 30.0)
+        bus.wait_for(lambda: abs(recorder.rows["base"][-1][1] - 0.3) < 0.02, 60.0)
         assert "running" in bus.said
         goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 3.0}}})
-        bus.wait_for(lambda: recorder.rows["base"][-1][1] > 0.5, 30.0)
+        bus.wait_for(lambda: recorder.rows["base"][-1][1] > 0.5, 60.0)
         bus.control.send_signal(signal.SIGSTOP)
-        bus.wait_for(lambda: "no commands on /" in bus.output(), 20.0)
+        bus.wait_for(lambda: "no commands on /" in bus.output(), 60.0)
         time.sleep(1.5)
         rows = len(recorder.rows["base"])
         bus.control.send_signal(signal.SIGCONT)
-        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
-        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 60.0)
+        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 60.0)
         assert np.ptp(np.array(recorder.rows["base"])[rows:, 1]) < 0.04  # but for a tick before it knew, and the ramp
         goal.publish({"header": {"frame_id": "base_link"}})
-        bus.wait_for(lambda: "running" in bus.said, 20.0)
+        bus.wait_for(lambda: "running" in bus.said, 60.0)
         bus.sim.send_signal(signal.SIGSTOP)
-        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 20.0)
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 60.0)
         bus.sim.send_signal(signal.SIGCONT)
         assert "s old, the limit is 1 s" in bus.said
         rows = len(recorder.rows["base"])
-        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 20.0)
+        bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 60.0)
         assert "stopped" in bus.said
         assert np.ptp(np.array(recorder.rows["base"])[-20:, 1]) < 1e-3

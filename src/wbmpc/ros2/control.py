@@ -306,7 +306,7 @@ class ControlNode:
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
-            max_policy_age=0.5,
+            max_policy_age=settings.safety.policy,
             max_observation_age=watchdog,
             watchdog=watchdog,
             records=_RECORDS,

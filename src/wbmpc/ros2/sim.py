@@ -26,7 +26,7 @@ _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.
 COMMAND_TIMEOUT = 0.1
 #: In lockstep: how long an answer is waited for, and after what time the question is asked again [s of the wall].
-PATIENCE, AGAIN = 1.0, 0.05
+PATIENCE, AGAIN = 3.0, 0.05
 #: A trajectory answers for so long [s].
 AGAIN_LED = 0.2
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
