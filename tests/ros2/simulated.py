@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from wbmpc.model import RobotModel
 from wbmpc.plant import Truth
 from wbmpc.ros2 import Network, open_node
@@ -107,3 +109,22 @@ class Simulated:
         self._thread.join(60.0)
         self.node.close()
         self.other.close()
+
+
+class Localisation:
+    """Another localisation of a simulated robot, ``/localisation``: its true pose, moved by ``offset`` (2) [m], as long as it is
+    ``sending``; with a ``covariance`` (36), or exact."""
+
+    def __init__(self, s: Simulated, covariance: Any = ()) -> None:
+        self.offset, self.sending = np.zeros(2), True
+        self._covariance = {"covariance": covariance} if len(covariance) else {}
+        self._poses = s.other.publisher("/localisation", "nav_msgs/msg/Odometry")
+        self._truth, s.sim._odom = s.sim._odom, self
+
+    def publish(self, message: dict[str, Any]) -> None:
+        """In place of the publisher of the true odometry."""
+        self._truth.publish(message)
+        if self.sending:
+            pose = message["pose"]["pose"]
+            moved = {k: pose["position"][k] + o for k, o in zip("xy", self.offset)}
+            self._poses.publish({**message, "pose": {"pose": {**pose, "position": moved}, **self._covariance}})

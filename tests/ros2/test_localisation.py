@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ from needs import MISSING, needs_dds
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import PERIOD, check_stopped
+    from simulated import Localisation, Simulated
+    from standin import NETWORK, PERIOD, ROBOT, check_stopped
+
+    from wbmpc.ros2.localisation import Gate
 
 
 def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
@@ -74,3 +78,62 @@ def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
     assert p.control.pilot.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
     e = p.control.pilot.estimate()
     assert e.covariance[0, 0] == pytest.approx(0.5e-4, rel=0.05) and e.covariance[2, 2] == 1e6
+
+
+@pytest.fixture
+def simulated(caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
+    caplog.set_level(logging.INFO, "wbmpc")
+    s = Simulated(ROBOT, NETWORK, topics={"pose": "/localisation"})
+    yield s
+    s.close()
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-4])
+def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
+    simulated: Any, caplog: pytest.LogCaptureFixture, variance: float
+) -> None:
+    """MuJoCo's true pose, moved: by 0.05 m it is taken in, by 1 m it is not. A robot that stands believes its localisation again:
+    the next goal starts from there."""
+    s = simulated
+    source = Localisation(s, np.diag([variance] * 6).ravel())
+
+    def go(x: float) -> None:
+        s.send("/goal_pose", "geometry_msgs/msg/PoseStamped", {
+            "header": {"frame_id": "odom"}, "pose": {"position": {"x": x}},
+        })  # fmt: skip
+        begin = s.truth().pose[0]
+        assert s.until(lambda: s.truth().pose[0] > begin + 0.1), s.control.state
+
+    s.ready()
+    go(3.0)
+    source.offset[0] = 0.05
+    s.run(0.3)
+    assert s.control.state == "running: base to a goal" and not s.control.source.fault
+    source.offset[0] = 1.05
+    says = "the pose on /localisation jumped by 1.0"
+    assert s.until(lambda: s.control.runner.stopped) and says in s.control.state, s.control.state
+    assert sum(says in r.getMessage() and "stopped" in r.getMessage() for r in caplog.records) == 1
+    assert s.until(lambda: any(says in m for m in s.messages(2)))
+    assert s.until(lambda: np.abs(s.sim._groups["wheel"]).max() == 0.0)
+    at = lambda: s.control.pilot.snapshot()[1][0]
+    assert s.until(lambda: abs(at() - s.truth().pose[0] - 1.05) < 0.02 and not s.control.source.fault), at()
+    go(at() + 1.0)
+    assert s.control.state == "running: base to a goal"
+
+
+def test_the_gate_allows_what_motion_and_spread_explain() -> None:
+    """By hand: a robot at 1 m/s and a pose that is 0.1 s old; 0.1 m, and three standard deviations of both, are allowed."""
+    gate, exact = Gate("/p", 0.1), np.zeros((3, 3))
+    for t in np.arange(0.0, 1.0, 0.01):
+        gate.note(float(t), np.array([t, 0.0, np.pi - 1e-3]))
+    pose = lambda x, y=0.0, yaw=np.pi: np.array([x, y, yaw])
+    assert gate.jumped(0.9, pose(0.9), exact, exact) == "" != gate.jumped(0.7, pose(0.9), exact, exact)
+    assert gate.jumped(0.9, pose(0.9, 0.09), exact, exact) == ""
+    assert "jumped by 0.11 m" in gate.jumped(0.9, pose(0.9, 0.11), exact, exact)
+    spread = np.diag([0.03**2, 0.0, 0.0])
+    assert gate.jumped(0.9, pose(0.9, 0.22), spread, np.diag([0.04, 0.04, 0.0]) ** 2) == ""  # 0.1 + 3 * 0.05
+    assert "0.25 m are allowed" in gate.jumped(0.9, pose(0.9, 0.26), spread, np.diag([0.04, 0.04, 0.0]) ** 2)
+    assert gate.jumped(0.9, pose(0.9, yaw=-np.pi), exact, exact) == ""  # the same direction
+    assert "jumped by 0.20 rad" in gate.jumped(0.9, pose(0.9, yaw=np.pi - 0.201), exact, exact)
+    gate.forget()
+    assert gate.jumped(0.9, pose(99.0), exact, exact) == ""

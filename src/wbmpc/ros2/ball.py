@@ -244,6 +244,9 @@ class BallPilot:
         """The hand is to exert a wrench (6): the plan counts with the world's answer."""
         self._answer = self.agent.answer = -wrench
 
+    def relocate(self) -> None:
+        """Whoever holds it, poses count as they come: see :meth:`stand`."""
+
     # ------------------------------------------------------------------ tasks
     def follow(self, task: Task, x: Array) -> None:
         """References for the hand and for the body at rest; the ball goes where the hand needs it."""

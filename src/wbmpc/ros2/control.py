@@ -7,6 +7,7 @@ import logging
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
+from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.legs import Legs
+from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.sending import trajectory_senders
@@ -72,6 +74,7 @@ class ControlNode:
         self.pilot = pilot_of(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
+        self.gate = Gate(settings.topics.pose, settings.safety.jump)
         if settings.topics.pose:
             self.pilot.fix = self._fix
         self.body = BusRobot(node, self.pilot, settings, self.clock)
@@ -205,22 +208,35 @@ class ControlNode:
         return self.now() - (self.clock.now() if self.running else 0.0)
 
     def _fix(self) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance."""
-        if self.pilot.keeps and self.source.lost():
-            return None  # it goes on without; see _look_around
-        taken = self.source.take()
-        return None if taken is None else (self.clock.now() - taken[0], *taken[1:])
+        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance. One that jumps while
+        the robot moves does not count; a robot that can stop does, and takes its place from the next one."""
+        if self.running:
+            seen = self.pilot.snapshot()
+            if seen is not None:
+                self.gate.note(seen[0], seen[1][self.robot.state["base"]][:3])
+        # who would fall goes on without; see _look_around
+        taken = self.source.newest() if self.pilot.keeps else self.source.take()
+        if taken is None:
+            return None
+        fix = self.clock.now() - taken[0], *taken[1:]
+        estimate = self.pilot.estimate()
+        if not self.running or estimate is None:
+            self.source.judge("")
+            return fix
+        jumped = self.gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+        self.source.judge(jumped)
+        if jumped and not self.pilot.keeps:
+            self.pilot.relocate()
+            raise SafeStop(jumped)
+        return None if jumped else fix
 
     # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
         """Follow the sensors while nobody commands the drives."""
         if self.waits_for():
             return
-        try:
-            measurement = self.body.read()
-        except (SafeStop, InputError):
-            return
-        self.pilot.stand(measurement)
+        with suppress(SafeStop, InputError):
+            self.pilot.stand(self.body.read())
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
@@ -301,6 +317,7 @@ class ControlNode:
         self._end_runner()
         settings, pilot = self.settings, self.pilot
         pilot.begin(x)
+        self.gate.forget()
         self._put(task, x)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         watchdog = settings.safety.watchdog

@@ -40,8 +40,9 @@ class Pilot(Protocol):
     """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
-    ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's
-    pose at every tick. ``begin`` makes agent and MPC anew for a run from state x (nx) on.
+    ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's pose at every tick; after
+    ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
+    from state x (nx) on.
     """
 
     robot: RobotModel
@@ -65,6 +66,7 @@ class Pilot(Protocol):
     def follow(self, task: Task, x: Array) -> None: ...
     def swing(self, legs: Array) -> None: ...
     def push(self, wrench: Array) -> None: ...
+    def relocate(self) -> None: ...
     def estimate(self) -> Estimate | None: ...
 
 

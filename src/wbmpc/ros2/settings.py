@@ -103,14 +103,16 @@ class Goals(Settings):
 
 
 class Safety(Settings):
-    """``watchdog`` [s]: largest age of joint states; ``policy`` [s]: largest age of a policy without a successor; ``ramp`` [s]
-    of a stop; ``cmd_vel`` [s]: a speed holds this long; ``clock`` [s]: with simulated time, largest wall time without it."""
+    """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time without it. ``jump`` [m, rad]: how
+    far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
     policy: float = Field(0.5, gt=0, le=10)
     ramp: float = Field(0.2, ge=0, le=2)
     cmd_vel: float = Field(0.5, gt=0, le=5)
     clock: float = Field(1.0, gt=0, le=60)
+    jump: float = Field(0.1, gt=0, le=10)
 
 
 class Controller(Settings):

@@ -150,6 +150,10 @@ class SwervePilot:
     def push(self, wrench: Array) -> None:
         """Drives that follow speeds cannot exert a wrench: it counts in the zero-moment point only."""
 
+    def relocate(self) -> None:
+        """The next pose of another localisation counts whatever was known before."""
+        self.agent._placed = False
+
     # ------------------------------------------------------------------ tasks
     def follow(self, task: Task, x: Array) -> None:
         """Put a task into force; legs go where ``legs`` says, or stay."""
