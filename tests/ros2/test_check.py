@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 import time
@@ -19,6 +20,7 @@ from wbmpc.ros2 import DEFAULT, SENSOR, Network, Qos, open_node
 pytestmark = needs_dds
 if not MISSING:
     from wbmpc.ros2.check import check
+    from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.settings import BallSettings, RosSettings
 
@@ -125,7 +127,27 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     end.set()
     assert ("/joint_states", "2 publishers: their messages mix") in f
     assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
-    assert ("/steer_controller/commands", "somebody else publishes on it: the controller will not start") in f
+    assert ("/steer_controller/commands", "somebody else publishes on it ('robot'): the controller will not start") in f
+
+
+def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, looker: Any) -> None:
+    listen(robot)
+    end = states(robot, 300.0)
+    nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
+    try:
+        ControlNode(nodes[0], ROBOT, RosSettings())
+        known(looker, commands(*GROUPS), commands(*GROUPS))
+        f = found(looker)
+        says = "1 listening; the controller 'wbmpc' is there"
+        assert {g: f[t] for g, t in zip(GROUPS, commands(*GROUPS))} == dict.fromkeys(GROUPS, ("ok", says))
+        nodes[1].publisher(commands("arm")[0], COMMANDS)
+        assert wait_until(lambda: len(looker.publishers(commands("arm")[0])) == 2)
+        two = "2 nodes called 'wbmpc' publish on it: they stop each other"
+        assert found(looker)[commands("arm")[0]] == ("error", two)
+    finally:
+        end.set()
+        for node in nodes:
+            node.close()
 
 
 def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(robot: Any, looker: Any) -> None:
@@ -149,5 +171,36 @@ def test_the_command_says_so_with_its_status(
 ) -> None:
     for name, value in {**private(), "ROS_DOMAIN_ID": "47"}.items():
         monkeypatch.setenv(name, value)
-    assert main(["ros2", "check", "swerve-ur10", "--seconds", "0.5", "--backend", "dds"]) == 1
+    check_command = ["ros2", "check", "swerve-ur10", "--seconds", "0.5", "--backend", "dds"]
+    assert main(check_command) == 1
     assert "error   /joint_states" in capsys.readouterr().out
+    assert main([*check_command, "--json", "--quiet"]) == 1
+    said = capsys.readouterr()
+    assert {"level": "error", "topic": "/joint_states", "text": "nobody publishes it"} in json.loads(said.out)[
+        "findings"
+    ]
+    assert said.err == ""
+    assert main([*check_command, "--quiet", "--verbose"]) == 1
+    assert capsys.readouterr().out == ""
+
+
+def test_the_nodes_say_as_much_as_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {**private(), "ROS_DOMAIN_ID": "51"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(ControlNode, "spin", lambda self, ended: self.step())
+    sim = ["ros2", "sim", "swerve-ur10", "--backend", "dds", "--seconds", "0.1", "--use-sim-time", "--factor", "100"]
+    for command, keys in (
+        (sim, {"ended", "seconds", "behind", "seed"}),
+        (["ros2", "control", *sim[2:5]], {"state", "figures"}),
+    ):
+        assert main([*command, "--json"]) == 0
+        said = capsys.readouterr()
+        assert json.loads(said.out).keys() == keys and said.err and "settings" not in said.err
+        assert main([*command, "--quiet"]) == 0
+        said = capsys.readouterr()
+        assert (said.out, said.err) == ("", "")
+        assert main([*command, "--verbose"]) == 0
+        said = capsys.readouterr()
+        assert said.out == "" and "by dds; settings: {" in said.err

@@ -113,6 +113,21 @@ def test_a_bad_order_is_answered_with_a_sentence(robot: Any, values: dict[str, A
     assert not answer.success and says in answer.message
 
 
+def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
+    robot: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Legs parallel (H) and all brakes open: the answer is no, not a yes and a line in the log."""
+    legs = robot.control.legs
+    monkeypatch.setattr(legs, "_now", lambda: (np.zeros(4), np.zeros(4)))
+    legs.stop()
+    answer = ask(robot, {"leg": list(LEGS), "brake_open": [True] * 4})
+    assert not answer.success and "nothing would hold the base against sideways" in answer.message
+    robot.said.clear()
+    told = lambda: [s.message for m in robot.said for s in m.status]
+    assert robot.until(lambda: any("nothing would hold the base" in text for text in told()))
+    assert ask(robot, {"leg": list(LEGS), "brake_open": [False] * 4}).success
+
+
 def test_a_bad_topic_is_told(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     robot.send("/leg_configuration", "std_msgs/msg/String", {"data": "Z"})
     assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.legs.refused)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -68,6 +69,41 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     p.go(1.5)
     assert p.until(lambda: p.control._task is not task)
     assert p.control.inbox.refused == ""
+
+
+def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot drives on and says so meanwhile; and once it has stopped, the plan does not start it again."""
+    p = pair(rates={"diagnostics": 20.0})
+    drive(p)
+    task, begun, go_on = p.control._task, threading.Event(), threading.Event()
+    plan = p.control.pilot.planner.to_base
+
+    def slow(*given: Any) -> Any:
+        begun.set()
+        assert go_on.wait(60.0)
+        return plan(*given)
+
+    monkeypatch.setattr(p.control.pilot.planner, "to_base", slow)
+    p.go(1.5)
+    assert p.until(begun.is_set)
+    p.said.clear()
+    assert p.until(lambda: len(p.said) > 2) and p.control.state == "running: base to a goal"
+    assert p.control._task is task and p.standin.speed > 0.5
+    go_on.set()
+    assert p.until(lambda: p.control._task is not task) and p.control.inbox.refused == ""
+    begun.clear()
+    go_on.clear()
+    p.go(2.5)
+    assert p.until(begun.is_set)
+    broken = iter([lambda m: {**m, "position": m["position"] * np.nan}])
+    p.standin.change = lambda m: next(broken, lambda same: same)(m)
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0)
+    go_on.set()
+    assert p.until(lambda: p.control.inbox.refused == "a goal is refused: the robot has stopped meanwhile")
+    p.run(0.2)
+    assert p.control.runner.stopped and p.standin.speed == 0.0
 
 
 @pytest.mark.parametrize("stamped", [False, True])

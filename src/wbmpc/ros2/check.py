@@ -76,7 +76,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         needed = topic != topics.imu or robot.description.base.type == "ball"
         found += _source(node, topic, kind, ears[topic], settings, needed)
     for controller in settings.command_topics(robot).values():
-        found += _sink(node, controller, needed="brake" not in controller.topic)
+        found += _sink(node, controller, settings.node, needed="brake" not in controller.topic)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
     poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
     found += _several_types(node, topics.pose, poses, True)
@@ -119,19 +119,24 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
     return found or [Finding(OK, topic, f"{kind}, {ear.rate:.0f} Hz, longest gap {1e3 * ear.gap:.0f} ms")]
 
 
-def _sink(node: Node, controller: Controller, needed: bool) -> list[Finding]:
+def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[Finding]:
     topic = controller.topic
     subscribers = [e for e in node.subscribers(topic) if not e.own]
-    rivals = [e for e in node.publishers(topic) if not e.own]
+    who = [node.owner(e) for e in node.publishers(topic) if not e.own]
+    rivals = [name for name in who if name != ours]
     if rivals:
-        return [Finding(ERROR, topic, "somebody else publishes on it: the controller will not start")]
+        named = f" ('{rivals[0]}')" if rivals[0] else ""
+        return [Finding(ERROR, topic, f"somebody else publishes on it{named}: the controller will not start")]
+    if len(who) > 1:
+        return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
     if not subscribers:
         return [Finding(ERROR if needed else WARNING, topic, "nobody listens: is the controller active?")]
     wrong = _wrong_types(topic, subscribers, (controller.type,))
     if wrong:
         return wrong
     faults = [Finding(ERROR, topic, e.qos.refuses(DEFAULT)) for e in subscribers if e.qos.refuses(DEFAULT)]
-    return faults or [Finding(OK, topic, f"{len(subscribers)} listening")]
+    there = f"; the controller '{ours}' is there" if who else ""
+    return faults or [Finding(OK, topic, f"{len(subscribers)} listening{there}")]
 
 
 def _several_types(node: Node, topic: str, kinds: tuple[str, ...], needed: bool) -> list[Finding]:

@@ -87,6 +87,11 @@ class Inbox:
             _LOG.warning("%s", sentence)
         self.refused = sentence
 
+    @property
+    def unheard(self) -> str:
+        """Which type of speeds is not heard, and why; empty if all are."""
+        return self._speeds.fault
+
     def look_for_speeds(self) -> None:
         """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
         self._speeds.look()

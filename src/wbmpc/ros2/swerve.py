@@ -155,9 +155,12 @@ class SwervePilot:
         self.agent._placed = False
 
     # ------------------------------------------------------------------ tasks
-    def follow(self, task: Task, x: Array) -> None:
-        """Put a task into force; legs go where ``legs`` says, or stay."""
-        references = references_of(task, self.robot, x, self.legs)
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """Of a task; legs go where ``legs`` says, or stay."""
+        return references_of(task, self.robot, x, self.legs)
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
         self._twists = references["input"]
         self.pending.set(references)
 
