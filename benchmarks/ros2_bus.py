@@ -79,7 +79,8 @@ class Bus:
         self.said, self.level = "", 0
         self.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._diagnostics)
         self.wait_for(lambda: "waiting" in self.said, 120.0)  # the controller has built its solver
-        self.sim = start(sim)
+        self.start_sim = lambda: start(sim)
+        self.sim = self.start_sim()
         self.wait_for(lambda: self.said == "waiting for a goal", 60.0)
 
     def _diagnostics(self, message: Any) -> None:

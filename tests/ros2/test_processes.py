@@ -18,6 +18,8 @@ pytestmark = needs_dds
 if not MISSING:
     from ros2_bus import Bus, Recorder, inside, open_bus, steps, track
 
+    from wbmpc.ros2.convert import header, pose
+
 SEED, REST = 3, 1.0
 #: A short and fast sine, so that the test is.
 SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, rest=REST)
@@ -72,12 +74,35 @@ def test_what_ends_ends_well(bus: Bus) -> None:
     assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
 
 
-def test_the_ball_robot_takes_a_step_and_falls_without_its_controller() -> None:
-    """Goals of the experiment (Minniti et al. 2019) for the first step; MuJoCo's robot after a kill."""
+def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_controller() -> None:
+    """Goals of the experiment (Minniti et al. 2019) for the first step. Without states nothing says how it leans: torques ramp to
+    zero, then nobody is commanded; a new simulator and a goal, and it balances again. MuJoCo's robot after the last kill."""
     settings = RezeroStepsSettings(hold=4.0, settle=1.3, rest=0.0)
-    with open_bus(73, SEED, factor=10.0, robot="rezero") as bus:
+    with open_bus(73, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 3.0}}) as bus:
         found = steps(bus, settings, 1)
         assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
+        torques: list[Any] = []
+        bus.node.subscribe("/wheel_controller/commands", "std_msgs/msg/Float64MultiArray", torques.append)
+        bus.wait_for(lambda: torques and np.abs(torques[-1].data).max() > 0.0, 60.0)
+        bus.sim.kill()
+        bus.sim.wait()
+        bus.wait_for(lambda: "the time on /clock has stopped" in bus.said and bus.level == 2, 60.0)
+        assert bus.output().count("the time on /clock has stopped") == 1
+        sent = lambda: (len(torques), time.sleep(1.0))[0]
+        bus.wait_for(lambda: sent() == len(torques), 60.0)  # a second without a command
+        assert np.abs(torques[-1].data).max() == 0.0
+        bus.sim = bus.start_sim()
+        seen = Recorder(bus.node)
+        bus.wait_for(lambda: len(seen.poses["hand"]) > 10, 60.0)
+        assert "stopped" in bus.said  # it does not begin by itself
+        goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")
+        bus.wait_for(lambda: goal._writer.get_matched_subscriptions(), 60.0)
+        position, turned = np.array(seen.poses["hand"][-1][1:4]), np.array(seen.poses["hand"][-1][4:8])
+        goal.publish({"header": header(0.0, "odom"), "pose": pose(position, turned)})
+        bus.wait_for(lambda: bus.said.startswith("running"), 60.0)
+        begin = seen.time
+        bus.wait_for(lambda: seen.time > begin + 2.0 or bus.sim.poll() is not None, 60.0)
+        assert seen.tilt() < 0.25 and bus.said.startswith("running"), bus.said
         bus.control.kill()
         bus.wait_for(lambda: bus.sim.poll() is not None, 60.0)
         assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == 1
