@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from needs import MISSING, needs_dds, private, wait_until
+from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
-from wbmpc.ros2.inbox import Several
+from wbmpc.ros2.several import Several
 
 pytestmark = needs_dds
 if not MISSING:
@@ -119,6 +121,31 @@ def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
         publisher.publish({"data": i})
     assert wait_until(lambda: len(got) == 500)
     assert got == list(range(500))
+
+
+TWO_THREADS = """
+import threading
+from wbmpc.ros2 import Qos, open_node
+one, other, got = open_node("one", "dds"), open_node("other", "dds"), []
+other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))
+publisher = one.publisher("/count", "std_msgs/msg/Float64", Qos(depth=1000))
+while not publisher._writer.get_matched_subscriptions():
+    pass
+threads = [threading.Thread(target=lambda: [publisher.publish({"data": i}) for i in range(1000)]) for _ in range(2)]
+for t in threads:
+    t.start()
+for t in threads:
+    t.join()
+print(len(got))
+"""
+
+
+def test_two_threads_may_send_on_one_topic_that_is_heard_in_their_process() -> None:
+    """In a process of its own: where they wait for each other, all of Python does."""
+    run = subprocess.run(
+        [sys.executable, "-c", TWO_THREADS], env=everything(), timeout=60.0, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "2000", run.stderr
 
 
 def test_late_joiners_get_what_is_latched(nodes: tuple[Any, Any]) -> None:

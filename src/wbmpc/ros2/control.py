@@ -368,8 +368,6 @@ class ControlNode:
     # ------------------------------------------------------------------ watching
     def _watch(self) -> None:
         if self.runner is not None and self.runner.stopped:
-            if isinstance(self.clock, BusClock):
-                self.body.stop()  # the runner's loop may wait for a time that does not come
             self.body.disarm()
             if self.inbox.running is not None:
                 self._stay()
@@ -381,6 +379,8 @@ class ControlNode:
             silent = time.monotonic() - clock.heard
             if silent > limit and self.running:
                 self._halt(f"the time on /clock has stopped for {silent:.1f} s")
+            elif silent > limit and self.runner is not None:
+                self.body.stop()  # the runner's loop waits for a time that does not come
             elif clock.went_back and self.running:
                 self._halt("the time on /clock went back: the simulator was started anew")
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:

@@ -135,11 +135,11 @@ class DdsNode:
                 _LOG.error("%s: %s: %s", name, type(error).__name__, error)
 
         def take(reader: DataReader) -> None:
-            for data in _taken(reader):
-                if deferred:
-                    self._deferred.append((call, data))
-                else:
-                    with self._lock:
+            with self._lock:  # taking too: another thread may bring what came later
+                for data in _taken(reader):
+                    if deferred:
+                        self._deferred.append((call, data))
+                    else:
                         call(data)
 
         ours = Ours("subscription", name, kind, qos, others)
@@ -326,10 +326,15 @@ class DdsNode:
 
 
 class DdsPublisher:
-    """See :class:`wbmpc.ros2.bus.Publisher`."""
+    """See :class:`wbmpc.ros2.bus.Publisher`.
+
+    The package waits for a writer with Python's interpreter in its hand, and a reader in the same process is served from within
+    a write: two threads on one writer would wait for each other for ever. So they take turns here.
+    """
 
     def __init__(self, writer: DataWriter, carry: type, known: Types, kind: str) -> None:
         self._writer, self._carry, self._types, self._kind = writer, carry, known, kind
+        self._turn = threading.RLock()
 
     def publish(self, values: Mapping[str, Any]) -> None:
         """Send a message."""
@@ -337,7 +342,9 @@ class DdsPublisher:
 
     def send(self, data: bytes) -> None:
         """Send a message that is CDR already, for example from a recording."""
-        self._writer.write(self._carry(data))
+        sample = self._carry(data)
+        with self._turn:
+            self._writer.write(sample)
 
 
 class _Watch(Listener):  # type: ignore[misc]

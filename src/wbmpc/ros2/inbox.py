@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import ORDERS, RosSettings
 from wbmpc.ros2.several import Several
 
 _LOG = logging.getLogger("wbmpc")
@@ -50,16 +50,12 @@ class Inbox:
         takes = {kind: partial(self._take_speed, part) for kind, part in _TWISTS.items()}
         self._speeds = Several(node, settings.topics.cmd_vel, takes)
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
-        topics = settings.topics
-        for topic, kind, take in (
-            (topics.goal_pose, "geometry_msgs/msg/PoseStamped", self._goal_pose),
-            (topics.hand_goal, "geometry_msgs/msg/PoseStamped", self._hand_goal),
-            (topics.base_path, "nav_msgs/msg/Path", self._base_path),
-            (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
-            (topics.wrench, "geometry_msgs/msg/WrenchStamped", self._take_wrench),
-        ):
-            if topic:
-                node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
+        for key, take in {
+            "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
+            "hand_path": self._hand_path, "wrench": self._take_wrench,
+        }.items():  # fmt: skip
+            if topic := getattr(settings.topics, key):
+                node.subscribe(topic, ORDERS[key], partial(self._try, topic, take), DEFAULT, deferred=True)
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:

@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import sentence_of
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import ORDERS, RosSettings
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
@@ -56,14 +56,14 @@ class Legs:
         self._order: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
-        takes: dict[str, tuple[str, Callable[[Any], str]]] = {
-            topics.legs: ("sensor_msgs/msg/JointState", lambda m: self._wanted("", list(m.name), m.position, ())),
-            topics.brakes: ("std_msgs/msg/Float64MultiArray", lambda m: self._brakes(m.data)),
-            topics.leg_configuration: ("std_msgs/msg/String", lambda m: self._wanted(m.data, [], (), ())),
+        takes: dict[str, Callable[[Any], str]] = {
+            "legs": lambda m: self._wanted("", list(m.name), m.position, ()),
+            "brakes": lambda m: self._brakes(m.data),
+            "leg_configuration": lambda m: self._wanted(m.data, [], (), ()),
         }
-        for topic, (kind, take) in takes.items():
-            if topic:
-                node.subscribe(topic, kind, partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+        for key, take in takes.items():
+            if topic := getattr(topics, key):
+                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
