@@ -18,7 +18,8 @@ from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.settings import RosSettings
 
 ROBOT = load_robot("swerve-ur10")
-NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "45"})
+ENVIRONMENT = {**private(), "ROS_DOMAIN_ID": "45"}
+NETWORK = Network.of(ENVIRONMENT)
 PERIOD = 1.0 / 400.0
 GROUPS = ("leg", "steer", "wheel", "arm")
 Change = Callable[[dict[str, Any]], Mapping[str, Any] | None]

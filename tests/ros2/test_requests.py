@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +19,7 @@ from wbmpc.ros2 import open_node
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import NETWORK, drive
+    from standin import ENVIRONMENT, NETWORK, drive
 
 
 @pytest.mark.parametrize(
@@ -69,6 +74,21 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     p.go(1.5)
     assert p.until(lambda: p.control._task is not task)
     assert p.control.inbox.refused == ""
+
+
+def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
+    """The first Python block of docs/ros2.md, as a process."""
+    block = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs/ros2.md").read_text(), re.S)[0]
+    p = pair()
+    p.ready()
+    given = {**os.environ, **ENVIRONMENT}
+    operator = subprocess.Popen([sys.executable, "-u", "-c", block], env=given, stdout=subprocess.PIPE, text=True)
+    try:
+        assert p.until(lambda: p.control.state == "running: base to a goal"), p.control.inbox.refused
+        assert p.until(lambda: operator.poll() is not None)
+        assert "running: base to a goal" in operator.communicate()[0] and operator.returncode == 0
+    finally:
+        operator.kill()
 
 
 def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
