@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +18,7 @@ from wbmpc.experiments.swerve_track import SwerveTrackSettings
 
 pytestmark = needs_dds
 if not MISSING:
-    from ros2_bus import Bus, Recorder, inside, open_bus, steps, track
+    from ros2_bus import Bus, Recorder, drive, inside, open_bus, steps, stream, track
 
     from wbmpc.ros2.convert import header, pose
 
@@ -107,6 +109,37 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
         bus.wait_for(lambda: bus.sim.poll() is not None, 60.0)
         assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == 1
         assert "the robot fell at" in bus.output()
+
+
+#: How many of 400 ticks a second of a process that only sleeps are within 1 ms of their time.
+SLEEPER = """
+import sys, time
+late, begin = [], time.perf_counter()
+for k in range(1, round(400 * float(sys.argv[1])) + 1):
+    due = begin + k / 400
+    time.sleep(max(due - time.perf_counter(), 0.0))
+    late.append(time.perf_counter() - due)
+print(sum(t < 1e-3 for t in late) / len(late))
+"""
+
+
+@pytest.mark.wallclock
+def test_the_stream_of_commands_in_real_time() -> None:
+    """400 Hz for 5 s with the MPC in the same process, as a third process gets them: none is lost, and of those that a process
+    that only sleeps would have sent within 1 ms of their time, at the same time on the same machine, a third at least is."""
+    with open_bus(74, SEED, lockstep=False, settings={"safety": {"watchdog": 1.0, "policy": 10.0}}) as bus:
+        begin = drive(bus, 10.0)
+        sleeper: list[Any] = []
+
+        def send() -> None:
+            begin()
+            sleeper.append(subprocess.Popen([sys.executable, "-c", SLEEPER, "7"], stdout=subprocess.PIPE, text=True))
+
+        found = stream(bus, 5.0, send, False)
+        share = float(sleeper[0].communicate(timeout=60.0)[0])
+    assert found["received since the start"] >= found["sent since the start"] > 1000, found
+    assert found["within 1 ms of their time"] > share / 3.0, (found, share)
+    assert found["state to command, median [ms]"] < 50.0, found
 
 
 @pytest.mark.wallclock

@@ -83,14 +83,14 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
     )
     store, kind = get_typestore(Stores.ROS2_JAZZY), "sensor_msgs/msg/JointState"
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
-    t = types("jazzy")
+    t, order = types("jazzy"), np.argsort(names)  # by their names, as the joint_state_broadcaster has them
     with Writer(tmp_path / "bag", version=9) as bag:
         connection = bag.add_connection("/joint_states", kind, typestore=store)
         for k in range(101):
             x = ROBOT.home.copy()
             x[ROBOT.state["wheel"]] = ahead * 2 * np.pi * k / 100
             stamped = header(1.0 + 0.01 * k, "")
-            message = t.encode(kind, {"header": stamped, "name": names, "position": x[3:]})
+            message = t.encode(kind, {"header": stamped, "name": np.array(names)[order], "position": x[3:][order]})
             bag.write(connection, k * 10_000_000, message)
     p = pair(topics={"imu": ""})
     node = p.standin.node
