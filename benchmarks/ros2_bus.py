@@ -2,7 +2,8 @@
 
 Usage: python benchmarks/ros2_bus.py [--robot swerve rezero] [--seconds 60] [--only-stream] [--fifo] [--json FILE]
 First `swerve-track` and `rezero-steps`, on the bus in lockstep and inside one process, same seed;
-then the stream of commands is timed in real time: how regular it is, whether a message is lost, from state to command.
+then the stream of commands is timed in real time: how regular it is, whether a message is lost, from state to command; and after
+it the loop without a bus (benchmarks/realtime.py), for as long and at the same rates.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from wbmpc.log import Log
 from wbmpc.model import load_robot
 from wbmpc.ros2 import DEFAULT, Network, Qos, open_node
 from wbmpc.ros2.convert import header, path, planar, pose, read_pose, seconds, upright
+from wbmpc.ros2.settings import BallSettings, RosSettings
 from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
@@ -327,7 +329,9 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
     before = bus.figures
-    bus.wait_for(lambda: bus.figures is not before, 5.0)
+    bus.wait_for(lambda: bus.figures is not before, 60.0)
+    if not bus.said.startswith("running"):
+        raise RuntimeError(f"the stream ended: {bus.said}")
     sent, received = int(bus.figures["commands sent"]), len(arrivals["command"])
     ticks, off = on_grid(t - t[0], period)
     last = states[np.maximum(np.searchsorted(states, t) - 1, 0)]
@@ -339,6 +343,22 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
         "sent since the start": sent, "received since the start": received,
         "state to command, median [ms]": 1e3 * float(np.median(t - last)),
         "state to command, 99 % [ms]": 1e3 * float(np.percentile(t - last, 99)),
+    }  # fmt: skip
+
+
+def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[str, float]:
+    """The same controller and MPC (``rate`` [Hz]) at 400 Hz with the physics over shared memory, in processes of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figures.json"
+        given = ["--robot", robot, "--rate", str(rate), "--seconds", str(seconds_), "--json", str(file)]
+        command = [sys.executable, str(Path(__file__).parent / "realtime.py"), *given, *(["--fifo"] if fifo else [])]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        (found,) = json.loads(file.read_text())
+    return {
+        "load": os.getloadavg()[0], "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
+        "tick begins late, median [ms]": 1e3 * found["jitter"]["median"],
+        "tick begins late, 99 % [ms]": 1e3 * found["jitter"]["p99"],
+        "tick takes, median [ms]": 1e3 * found["tick"]["median"],
     }  # fmt: skip
 
 
@@ -371,6 +391,7 @@ def swerve(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(62, given.seed, lockstep=False, fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, drive(bus, given.seconds), given.fifo)
             figures["controller in real time"] = bus.figures
+        figures["without a bus"] = without_bus("swerve", RosSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 
@@ -386,6 +407,7 @@ def ball(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(64, given.seed, lockstep=False, robot="rezero", fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, balance(bus), given.fifo)
             figures["controller in real time"] = bus.figures
+        figures["without a bus"] = without_bus("rezero", BallSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 

@@ -21,7 +21,8 @@ class Simulated:
     """``change``: what becomes of a JointState before it is sent (None: lost); ``said``: diagnostics that came."""
 
     def __init__(self, robot: RobotModel, network: Network, seed: int = 3, **settings: Any) -> None:
-        given = {"use_sim_time": True, "lockstep": True, **settings}
+        safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
+        given = {"use_sim_time": True, "lockstep": True, **settings, "safety": safety}
         self.settings = settings_of(robot).model_validate(given)
         self.node = open_node("wbmpc", "dds", network)
         self.control = ControlNode(self.node, robot, self.settings)

@@ -29,7 +29,7 @@ SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, rest=REST)
 
 @pytest.fixture(scope="module")
 def bus() -> Iterator[Any]:
-    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 3.0}}) as opened:
+    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 5.0}}) as opened:
         yield opened
 
 
@@ -80,7 +80,7 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
     """Goals of the experiment (Minniti et al. 2019) for the first step. Without states nothing says how it leans: torques ramp to
     zero, then nobody is commanded; a new simulator and a goal, and it balances again. MuJoCo's robot after the last kill."""
     settings = RezeroStepsSettings(hold=4.0, settle=1.3, rest=0.0)
-    with open_bus(73, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 3.0}}) as bus:
+    with open_bus(73, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 5.0}}) as bus:
         found = steps(bus, settings, 1)
         assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
         torques: list[Any] = []

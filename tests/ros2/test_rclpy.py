@@ -74,6 +74,7 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
     assert [(e.own, e.type, e.qos) for e in node.publishers("x")] == [
         (own, "std_msgs/msg/String", SENSOR) for own in (True, False, False)
     ]
+    assert [node.owner(e) for e in node.publishers("x")] == ["wbmpc", "wbmpc", "somebody"]
     assert node.subscribers("x") == []
     event = type("Event", (), {"last_policy_kind": 1 << 4})()
     made[0].events.incompatible_qos(event)
@@ -98,7 +99,9 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     from wbmpc.ros2.settings import RosSettings, joint_groups
 
     robot = load_robot("swerve-ur10")
-    settings = RosSettings.model_validate({"rates": {"control": 50}, "use_sim_time": True, "lockstep": True})
+    settings = RosSettings.model_validate(
+        {"rates": {"control": 50}, "use_sim_time": True, "lockstep": True, "safety": {"clock": 60}}
+    )
     node, other = open_node("wbmpc", "rclpy"), open_node("robot", "rclpy")
     control = ControlNode(node, robot, settings)
     names = [n for g in joint_groups(robot).values() for n in g]

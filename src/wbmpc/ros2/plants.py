@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from wbmpc import lie
@@ -147,13 +146,6 @@ class BallSide(_Side):
         """Position and quaternion of the base, which leans; its frame is the ball's centre."""
         rotation = truth.tool_rotation @ truth.tool_rotation_in_base.T
         return np.array([*truth.pose[:2], self.lift]), lie.rotation_to_quaternion(rotation)
-
-
-def base_twist(plant: SwervePlant | RezeroPlant) -> Array:
-    """Of a plant's base (6) in its own axes: linear [m/s], angular [rad/s]."""
-    velocity = np.zeros(6)
-    mujoco.mj_objectVelocity(plant.model, plant.data, mujoco.mjtObj.mjOBJ_XBODY, plant.world.body, velocity, 1)
-    return np.concatenate([velocity[3:], velocity[:3]])
 
 
 def plant_of(

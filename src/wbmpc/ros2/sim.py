@@ -18,7 +18,7 @@ from wbmpc.plant.scene import SceneReader
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
 from wbmpc.ros2.convert import header, pose, stamp, vector
-from wbmpc.ros2.plants import base_twist, plant_of
+from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.sending import places_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
 
@@ -230,7 +230,7 @@ class SimNode:
     def _publish_truth(self, at: float) -> None:
         truth, world = self.plant.truth(), self.settings.frames.world
         position, turned = self.side.base(truth)
-        twist = base_twist(self.plant)
+        twist = self.plant.world.twist
         self._odom.publish({
             "header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)},
             "twist": {"twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])}},
