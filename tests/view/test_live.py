@@ -183,7 +183,7 @@ def test_pause_step_speed_and_end() -> None:
 
 
 def test_a_session_begins_anew_on_reset() -> None:
-    view = live.View("test", port=free_port(), reset=True)
+    view = live.View("test", port=free_port())
     begun: list[float] = []
     original = view.begin
 

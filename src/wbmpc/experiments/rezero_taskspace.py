@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant
@@ -112,8 +112,7 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
     """Both controllers, one after the other, on the same plant."""
     log, endings, mpc = Log(), {}, None
     for k, name in enumerate(CONTROLLERS):
-        part = _part(progress, k)
-        endings[name], made = drive(name, settings, seed, log, part)
+        endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
         mpc = made if name == "mpc" else mpc
         if endings[name].interrupted:
             break
@@ -124,13 +123,6 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS],
     )  # fmt: skip
-
-
-def _part(progress: Progress | None, k: int) -> Progress | None:
-    if progress is None:
-        return None
-    part = lambda fraction, note: progress((k + fraction) / len(CONTROLLERS), f"{CONTROLLERS[k]}: {note}")
-    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
 
 
 def _metrics(settings: RezeroTaskspaceSettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:

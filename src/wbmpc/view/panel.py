@@ -69,8 +69,7 @@ class Panel:
                 self._button("Single step", "steps")
                 speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
                 speed.on_update(lambda _: self._send(speed=speed.value))
-            if self.controls.reset:
-                self._button("Reset", "resets")
+            self._button("Reset", "resets")
             self._button("End the run", "ends")
 
     def _robot(self) -> None:
