@@ -165,13 +165,14 @@ class Player:
     def __init__(self, film: Film, host: str, port: int) -> None:
         import viser
 
-        from wbmpc.view.stage import Stage, add_follow, add_legend
+        from wbmpc.view.stage import Stage, add_follow, add_legend, name_tab
 
         self.film = film
         self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
         self.stage = Stage(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
         gui.main_panel.dock_right()
+        name_tab(gui, film.recording.title)
         self._text = gui.add_markdown(f"**{film.recording.title}**")
         self._playing = gui.add_checkbox("Play", True)
         self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
