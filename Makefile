@@ -123,7 +123,7 @@ pictures: $(VENV)/.installed
 	$(BIN)/python scripts/pictures.py
 	rm -rf build/clip
 	$(ENVIRONMENT) $(BIN)/wbmpc run swerve-track --set periods=1 --set rest=2 --out build/clip --quiet
-	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --speed 6 --width 360 --height 200
+	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --force --speed 6 --width 360 --height 200
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }
