@@ -194,6 +194,8 @@ def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estima
     """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
     rotation = lie.euler_zyx_to_rotation(*state[2:5])
     log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
+    turned = lie.rotation_to_quaternion(rotation @ truth.tool_rotation_in_base)
+    log.add("hand_quaternion_estimated", t, turned)
     log.add("estimate", t, state)
     log.add("rolling_fault", t, float(bool(estimator.faults)))
 
@@ -201,6 +203,11 @@ def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estima
 def hand_felt(log: Log) -> np.ndarray:
     """Hand positions (n, 3) [m] in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("hand_estimated") if "hand_estimated" in log.channels else log.array("hand")
+
+
+def hand_turn_felt(log: Log) -> np.ndarray:
+    """Quaternions (n, 4) of the hand in the estimated frame (the true ones in runs without an estimator)."""
+    return log.array("hand_quaternion_estimated" if "hand_quaternion_estimated" in log.channels else "hand_quaternion")
 
 
 def ball_felt(log: Log) -> np.ndarray:
