@@ -1,6 +1,6 @@
 """One table of a study under the protocol: every figure with a goal beside the paper's, over seeds.
 
-Used by robustness.py (table.md begins with it, table.json has it as ``overview``).
+Used by robustness.py (table.md begins with it, table.json has it as ``overview``, ``--docs`` puts it into a document).
 """
 
 from __future__ import annotations
@@ -73,3 +73,12 @@ def markdown(table: list[dict[str, Any]]) -> str:
         cells = [f"`{named}`" if first else "", metric, _goal(row, factor), paper, ours, str(row["seeds"]), verdict]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def put(text: str, mark: str, table: str) -> str:
+    """The text of a document with the table between ``<!-- MARK -->`` and ``<!-- end of MARK -->`` in place of what is there."""
+    start, end = f"<!-- {mark} -->", f"<!-- end of {mark} -->"
+    if text.count(start) != 1 or text.count(end) != 1:
+        raise SystemExit(f"no place for the table: '{start}' and '{end}' must each be there once")
+    before, rest = text.split(start)
+    return f"{before}{start}\n{table}\n{end}{rest.split(end)[1]}"

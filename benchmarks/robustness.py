@@ -1,9 +1,9 @@
 """Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
-Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report] [--docs FILE]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
-all swerve experiments; conditions of the other kind of robot are passed over.
+all swerve experiments; conditions of the other kind of robot are passed over. --docs puts the overview into a document, between the marks named as DIR.
 """
 
 from __future__ import annotations
@@ -315,6 +315,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
+    parser.add_argument("--docs", type=Path, help="a document with the marks <!-- NAME --> and <!-- end of NAME -->")
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -326,6 +327,9 @@ def main() -> None:
     if not given.report:
         failed = run_all(list(found), given.workers, lambda _, note: print(note, flush=True), make)
     write(cells(found), failed, given.out)
+    if given.docs is not None:
+        table = overview.markdown(under_protocol(cells(found)))
+        given.docs.write_text(overview.put(given.docs.read_text(), given.out.name, table))
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
     print((given.out / "table.md").read_text())

@@ -92,6 +92,15 @@ def test_goals_are_largest_and_smallest_values(
     assert overview.markdown([row]).splitlines()[-1].split(" | ")[2:5] == [text, "16.7", "20 (25, 9e+03)"]
 
 
+def test_a_document_gets_the_table_between_its_marks() -> None:
+    text = "above\n<!-- ball -->\n| old |\n<!-- end of ball -->\nbelow\n"
+    once = overview.put(text, "ball", "| new |")
+    assert once == "above\n<!-- ball -->\n| new |\n<!-- end of ball -->\nbelow\n"
+    assert overview.put(once, "ball", "| new |") == once
+    with pytest.raises(SystemExit, match="'<!-- swerve -->'"):
+        overview.put(text, "swerve", "| new |")
+
+
 @pytest.mark.parametrize("name", robustness.SHOWN)
 def test_every_condition_is_a_setting_of_every_experiment(name: str) -> None:
     for settings in robustness.conditions_of(name).values():
