@@ -4,8 +4,8 @@ Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …]
        [--report] [--docs FILE]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
-all swerve experiments; conditions of the other kind of robot are passed over. --docs puts the overview into a document, between marks
-with DIR's name.
+all swerve experiments; conditions of the other kind of robot are passed over. --docs puts the overview into a document, between
+marks with DIR's name.
 """
 
 from __future__ import annotations
