@@ -21,8 +21,8 @@ from wbmpc.reproduce import parse_seeds
 
 REGULATOR = {"hand": (0.01, 1.0), "torque": (0.3, 30.0), "damping": (0.3, 30.0), "most": (0.03, 0.5)}
 SEPARATE = {
-    "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.02, 2.0), "pace": (4.0, 25.0),
-    "integral": (0.1, 3.0),
+    "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.01, 2.0), "pace": (4.0, 40.0),
+    "integral": (0.1, 6.0),
 }  # fmt: skip
 #: What is searched, by controller: lowest and highest value of each gain, on a logarithmic scale.
 SPACE: dict[str, dict[str, tuple[float, float]]] = {

@@ -75,6 +75,18 @@ def test_a_wrong_heading_turns_the_hand_in_the_world_not_in_the_estimated_frame(
     assert m["steady_orientation_error_world_max"] == pytest.approx(0.03)
 
 
+def test_the_roll_about_the_forearm_is_told_apart() -> None:
+    """The hand's z axis is the forearm; at home, where the first pose is, it points where the arm's chain puts it."""
+    poses = len(STEPS) + 3
+    settings = RezeroStepsSettings()
+    schedule = rezero_steps.Schedule.of(settings, BALL)
+    axes = [rotations(q)[0].as_matrix() for q in schedule.quaternions]
+    turns = np.array([0.03 * a[:, 2] + 0.004 * a[:, 0] for a in axes])
+    m = stepping(settings, np.full(poses, 0.1), np.zeros((poses, 3)), turns)
+    assert m["steady_orientation_error_max"] == pytest.approx(np.hypot(0.03, 0.004), rel=1e-3)
+    assert m["steady_orientation_error_arm_max"] == pytest.approx(0.004, rel=1e-2)
+
+
 def test_a_step_that_stays_short_has_no_rise_time() -> None:
     poses = len(STEPS) + 3
     constants = np.full(poses, 0.1)

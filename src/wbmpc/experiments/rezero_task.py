@@ -14,7 +14,14 @@ from wbmpc import lie
 from wbmpc.control import RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
-from wbmpc.experiments.rezero_rivals import Controller, Parts, RivalsSettings, TrackingSettings, make_controller
+from wbmpc.experiments.rezero_rivals import (
+    ACCURATE_RIVALS,
+    Controller,
+    Parts,
+    RivalsSettings,
+    TrackingSettings,
+    make_controller,
+)
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
@@ -69,11 +76,13 @@ class RezeroSettings(ExperimentSettings):
 
 
 class AccurateSettings(RezeroSettings):
-    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly."""
+    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
+    the rivals."""
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
     )
+    rival: RivalsSettings = ACCURATE_RIVALS
 
 
 #: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
