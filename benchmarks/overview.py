@@ -46,10 +46,11 @@ def rows(
 
 
 def number(value: float | None, factor: float = 1.0) -> str:
-    """Three digits; a dash for what there is not."""
+    """Three digits, or all of a whole number; a dash for what there is not."""
     if value is None:
         return "–"
-    return f"{factor * value:.3g}" if np.isfinite(value) else "∞"
+    shown = factor * value
+    return "∞" if not np.isfinite(shown) else f"{shown:.0f}" if abs(shown) >= 999.5 else f"{shown:.3g}"
 
 
 def _goal(s: Mapping[str, Any], factor: float) -> str:

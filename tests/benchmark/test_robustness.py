@@ -89,7 +89,7 @@ def test_goals_are_largest_and_smallest_values(
     figures = {"unit": "m", "median": 0.02, "p5": 0.015, "p95": 0.025, "worst": 9.0, "paper": 0.0167}
     (row,) = overview.rows("rezero-steps", 3, {"error": {**figures, "goal": goal, "least": least}}, ["error"])
     assert row["reached"] is reached
-    assert overview.markdown([row]).splitlines()[-1].split(" | ")[2:5] == [text, "16.7", "20 (25, 9e+03)"]
+    assert overview.markdown([row]).splitlines()[-1].split(" | ")[2:5] == [text, "16.7", "20 (25, 9000)"]
 
 
 def test_a_document_gets_the_table_between_its_marks() -> None:
