@@ -1,6 +1,6 @@
 """The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square] [--draws 3] [--seeds 200-203]
+Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square] [--draws 3] [--first 0] [--seeds 200-203]
        [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
 """
@@ -146,10 +146,10 @@ def candidate(
     return out
 
 
-def search(store: Store, task: str, controller: str, seeds: list[int], draws: int) -> dict[str, float]:
+def search(store: Store, task: str, controller: str, seeds: list[int], draws: int, first: int = 0) -> dict[str, float]:
     """The best gains of a controller for a task: those that there are, ``draws`` from the whole space, as many about the best so
-    far. Controllers with the same space get the same draws."""
-    space, rng = SPACE[controller], np.random.default_rng(0)
+    far. Controllers with the same space get the same draws; another ``first`` gives others."""
+    space, rng = SPACE[controller], np.random.default_rng(first)
     kind = REGISTRY[TASKS[task][1]].config_type()
     own = getattr(kind.rival, controller.replace("-", "_"))
     best = {k: float(getattr(own, k)) for k in space}
@@ -205,6 +205,9 @@ def main() -> None:
     parser.add_argument("--task", choices=list(TASKS), default="pushes", help="of the search")
     parser.add_argument("--seeds", help="as 200-203 or 200,205; left out: 0 for the search, 200-203 for the table")
     parser.add_argument("--draws", type=int, default=3, help="of the search: twice as many runs and one more")
+    parser.add_argument(
+        "--first", type=int, default=0, help="of the random numbers: another search goes on with others"
+    )
     parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS)[:3])
     parser.add_argument("--only", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
     parser.add_argument("--file", type=Path, default=Path("rezero_rivals.jsonl"))
@@ -213,7 +216,7 @@ def main() -> None:
     store = Store(given.file)
     if given.search:
         for controller in SPACE if "all" in given.search else given.search:
-            search(store, given.task, controller, list(parse_seeds(given.seeds or "0")), given.draws)
+            search(store, given.task, controller, list(parse_seeds(given.seeds or "0")), given.draws, given.first)
     else:
         seeds = list(parse_seeds(given.seeds or "200-203"))
         print(table(store, given.runs, given.only, seeds, given.report))
