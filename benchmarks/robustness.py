@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,6 +160,7 @@ def one(name: str, seed: int, directory: Path, settings: list[str]) -> int:
     result = experiment.run(configure(experiment.config_type, settings, name), seed, None)
     write_run(result, directory)
     (directory / "log.npz").unlink()
+    (directory / "cpu_seconds").write_text(f"{time.process_time():.0f}\n")
     return 0 if result.completed else 1
 
 
