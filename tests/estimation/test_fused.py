@@ -17,7 +17,8 @@ FOUR = ring(4)
 
 
 def calm(**changes: float) -> OdometryNoise:
-    return OdometryNoise(**{"along": 0.0, "across": 0.0, **changes})
+    """Of the bases on paper: their messages are of this moment."""
+    return OdometryNoise(**{"along": 0.0, "across": 0.0, "mean_age": 0.0, **changes})
 
 
 def filtered(

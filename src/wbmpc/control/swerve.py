@@ -81,9 +81,11 @@ class SwerveAgent:
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the message of this tick."""
+        before = measurement.gyro if self.measured is None else self.measured.gyro
         self.measured = m = measurement
+        turning = 0.5 * float(before[2] + m.gyro[2])  # over the interval
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, float(m.gyro[2]) if self.use_gyro else None)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
 
