@@ -2,8 +2,9 @@
 
 Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
-was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
-all swerve experiments; conditions of the other kind of robot are passed over.
+was (seed by seed). DIR gets table.json, table.md, goals.md (experiments and their variants against their goals) and
+robustness.png; docs/robustness.md explains the figures. Left out, --only is all swerve experiments; conditions of other robots
+and variants of other experiments are passed over.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from goals import goal_rows, goals_markdown, order_statistics
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
@@ -47,12 +49,25 @@ BALL: dict[str, tuple[str, ...]] = {
     "late 8 ms": ("plant.dead_time=0.008",),
     "late 15 ms": ("plant.dead_time=0.015",),
 }
-CONDITIONS = {**SWERVE, **BALL}
+#: Variants of an experiment that the protocol asks for: (experiment, settings, goals other than those of the experiment).
+VARIANTS: dict[str, tuple[str, tuple[str, ...], dict[str, float]]] = {
+    "vertical": ("swerve-track", ("variant=vertical",), {}),
+    "peaks": ("swerve-track", ("variant=peaks",), {}),
+    "radii of each wheel": ("swerve-track", ("plant.wheel_radius_each=0.002",), {}),
+    "calibrated arm": ("swerve-track", ("plant.joint_offset=0",), {"hand_error_mean_odometry": 2e-4}),
+    "odometry only": ("swerve-plaster", ("sensors=false",), {}),
+    "ten minutes": ("swerve-fixed", ("random=600",), {}),
+}
+#: Variants that take so long that only the first of the seeds runs them.
+ONCE = ("ten minutes",)
+CONDITIONS = {**SWERVE, **BALL, **{n: settings for n, (_, settings, _) in VARIANTS.items()}}
 
 
 def conditions_of(name: str) -> dict[str, tuple[str, ...]]:
-    """The conditions of an experiment's robot."""
-    return BALL if name.startswith("rezero") else SWERVE
+    """Conditions of an experiment's robot, and variants of the experiment."""
+    own = {n: settings for n, (experiment, settings, _) in VARIANTS.items() if experiment == name}
+    burdens = BALL if name.startswith("rezero") else {} if name in PROTOCOL_ONLY else SWERVE
+    return {"protocol": (), **burdens, **own}
 
 
 #: Figures that are shown beside all with a goal: (metric, factor, unit).
@@ -100,7 +115,7 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
     ),
 }
 #: Those that have no MPC, or none whose delay could be set, run under the protocol only.
-PROTOCOL_ONLY = ("swerve-brakes", "swerve-wobble", "swerve-calibrate", "swerve-plaster")
+PROTOCOL_ONLY = ("swerve-stability", "swerve-brakes", "swerve-wobble", "swerve-calibrate", "swerve-plaster")
 
 
 @dataclass(frozen=True)
@@ -120,10 +135,7 @@ class Cell:
         out = {}
         for name in dict.fromkeys(n for r in self.runs for n in r["metrics"]):
             having = [r for r in self.runs if name in r["metrics"]]
-            values = [r["metrics"][name]["value"] for r in having]
-            known = np.array([np.inf if v is None else float(v) for v in values])
-            # in order, not between values: a mean with infinity is not a figure
-            low, middle, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.5, 0.95))
+            _, low, middle, high, worst = order_statistics(r["metrics"][name]["value"] for r in having)
             goal = having[0]["targets"].get(name, {}).get("goal")
             unit = having[0]["metrics"][name]["unit"]
             out[name] = {
@@ -131,7 +143,7 @@ class Cell:
                 "median": middle,
                 "p5": low,
                 "p95": high,
-                "worst": float(known.max()),
+                "worst": worst,
                 "goal": goal,
             }
         return out
@@ -144,13 +156,13 @@ def place(out: Path, condition: str, name: str, seed: int) -> Path:
 
 def jobs(out: Path, conditions: Iterable[str], names: Iterable[str], seeds: Iterable[int]) -> dict[Job, str]:
     """All runs with their conditions, seed by seed."""
-    names, conditions = list(names), list(conditions)
+    names, conditions, seeds = list(names), list(conditions), list(seeds)
     return {
         Job(name, seed, place(out, condition, name, seed)): condition
         for seed in seeds
         for condition in conditions
         for name in names
-        if condition == "protocol" or (name not in PROTOCOL_ONLY and condition in conditions_of(name))
+        if condition in conditions_of(name) and (condition not in ONCE or seed == seeds[0])
     }
 
 
@@ -213,18 +225,27 @@ def _figure(s: dict[str, Any], factor: float) -> str:
 
 
 def _protocol(cell: Cell) -> str:
-    lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst", "goal", "reached"]), _row(["---"] * 8)]
+    lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst"]), _row(["---"] * 6)]
     for name, s in cell.statistics().items():
-        reached = "" if s["goal"] is None else ("yes" if s["p95"] <= s["goal"] else "no")
-        goal = "" if s["goal"] is None else f"{s['goal']:.3g}"
-        figures = [_text(s[k]) for k in ("median", "p5", "p95", "worst")]
-        lines.append(_row([name, s["unit"], *figures, goal, reached]))
+        lines.append(_row([name, s["unit"], *(_text(s[k]) for k in ("median", "p5", "p95", "worst"))]))
     return "\n".join(lines)
 
 
+def against_goals(found: list[Cell]) -> list[dict[str, Any]]:
+    """Rows of the table of goals: the protocol and the variants, no burdens."""
+    rows = []
+    for cell in found:
+        if cell.condition == "protocol" or cell.condition in VARIANTS:
+            name = cell.experiment + ("" if cell.condition == "protocol" else f", {cell.condition}")
+            goals = VARIANTS[cell.condition][2] if cell.condition in VARIANTS else {}
+            rows += goal_rows(name, list(cell.runs), goals)
+    return rows
+
+
 def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
-    """table.json, table.md and, where matplotlib is installed, robustness.png."""
+    """table.json, table.md, goals.md and, where matplotlib is installed, robustness.png."""
     out.mkdir(parents=True, exist_ok=True)
+    goals = against_goals(found)
     rows = [
         {
             "experiment": c.experiment,
@@ -239,10 +260,12 @@ def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
     ]
     lost = [{"run": str(j.directory.relative_to(out)), "reason": reason} for j, reason in failed.items()]
     data = json.loads(
-        json.dumps({"cells": rows, "failed": lost, "versions": versions()}), parse_constant=lambda _: None
+        json.dumps({"goals": goals, "cells": rows, "failed": lost, "versions": versions()}),
+        parse_constant=lambda _: None,
     )
     (out / "table.json").write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
     (out / "table.md").write_text(markdown(found))
+    (out / "goals.md").write_text(goals_markdown(goals))
     try:
         figure(found, out / "robustness.png")
     except ImportError:
@@ -287,7 +310,8 @@ def main() -> None:
         sys.exit(one(name, int(seed), Path(directory), settings))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
-    parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=list(CONDITIONS), metavar="NAME")
+    burdens = [c for c in CONDITIONS if c not in VARIANTS]
+    parser.add_argument("--conditions", nargs="*", default=burdens, choices=list(CONDITIONS), metavar="NAME")
     parser.add_argument(
         "--only", nargs="*", default=[n for n in SHOWN if n.startswith("swerve")], choices=list(REGISTRY)
     )
@@ -307,7 +331,8 @@ def main() -> None:
     write(cells(found), failed, given.out)
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
-    print((given.out / "table.md").read_text())
+    for name in ("goals.md", "table.md"):
+        print((given.out / name).read_text())
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 import robustness
+from goals import goal_rows
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
@@ -67,10 +68,46 @@ def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: P
         assert (tmp_path / "robustness.png").stat().st_size > 1000
 
 
-@pytest.mark.parametrize("name", robustness.SHOWN)
-def test_every_condition_is_a_setting_of_every_experiment(name: str) -> None:
-    for settings in robustness.conditions_of(name).values():
-        configure(REGISTRY[name].config_type, settings, name)
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_condition_changes_the_settings_of_its_experiment(name: str) -> None:
+    kind = REGISTRY[name].config_type
+    for condition, settings in robustness.conditions_of(name).items():
+        as_it_is = condition == "protocol" or (name, condition) == ("rezero-wholebody", "hand 1 kg")  # its own protocol
+        assert (configure(kind, settings, name) == kind()) == as_it_is, condition
+
+
+def test_variants_belong_to_one_experiment(tmp_path: Path) -> None:
+    names = ["swerve-track", "swerve-plaster", "swerve-fixed", "swerve-unified"]
+    found = robustness.jobs(tmp_path, robustness.VARIANTS, names, [200, 201])
+    ran = sorted((job.seed, job.name, condition) for job, condition in found.items())
+    several = [(s, n, c) for s in (200, 201) for c, (n, *_) in robustness.VARIANTS.items() if c != "ten minutes"]
+    assert ran == sorted([*several, (200, "swerve-fixed", "ten minutes")])
+
+
+def goals(values: list[float], completed: bool = True, **target: float) -> dict[str, object]:
+    runs = [
+        {"seed": 200 + k, "completed": completed, "metrics": {"a": {"value": v, "unit": "m"}}, "targets": {"a": target}}
+        for k, v in enumerate(values)
+    ]
+    (row,) = goal_rows("x", runs, {})  # type: ignore[arg-type]
+    return row
+
+
+def test_goals_are_judged_by_the_bad_end_of_the_seeds() -> None:
+    values = [float(v) for v in range(1, 22)]  # 5 % and 95 % of 21 values are the second and the last but one
+    assert goals(values, goal=20.0)["reached"] and not goals(values, goal=19.9)["reached"]
+    assert goals(values, least=2.0)["reached"] and not goals(values, least=2.1)["reached"]
+    low, high = goals(values, least=0.0), goals(values, goal=30.0)
+    assert (low["p95"], low["worst"]) == (2.0, 1.0) and (high["p95"], high["worst"]) == (20.0, 21.0)
+    assert not goals(values, completed=False, goal=30.0)["reached"]
+
+
+def test_table_of_goals(study: dict[robustness.Job, str], tmp_path: Path) -> None:
+    robustness.write(robustness.cells(study), {}, tmp_path)
+    head, _, row = (tmp_path / "goals.md").read_text().splitlines()
+    assert [f.strip() for f in row.split("|")][1:5] == ["`swerve-unified`", METRIC, "mm", "≤ 5"]
+    assert row.endswith("| 20 | yes |") and head.count("|") == row.count("|")
+    assert json.loads((tmp_path / "table.json").read_text())["goals"][0]["worst"] == pytest.approx(2e-3)
 
 
 def test_conditions_mean_what_they_are_called() -> None:

@@ -11,7 +11,7 @@ from wbmpc.log import Log
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0), 3)
+    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]

@@ -221,8 +221,9 @@ def standstill(log: Log, name: str, reference: Motion) -> float:
 def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
     done = [n for n in CONTROLLERS if f"odometry_{n}" in log.channels]
     rms = {n: _rms(errors(log, n, reference)[1]) for n in done}
-    half = 0.5 * rms["ik"] if "ik" in rms else None
-    out = {f"tracking_error_rms_{n}": Metric(v, "m", goal=half if n == "mpc" else None) for n, v in rms.items()}
+    out = {f"tracking_error_rms_{n}": Metric(v, "m") for n, v in rms.items()}
+    if "ik" in rms:
+        out["tracking_error_ratio"] = Metric(rms["mpc"] / rms["ik"], "1", goal=0.5)
     for n in done:
         t, position, yaw = errors(log, n, reference)
         out[f"yaw_error_rms_{n}"] = Metric(_rms(yaw), "rad")
