@@ -11,8 +11,13 @@ ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
 
+# those that need the wall clock run after the others and alone, so that other tests do not take their time;
+# both parts run whatever the first one said (5: nothing selected)
 test: $(VENV)/.tested
-	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) $(PYTEST_ARGS)
+	@status=0; \
+	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(PYTEST_ARGS) || status=$$?; \
+	$(ENVIRONMENT) $(BIN)/python -m pytest -m wallclock $(PYTEST_ARGS) || { late=$$?; [ $$late = 5 ] || status=$$late; }; \
+	[ $$status = 5 ] || exit $$status
 
 # against other solvers, then the soak
 bench: $(VENV)/.installed
