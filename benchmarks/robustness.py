@@ -22,10 +22,12 @@ import numpy as np
 from goals import goal_rows, goals_markdown, order_statistics
 
 from wbmpc.configuration import configure
+from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
 from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
 
+DOCS = Path(__file__).parents[1] / "docs"
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
 SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
@@ -66,8 +68,8 @@ CONDITIONS = {**SWERVE, **BALL, **{n: settings for n, (_, settings, _) in VARIAN
 def conditions_of(name: str) -> dict[str, tuple[str, ...]]:
     """Conditions of an experiment's robot, and variants of the experiment."""
     own = {n: settings for n, (experiment, settings, _) in VARIANTS.items() if experiment == name}
-    burdens = BALL if name.startswith("rezero") else {} if name in PROTOCOL_ONLY else SWERVE
-    return {"protocol": (), **burdens, **own}
+    more = BALL if name.startswith("rezero") else {} if name in PROTOCOL_ONLY else SWERVE
+    return {"protocol": (), **more, **own}
 
 
 #: Figures that are shown beside all with a goal: (metric, factor, unit).
@@ -194,24 +196,38 @@ def _text(value: float, factor: float = 1.0) -> str:
     return "∞" if not np.isfinite(value) else f"{factor * value:.3g}"
 
 
-def markdown(found: list[Cell]) -> str:
-    """A table for each experiment: conditions down, figures across; then all figures with goals under the protocol."""
+def burdens(found: list[Cell]) -> str:
+    """A table for each experiment that ran under more than one condition: conditions down, figures across."""
     parts = []
-    for name in dict.fromkeys(c.experiment for c in found):
-        mine = [c for c in found if c.experiment == name]
-        shown = SHOWN.get(name)
-        if shown and len(mine) > 1:
-            heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
-            lines = [_row(["condition", "seeds", "completed", *heads]), _row(["---"] * (3 + len(heads)))]
-            for cell in mine:
-                s = cell.statistics()
-                figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
-                lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
-            parts.append(f"### `{name}`\n" + "\n".join(lines))
-        protocol = next((c for c in mine if c.condition == "protocol"), None)
-        if protocol is not None:
-            parts.append(f"#### `{name}`, protocol, {len(protocol.runs)} seeds\n" + _protocol(protocol))
+    for name, shown in SHOWN.items():
+        mine = [c for c in found if c.experiment == name and c.condition not in VARIANTS]
+        if len(mine) < 2:
+            continue
+        heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
+        lines = [_row(["condition", "seeds", "completed", *heads]), _row(["---"] * (3 + len(heads)))]
+        for cell in mine:
+            s = cell.statistics()
+            figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
+            lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
+        parts.append(f"### `{name}`\n" + "\n".join(lines))
     return "\n\n".join(parts) + "\n"
+
+
+def markdown(found: list[Cell]) -> str:
+    """The tables of :func:`burdens`; then all figures under the protocol."""
+    protocol = [c for c in found if c.condition == "protocol"]
+    parts = [f"#### `{c.experiment}`, protocol, {len(c.runs)} seeds\n" + _protocol(c) for c in protocol]
+    return "\n\n".join([burdens(found), *parts]) + "\n"
+
+
+def publish(path: Path, mark: str, text: str) -> None:
+    """Put ``text`` between the lines ``<!-- mark -->`` and ``<!-- end of mark -->`` of a document."""
+    first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
+    before, _, rest = path.read_text().partition(first)
+    _, end, after = rest.partition(last)
+    if not end:
+        raise InputError(f"{path}: has no lines '{first.strip()}' and '{last}' to put the table between")
+    path.write_text(before + first + text + end + after)
 
 
 def _row(fields: Iterable[str]) -> str:
@@ -310,14 +326,15 @@ def main() -> None:
         sys.exit(one(name, int(seed), Path(directory), settings))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
-    burdens = [c for c in CONDITIONS if c not in VARIANTS]
-    parser.add_argument("--conditions", nargs="*", default=burdens, choices=list(CONDITIONS), metavar="NAME")
+    usual = [c for c in CONDITIONS if c not in VARIANTS]
+    parser.add_argument("--conditions", nargs="*", default=usual, choices=list(CONDITIONS), metavar="NAME")
     parser.add_argument(
         "--only", nargs="*", default=[n for n in SHOWN if n.startswith("swerve")], choices=list(REGISTRY)
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
+    parser.add_argument("--publish", action="store_true", help="also put the tables into docs (swerve experiments)")
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -331,6 +348,9 @@ def main() -> None:
     write(cells(found), failed, given.out)
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
+    if given.publish:
+        publish(DOCS / "experiments.md", "swerve goals", goals_markdown(against_goals(cells(found))))
+        publish(DOCS / "robustness.md", "swerve burdens", burdens(cells(found)))
     for name in ("goals.md", "table.md"):
         print((given.out / name).read_text())
 

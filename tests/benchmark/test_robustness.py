@@ -15,6 +15,7 @@ import robustness
 from goals import goal_rows
 
 from wbmpc.configuration import configure
+from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
 from wbmpc.experiments.swerve_unified import SwerveUnifiedSettings
 
@@ -116,3 +117,19 @@ def test_conditions_mean_what_they_are_called() -> None:
     assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
     assert (given["delay 5 ms"].mpc.delay, given["delay 25 ms"].mpc.delay) == (0.005, 0.025)
     assert given["protocol"] == SwerveUnifiedSettings()
+
+
+def test_tables_are_put_between_their_marks(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- a -->\nold\n<!-- end of a -->\nafter\n")
+    for text in ("first\n", "second\n"):
+        robustness.publish(page, "a", text)
+    assert page.read_text() == "before\n<!-- a -->\nsecond\n<!-- end of a -->\nafter\n"
+    with pytest.raises(InputError, match="end of b"):
+        robustness.publish(page, "b", "text")
+
+
+def test_docs_have_their_marks() -> None:
+    for name, mark in (("experiments.md", "swerve goals"), ("robustness.md", "swerve burdens")):
+        text = (robustness.DOCS / name).read_text()
+        assert text.index(f"<!-- {mark} -->") < text.index(f"<!-- end of {mark} -->")

@@ -39,8 +39,9 @@ class SwerveAgent:
     ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
     While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
     slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
-    base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a load
-    that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called with each fault that it finds.
+    base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
+    load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called
+    with each fault that it finds.
     """
 
     def __init__(
