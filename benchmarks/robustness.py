@@ -1,10 +1,12 @@
 """Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
 Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+       [--publish goals burdens]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md, goals.md (experiments and their variants against their goals) and
 robustness.png; docs/robustness.md explains the figures. Left out, --only is all swerve experiments; conditions of other robots
-and variants of other experiments are passed over.
+and variants of other experiments are passed over. --publish puts the table of goals into docs/experiments.md and that of the
+burdens into docs/robustness.md, between marks with the robot's name.
 """
 
 from __future__ import annotations
@@ -19,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from goals import goal_rows, goals_markdown, order_statistics
+from goals import goal_rows, goals_markdown, number, order_statistics, publish
 
 from wbmpc.configuration import configure
-from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
 from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
@@ -109,6 +110,24 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
         ("steady_ball_offset_max", 1e3, "mm"),
         ("fell", 1.0, "1"),
     ),
+    "rezero-taskspace": (
+        ("hand_error_integral_mpc", 1.0, "m s"),
+        ("hand_error_integral_taskspace", 1.0, "m s"),
+        ("torque_squared_ratio", 1.0, "1"),
+        ("falls_taskspace", 1.0, "1"),
+    ),
+    "rezero-door": (
+        ("force_error_ratio_low", 100.0, "%"),
+        ("force_error_ratio_high", 100.0, "%"),
+        ("touch_peak", 1.0, "N"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-frequency": (
+        ("torque_error_ratio", 1.0, "1"),
+        ("rise_time_plain", 1.0, "s"),
+        ("rise_time_shaped", 1.0, "s"),
+        ("fell_shaped", 1.0, "1"),
+    ),
     "rezero-circle": (("hand_error_rms", 1e3, "mm"), ("ball_error_rms", 1e3, "mm"), ("fell", 1.0, "1")),
     "swerve-drive": (
         ("base_position_error_rms", 1e3, "mm"),
@@ -192,10 +211,6 @@ def _order(item: tuple[tuple[str, str], Any]) -> tuple[str, int]:
     return name, list(CONDITIONS).index(condition)
 
 
-def _text(value: float, factor: float = 1.0) -> str:
-    return "∞" if not np.isfinite(value) else f"{factor * value:.3g}"
-
-
 def burdens(found: list[Cell]) -> str:
     """A table for each experiment that ran under more than one condition: conditions down, figures across."""
     parts = []
@@ -220,30 +235,20 @@ def markdown(found: list[Cell]) -> str:
     return "\n\n".join([burdens(found), *parts]) + "\n"
 
 
-def publish(path: Path, mark: str, text: str) -> None:
-    """Put ``text`` between the lines ``<!-- mark -->`` and ``<!-- end of mark -->`` of a document."""
-    first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
-    before, _, rest = path.read_text().partition(first)
-    _, end, after = rest.partition(last)
-    if not end:
-        raise InputError(f"{path}: has no lines '{first.strip()}' and '{last}' to put the table between")
-    path.write_text(before + first + text + end + after)
-
-
 def _row(fields: Iterable[str]) -> str:
     return "| " + " | ".join(fields) + " |"
 
 
 def _figure(s: dict[str, Any], factor: float) -> str:
     """Median (95 %, worst); bold where the 95 % value misses the goal."""
-    text = f"{_text(s['median'], factor)} ({_text(s['p95'], factor)}, {_text(s['worst'], factor)})"
+    text = f"{number(s['median'], factor)} ({number(s['p95'], factor)}, {number(s['worst'], factor)})"
     return f"**{text}**" if s["goal"] is not None and s["p95"] > s["goal"] else text
 
 
 def _protocol(cell: Cell) -> str:
     lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst"]), _row(["---"] * 6)]
     for name, s in cell.statistics().items():
-        lines.append(_row([name, s["unit"], *(_text(s[k]) for k in ("median", "p5", "p95", "worst"))]))
+        lines.append(_row([name, s["unit"], *(number(s[k]) for k in ("median", "p5", "p95", "worst"))]))
     return "\n".join(lines)
 
 
@@ -254,7 +259,8 @@ def against_goals(found: list[Cell]) -> list[dict[str, Any]]:
         if cell.condition == "protocol" or cell.condition in VARIANTS:
             name = cell.experiment + ("" if cell.condition == "protocol" else f", {cell.condition}")
             goals = VARIANTS[cell.condition][2] if cell.condition in VARIANTS else {}
-            rows += goal_rows(name, list(cell.runs), goals)
+            shown = [metric for metric, _, _ in SHOWN.get(cell.experiment, ())]
+            rows += goal_rows(name, list(cell.runs), goals, shown)
     return rows
 
 
@@ -334,7 +340,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
-    parser.add_argument("--publish", action="store_true", help="also put the tables into docs (swerve experiments)")
+    parser.add_argument(
+        "--publish", nargs="*", default=[], choices=["goals", "burdens"], help="tables that go into docs"
+    )
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -348,9 +356,11 @@ def main() -> None:
     write(cells(found), failed, given.out)
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
-    if given.publish:
-        publish(DOCS / "experiments.md", "swerve goals", goals_markdown(against_goals(cells(found))))
-        publish(DOCS / "robustness.md", "swerve burdens", burdens(cells(found)))
+    robot = "ball" if given.only[0].startswith("rezero") else "swerve"
+    if "goals" in given.publish:
+        publish(DOCS / "experiments.md", f"{robot} goals", goals_markdown(against_goals(cells(found))))
+    if "burdens" in given.publish:
+        publish(DOCS / "robustness.md", f"{robot} burdens", burdens(cells(found)))
     for name in ("goals.md", "table.md"):
         print((given.out / name).read_text())
 

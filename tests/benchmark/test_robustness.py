@@ -12,7 +12,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 import robustness
-from goals import goal_rows
+from goals import goal_rows, goals_markdown, publish
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
@@ -90,7 +90,7 @@ def goals(values: list[float], completed: bool = True, **target: float) -> dict[
         {"seed": 200 + k, "completed": completed, "metrics": {"a": {"value": v, "unit": "m"}}, "targets": {"a": target}}
         for k, v in enumerate(values)
     ]
-    (row,) = goal_rows("x", runs, {})  # type: ignore[arg-type]
+    (row,) = goal_rows("rezero-steps", runs, {}, ["a"])  # type: ignore[arg-type]
     return row
 
 
@@ -103,10 +103,23 @@ def test_goals_are_judged_by_the_bad_end_of_the_seeds() -> None:
     assert not goals(values, completed=False, goal=30.0)["reached"]
 
 
+@pytest.mark.parametrize(
+    ("target", "text"),
+    [({"goal": 0.03}, "≤ 30"), ({"least": 0.01}, "≥ 10"), ({"goal": 0.03, "least": 0.02}, "≥ 20 ≤ 30"), ({}, "–")],
+)
+def test_a_row_says_the_goal_and_what_the_paper_says(target: dict[str, float], text: str) -> None:
+    row = goals([0.02, 0.025, 1.0], **target)
+    worst = "25 (20, 20)" if set(target) == {"least"} else "25 (1000, 1000)"
+    expected = [text, "“acceptable”", worst]
+    assert goals_markdown([row]).splitlines()[-1].split(" | ")[2:5] == expected
+    assert row["reached"] is ({"least"} == set(target) if target else None)
+    assert goals_markdown([{**row, "paper": 0.0167}]).splitlines()[-1].split(" | ")[3] == "16.7"
+
+
 def test_table_of_goals(study: dict[robustness.Job, str], tmp_path: Path) -> None:
     robustness.write(robustness.cells(study), {}, tmp_path)
     head, _, row = (tmp_path / "goals.md").read_text().splitlines()
-    assert [f.strip() for f in row.split("|")][1:5] == ["`swerve-unified`", METRIC, "mm", "≤ 5"]
+    assert [f.strip() for f in row.split("|")][1:4] == ["`swerve-unified`", f"`{METRIC}` [mm]", "≤ 5"]
     assert row.endswith("| 20 | yes |") and head.count("|") == row.count("|")
     assert json.loads((tmp_path / "table.json").read_text())["goals"][0]["worst"] == pytest.approx(2e-3)
 
@@ -123,13 +136,17 @@ def test_tables_are_put_between_their_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- a -->\nold\n<!-- end of a -->\nafter\n")
     for text in ("first\n", "second\n"):
-        robustness.publish(page, "a", text)
+        publish(page, "a", text)
     assert page.read_text() == "before\n<!-- a -->\nsecond\n<!-- end of a -->\nafter\n"
     with pytest.raises(InputError, match="end of b"):
-        robustness.publish(page, "b", "text")
+        publish(page, "b", "text")
 
 
 def test_docs_have_their_marks() -> None:
-    for name, mark in (("experiments.md", "swerve goals"), ("robustness.md", "swerve burdens")):
+    for name, mark in (
+        ("experiments.md", "swerve goals"),
+        ("experiments.md", "ball goals"),
+        ("robustness.md", "swerve burdens"),
+    ):
         text = (robustness.DOCS / name).read_text()
         assert text.index(f"<!-- {mark} -->") < text.index(f"<!-- end of {mark} -->")
