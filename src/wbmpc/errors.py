@@ -22,6 +22,10 @@ class RunAborted(WbmpcError):
     """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
 
 
+class EndedByUser(RunAborted):
+    """The user ended a run: with Ctrl-C, or in a view. Nothing more of it follows. The command line exits with 130."""
+
+
 class FallForeseen(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
@@ -40,7 +44,9 @@ class UnsupportedOperation(KernelError):
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
     """A hint ``(did you mean 'x'?)`` with a leading blank, or an empty string."""
-    near = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.6)
+    known = list(choices)
+    same = [c for c in known if c.casefold() == name.casefold()]  # wheel_lf is wheel_LF, not wheel_RF
+    near = same or difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 

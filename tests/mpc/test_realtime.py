@@ -171,6 +171,7 @@ def lateness(action: Callable[[], object], seconds: float) -> float:
     return float(np.median(ticks.late[3:]))
 
 
+@pytest.mark.wallclock
 def test_solves_hold_no_interpreter_lock() -> None:
     """Ticks beside long solves are nearly as regular as beside a thread that sleeps; with the lock held they are not."""
     solver = swerve_solver(n=60, **vars(SQP.real_time(10)))

@@ -161,7 +161,7 @@ class RezeroAgent:
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
         assert policy is not None
-        return policy.feedforward(t)[: self.limit.size], policy(t, x)[: self.limit.size]
+        return policy.feedforward(t)[: self.limit.size], policy.law(t, x)[: self.limit.size]
 
     def _drive(self, torque: np.ndarray) -> RezeroCommand:
         """The command for possible torques, which the drives follow with their lag."""

@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, part_of, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import DoorGeometry, RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -226,9 +226,8 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
 def run(settings: RezeroDoorSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """A run for each force, weakest first; a fall ends it."""
     trials: list[Trial] = []
-    forces = sorted(settings.forces)
-    for k, force in enumerate(forces):
-        trials.append(push_door(settings, force, seed, part_of(progress, k, [f"{f:g} N" for f in forces])))
+    for k, force in enumerate(sorted(settings.forces)):
+        trials.append(push_door(settings, force, seed, part(progress, k, len(settings.forces), f"{force:g} N")))
         if trials[-1].ending.reason:
             break
     names = LABELS[-len(settings.forces) :]

@@ -14,7 +14,14 @@ from wbmpc import lie
 from wbmpc.control import RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
-from wbmpc.experiments.rezero_rivals import Controller, Parts, RivalsSettings, TrackingSettings, make_controller
+from wbmpc.experiments.rezero_rivals import (
+    ACCURATE_RIVALS,
+    Controller,
+    Parts,
+    RivalsSettings,
+    TrackingSettings,
+    make_controller,
+)
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
@@ -72,11 +79,13 @@ class RezeroSettings(ExperimentSettings):
 
 
 class AccurateSettings(RezeroSettings):
-    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly."""
+    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
+    the rivals."""
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
     )
+    rival: RivalsSettings = ACCURATE_RIVALS
 
 
 #: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
@@ -204,6 +213,8 @@ def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estima
     """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
     rotation = lie.euler_zyx_to_rotation(*state[2:5])
     log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
+    turned = lie.rotation_to_quaternion(rotation @ truth.tool_rotation_in_base)
+    log.add("hand_quaternion_estimated", t, turned)
     log.add("estimate", t, state)
     log.add("rolling_fault", t, float(bool(estimator.faults)))
 
@@ -211,6 +222,11 @@ def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estima
 def hand_felt(log: Log) -> np.ndarray:
     """Hand positions (n, 3) [m] in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("hand_estimated") if "hand_estimated" in log.channels else log.array("hand")
+
+
+def hand_turn_felt(log: Log) -> np.ndarray:
+    """Quaternions (n, 4) of the hand in the estimated frame (the true ones in runs without an estimator)."""
+    return log.array("hand_quaternion_estimated" if "hand_quaternion_estimated" in log.channels else "hand_quaternion")
 
 
 def ball_felt(log: Log) -> np.ndarray:

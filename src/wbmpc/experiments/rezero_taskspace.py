@@ -23,7 +23,7 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, part_of, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant
@@ -113,8 +113,7 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
     """Both controllers, one after the other, on the same plant."""
     log, endings, mpc = Log(), {}, None
     for k, name in enumerate(CONTROLLERS):
-        part = part_of(progress, k, CONTROLLERS)
-        endings[name], made = drive(name, settings, seed, log, part)
+        endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
         mpc = made if name == "mpc" else mpc
         if endings[name].interrupted:
             break

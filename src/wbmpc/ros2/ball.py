@@ -178,6 +178,7 @@ class BallPilot:
         robot.mass_matrix(robot.home[: robot.base.nq])
         robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
+        resting(robot, *robot.pose(robot.home))
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:
@@ -240,14 +241,21 @@ class BallPilot:
         """The hand is to exert a wrench (6): the plan counts with the world's answer."""
         self._answer = self.agent.answer = -wrench
 
+    def relocate(self) -> None:
+        """Whoever holds it, poses count as they come: see :meth:`stand`."""
+
     # ------------------------------------------------------------------ tasks
-    def follow(self, task: Task, x: Array) -> None:
-        """References for the hand and for the body at rest; the ball goes where the hand needs it."""
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """For the hand and for the body at rest; the ball goes where the hand needs it. A way of the hand takes 0.1 s and more."""
         hand = task.hand
-        self.pending.set({
+        return {
             "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": bodies(task, self.robot, x),
-            "twist": Reference.constant(np.zeros(6)), "torque": Reference.constant(self._torque),
-        })  # fmt: skip
+            "twist": Reference.constant(np.zeros(6)),
+        }  # fmt: skip
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self.pending.set({**references, "torque": Reference.constant(self._torque)})
 
     # ------------------------------------------------------------------ what is told
     def estimate(self) -> Estimate | None:
