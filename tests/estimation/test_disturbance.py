@@ -92,8 +92,8 @@ def test_an_unknown_inertia_is_no_constant_force() -> None:
 
 
 def test_what_holds_a_resting_robot_up_is_learnt_and_forgotten() -> None:
-    """A force of 60 N along x, 3 m/s² unless something bears it, from 2 s to 5 s on a robot that stands: taken for a push at first, it
-    is learnt when the hold is over, and forgotten without another hold when it goes."""
+    """A force of 60 N along x, 3 m/s² unless something bears it, from 2 s to 5 s on a robot that stands: taken for a push
+    at first, it is learnt when the hold is over, and forgotten without another hold when it goes."""
     observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N)
     x, out = np.zeros(2 * N), []
     for k in range(round(9.0 / H)):  # it leans against what holds it: the command that it knows of has no effect

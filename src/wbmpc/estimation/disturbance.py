@@ -2,9 +2,9 @@
 
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. A push is not a constant disturbance: while the innovation is large, and for ``hold``
-seconds after, d̂ stays as it is. What is there again within ``again`` seconds after such a hold, with the ball at rest, is no push: a
-ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not know of them leans
-ever further. Then d̂ learns, at full gain, until nothing has been beyond the gate for ``lasting`` seconds.
+seconds after, d̂ stays as it is. What is there again within ``again`` seconds after such a hold, with the ball at rest, is no
+push: a ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not
+know of them leans ever further. Then d̂ learns, at full gain, until nothing has been beyond the gate for ``lasting`` seconds.
 
 Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the hand, a step of
@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-
 
 #: A ball slower than this [m/s] is at rest.
 AT_REST = 0.1
