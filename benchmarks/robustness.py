@@ -193,7 +193,7 @@ def one(name: str, seed: int, directory: Path, settings: list[str]) -> int:
     result = experiment.run(configure(experiment.config_type, settings, name), seed, None)
     write_run(result, directory)
     (directory / "log.npz").unlink()
-    (directory / "cpu_seconds").writenumber(f"{time.process_time():.0f}\n")
+    (directory / "cpu_seconds").write_text(f"{time.process_time():.0f}\n")
     return 0 if result.completed else 1
 
 
@@ -285,9 +285,9 @@ def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
         json.dumps({"goals": goals, "cells": rows, "failed": lost, "versions": versions()}),
         parse_constant=lambda _: None,
     )
-    (out / "table.json").writenumber(json.dumps(data, indent=2, allow_nan=False) + "\n")
-    (out / "table.md").writenumber(markdown(found))
-    (out / "goals.md").writenumber(goals_markdown(goals))
+    (out / "table.json").write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
+    (out / "table.md").write_text(markdown(found))
+    (out / "goals.md").write_text(goals_markdown(goals))
     try:
         figure(found, out / "robustness.png")
     except ImportError:
