@@ -2,7 +2,7 @@
 
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. A push is not a constant disturbance: while the innovation is large, and for ``hold``
-seconds after, d̂ stays as it is. What is there again within ``again`` seconds after such a hold, with the ball at rest, is no
+seconds after, d̂ stays as it is. What is there again within ``again`` seconds (0: never) after such a hold, with the ball at rest, is no
 push: a ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not
 know of them leans ever further. Then d̂ learns, at full gain, until nothing has been beyond the gate for ``lasting`` seconds.
 
@@ -35,7 +35,7 @@ class DisturbanceObserver:
     force_gain: float = 75.0
     gate: np.ndarray = field(default_factory=lambda: np.array([0.06, 0.06, 0.25, 0.12, 0.12]))
     hold: float = 1.0
-    again: float = 0.3
+    again: float = 0.0
     lasting: float = 3.0
     calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
 
