@@ -2,8 +2,8 @@
 
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. A push is not a constant disturbance: while the innovation is large, and for ``hold``
-seconds after, d̂ stays as it is. What is there again within ``again`` seconds (0: never) after such a hold, with the ball at rest, is
-no push: a ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not
+seconds after, d̂ stays as it is. What is there again within ``again`` seconds (0: never) after such a hold, with the ball at rest,
+is no push: a ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not
 know of them leans ever further. Then d̂ learns, at full gain, until nothing has been beyond the gate for ``lasting`` seconds.
 
 Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
