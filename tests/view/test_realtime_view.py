@@ -93,7 +93,7 @@ def test_the_runner_is_watched_and_steered() -> None:
             orders[name][...] = value
         panel_of(view).write(**orders)
 
-    def until(true: Callable[[], bool], seconds: float = 25.0) -> bool:
+    def until(true: Callable[[], bool], seconds: float = 120.0) -> bool:
         deadline = time.monotonic() + seconds
         while not true() and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
 from wbmpc.mpc.figures import Report, Spread
@@ -205,7 +205,7 @@ class Runner:
             if not self._stopped.is_set():
                 try:
                     self._tick(due)
-                except SafeStop as reason:
+                except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
                 except Exception as error:
                     self.halt(f"the controller raised {type(error).__name__}: {error}", error)
@@ -353,12 +353,14 @@ class Runner:
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""
-        limit = self.settings.watchdog
-        self._beat = self.clock.now()
+        limit, looked = self.settings.watchdog, self.clock.now()
+        self._beat = looked
         while not self._ended.wait(0.2 * limit):
-            silent = self.clock.now() - self._beat
+            now = self.clock.now()
+            silent, held_up, looked = now - self._beat, now - looked > 0.5 * limit, now
             if silent > limit:
-                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s")
+                why = ": the machine is too busy, the watchdog was held up too" if held_up else ""
+                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")
                 self._stop_robot()
 
     # ------------------------------------------------------------------ figures
