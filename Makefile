@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -78,15 +78,23 @@ ball-robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/ball-robustness --only \
 	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle $(ROBUSTNESS_ARGS)
 
+# the ball robot's experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
+ball: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --conditions protocol --out runs/ball --only \
+	  rezero-steps rezero-push-ball rezero-push-hand rezero-wholebody rezero-taskspace rezero-circle rezero-door \
+	  rezero-frequency $(BALL_ARGS)
+
 # gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on)
 ball-rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --search all --file runs/ball-rivals.jsonl
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --file runs/ball-rivals.jsonl $(RIVALS_ARGS)
 
-# the swerve experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
+# the swerve experiments and their variants over the reporting seeds, against their goals: runs/swerve/goals.md (hours; goes on
+# where it stopped; SWERVE_ARGS="--seeds 200-204")
 swerve: $(VENV)/.installed
-	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --conditions protocol --out runs/swerve --only \
-	  swerve-fixed swerve-drive swerve-unified swerve-brakes swerve-wobble swerve-stability swerve-calibrate $(SWERVE_ARGS)
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/swerve --conditions protocol vertical peaks \
+	  "radii of each wheel" "calibrated arm" "odometry only" "ten minutes" --only swerve-track swerve-unified swerve-drive \
+	  swerve-fixed swerve-plaster swerve-brakes swerve-wobble swerve-stability swerve-calibrate $(SWERVE_ARGS)
 
 # gains of the rivals without MPC: a search on tuning seeds (an hour)
 rivals: $(VENV)/.installed

@@ -2,7 +2,8 @@
 
 Usage: python benchmarks/ros2_bus.py [--robot swerve rezero] [--seconds 60] [--only-stream] [--fifo] [--json FILE]
 First `swerve-track` and `rezero-steps`, on the bus in lockstep and inside one process, same seed;
-then the stream of commands is timed in real time: how regular it is, whether a message is lost, from state to command.
+then the stream of commands is timed in real time: how regular it is, whether a message is lost, from state to command; and after
+it the loop without a bus (benchmarks/realtime.py), for as long and at the same rates.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from wbmpc.log import Log
 from wbmpc.model import load_robot
 from wbmpc.ros2 import DEFAULT, Network, Qos, open_node
 from wbmpc.ros2.convert import header, path, planar, pose, read_pose, seconds, upright
+from wbmpc.ros2.settings import BallSettings, RosSettings
 from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
@@ -79,7 +81,8 @@ class Bus:
         self.said, self.level = "", 0
         self.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._diagnostics)
         self.wait_for(lambda: "waiting" in self.said, 120.0)  # the controller has built its solver
-        self.sim = start(sim)
+        self.start_sim = lambda: start(sim)
+        self.sim = self.start_sim()
         self.wait_for(lambda: self.said == "waiting for a goal", 60.0)
 
     def _diagnostics(self, message: Any) -> None:
@@ -202,11 +205,11 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     recorder, way = Recorder(bus.node), sine(settings)
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
-    bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 20.0)
+    bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 60.0)
     begin = recorder.time
     bus.wait_for(lambda: recorder.time - begin > rest and all(map(_matched, (goal, *paths.values()))), 60.0 + rest)
     goal.publish({"header": header(0.0, "odom")})  # to stay: in lockstep time then passes as fast as the commands come
-    bus.wait_for(lambda: "running" in bus.said, 30.0)
+    bus.wait_for(lambda: "running" in bus.said, 60.0)
     start = recorder.time + LEAD
     t = np.arange(0.0, way.end + 0.5, 0.02)
     s, _ = way.arc(t)
@@ -215,7 +218,7 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
         path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
     )
     paths["hand"].publish(path(start, "odom", hand_of(way, t), np.tile(HAND_ORIENTATION, (t.size, 1)), start + t))
-    bus.wait_for(lambda: "path" in bus.said, 30.0)
+    bus.wait_for(lambda: "path" in bus.said, 60.0)
     bus.wait_for(lambda: recorder.time > start + way.end + 0.4 or "stopped" in bus.said, 600.0)
     if "running" not in bus.said:
         raise RuntimeError(f"{bus.said}\n{bus.output()}")
@@ -247,7 +250,7 @@ def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> S
     schedule, lift = Schedule.of(settings, robot), np.array([0.0, 0.0, robot.base.radius])
     recorder, node = Recorder(bus.node), bus.node
     goal = node.publisher("/hand_path", "nav_msgs/msg/Path", DEFAULT)
-    bus.wait_for(lambda: recorder.rows["base"] and _matched(goal), 30.0)
+    bus.wait_for(lambda: recorder.rows["base"] and _matched(goal), 60.0)
     # the robot is held until it is commanded: the path's first moment is when it starts
     times, positions, turned = [0.0], [schedule.positions[0]], [schedule.quaternions[0]]
     for k in range(1, schedule.times.size):
@@ -311,7 +314,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     bus.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", take("state"), many)
     time.sleep(1.0)  # both ends know each other
     send()
-    bus.wait_for(lambda: bus.said.startswith("running"), 30.0)
+    bus.wait_for(lambda: bus.said.startswith("running"), 60.0)
     gc.collect()
     gc.disable()
     if fifo:  # the watch is not to be late itself
@@ -326,7 +329,9 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
     before = bus.figures
-    bus.wait_for(lambda: bus.figures is not before, 5.0)
+    bus.wait_for(lambda: bus.figures is not before, 60.0)
+    if not bus.said.startswith("running"):
+        raise RuntimeError(f"the stream ended: {bus.said}")
     sent, received = int(bus.figures["commands sent"]), len(arrivals["command"])
     ticks, off = on_grid(t - t[0], period)
     last = states[np.maximum(np.searchsorted(states, t) - 1, 0)]
@@ -341,10 +346,26 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     }  # fmt: skip
 
 
+def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[str, float]:
+    """The same controller and MPC (``rate`` [Hz]) at 400 Hz with the physics over shared memory, in processes of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figures.json"
+        given = ["--robot", robot, "--rate", str(rate), "--seconds", str(seconds_), "--json", str(file)]
+        command = [sys.executable, str(Path(__file__).parent / "realtime.py"), *given, *(["--fifo"] if fifo else [])]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        (found,) = json.loads(file.read_text())
+    return {
+        "load": os.getloadavg()[0], "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
+        "tick begins late, median [ms]": 1e3 * found["jitter"]["median"],
+        "tick begins late, 99 % [ms]": 1e3 * found["jitter"]["p99"],
+        "tick takes, median [ms]": 1e3 * found["tick"]["median"],
+    }  # fmt: skip
+
+
 def drive(bus: Bus, seconds_: float) -> Callable[[], None]:
     """A goal for the base that takes as long."""
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
-    bus.wait_for(lambda: _matched(goal), 10.0)
+    bus.wait_for(lambda: _matched(goal), 60.0)
     return lambda: goal.publish({"header": header(0.0, "odom"), "pose": {"position": {"x": 0.3 * seconds_}}})
 
 
@@ -353,7 +374,7 @@ def balance(bus: Bus) -> Callable[[], None]:
     robot = load_robot("rezero")
     position, turned = robot.pose(robot.home)
     goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")
-    bus.wait_for(lambda: _matched(goal), 10.0)
+    bus.wait_for(lambda: _matched(goal), 60.0)
     at = pose(position + [0.2, 0.0, robot.base.radius], turned)
     return lambda: goal.publish({"header": header(0.0, "odom"), "pose": at})
 
@@ -370,6 +391,7 @@ def swerve(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(62, given.seed, lockstep=False, fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, drive(bus, given.seconds), given.fifo)
             figures["controller in real time"] = bus.figures
+        figures["without a bus"] = without_bus("swerve", RosSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 
@@ -385,6 +407,7 @@ def ball(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(64, given.seed, lockstep=False, robot="rezero", fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, balance(bus), given.fifo)
             figures["controller in real time"] = bus.figures
+        figures["without a bus"] = without_bus("rezero", BallSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 

@@ -146,13 +146,13 @@ def make_faulty(fault: str, after: int = 30) -> FaultyMPC:
     actions: dict[str, Callable[[int], bool | None]] = {
         "fails": lambda n: False if n > after else None,
         "late": lambda n: time.sleep(0.25) if n == after else None,
-        "hangs": lambda n: time.sleep(1.5) if n == after else None,
+        "hangs": lambda n: time.sleep(3.0) if n == after else None,
     }
     return FaultyMPC(actions[fault])
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
-    """Whether the condition comes true in time."""
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
+    """Whether the condition comes true in time: long, for the machine may be busy."""
     end = time.perf_counter() + seconds
     while not condition():
         if time.perf_counter() > end:

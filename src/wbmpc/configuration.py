@@ -115,7 +115,10 @@ def describe(error: ValidationError) -> str:
             else f"={fault['input']!r}"
         )
         if fault["type"] == "tuple_type":
-            faults.append(f"{key}{shown}: several numbers in brackets are needed, e.g. [0.6, 0.9]")
+            example = "names in brackets are needed, e.g. [one, other]"
+            if not isinstance(fault["input"], str):
+                example = "numbers in brackets are needed, e.g. [0.6, 0.9]"
+            faults.append(f"{key}{shown}: several {example}")
             continue
         text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))

@@ -44,7 +44,9 @@ class UnsupportedOperation(KernelError):
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
     """A hint ``(did you mean 'x'?)`` with a leading blank, or an empty string."""
-    near = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.6)
+    known = list(choices)
+    same = [c for c in known if c.casefold() == name.casefold()]  # wheel_lf is wheel_LF, not wheel_RF
+    near = same or difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 

@@ -129,14 +129,14 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
     plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
     agent, steer, stood = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
     for k in range(800):
-        agent.measure(message(k * PERIOD, steer=steer.copy()))
+        agent.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
         command = agent.command(k * PERIOD, plans)
         if agent.aligning:
             stood += 1
             np.testing.assert_array_equal(command.wheel, 0.0)
             now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
             np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
-        np.testing.assert_array_equal(command.arm, 0.2)
+        np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
     # an exponential of 5 / s from 0.5 to 0.02 rad
     assert stood == pytest.approx(np.log(0.5 / 0.02) / 5.0 / PERIOD, abs=3)
@@ -173,12 +173,13 @@ def test_commands_change_by_what_accelerations_allow() -> None:
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
     agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
-    before, ticks = np.zeros(u.size), 0
+    before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
     agent.measure(message())
     ahead = agent.predict(0.0, 8 * PERIOD, plans).x
     for k in range(60):
-        agent.measure(message(k * PERIOD))
+        agent.measure(message(k * PERIOD, arm=arm.copy()))
         command = agent.command(k * PERIOD, plans)
+        arm += command.arm * PERIOD
         now = before.copy()
         now[given["wheel"]], now[given["steer"]], now[given["arm"]] = command.wheel, command.steer, command.arm
         assert np.all(np.abs(now - before) <= most * PERIOD * (1.0 + 1e-12))
@@ -216,6 +217,25 @@ def test_gyro_bias_is_found_at_rest() -> None:
     assert agent.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
     assert abs(agent.odometry.pose[2]) < 1e-6
     assert deaf.odometry.gyro_bias == 0.0 and deaf.odometry.pose[2] == 0.0
+
+
+def test_a_sagging_arm_is_learned_and_taken_off() -> None:
+    """Drives of first order, integrated here, and a load that turns the joints besides: they turn as planned after a while,
+    though the encoders' messages are up to 2 ms old."""
+    rng, sag = np.random.default_rng(0), np.array([0.0, 0.03, -0.02, 0.0, 0.01, 0.0])
+    u, given = 0.2 * swerve_input(1), SWERVE.input
+    u[[i for i in range(u.size) if i not in range(u.size)[given["arm"]]]] = 0.0
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=0.02)
+    arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), Plans()
+    plans.add(0.0, constant_policy(u))
+    for k in range(1, 2000):
+        t = k * PERIOD
+        old = rng.uniform(0.0, 0.8)
+        agent.measure(message(t, arm=old * arm[k - 2] + (1.0 - old) * arm[k - 1], steer=np.full(4, t)))
+        rate += (1.0 - np.exp(-PERIOD / 0.02)) * (agent.command(t, plans).arm - rate)
+        arm[k] = arm[k - 1] + PERIOD * (rate + sag)
+    np.testing.assert_allclose(agent.sag, sag, atol=2e-3)
+    np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
 
 
 def test_calibration_corrects_angles_and_wheel_speeds() -> None:
@@ -274,17 +294,22 @@ def feedback_policy(seed: int) -> Policy:
     return Policy(times, rng.normal(size=(51, 2 * N)) * 0.1, rng.normal(size=(50, TORQUES)), gain)
 
 
-def ball_agent(lag: float = 0.0, observer: bool = False) -> RezeroAgent:
-    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer)  # type: ignore[arg-type]
+def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> RezeroAgent:
+    more = {"dead_time": dead * PERIOD}
+    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer, **more)  # type: ignore[arg-type]
 
 
-def run_ball(agent: RezeroAgent, late: int, lag: float, ticks: int = 40) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
-    """A plant with drives of a first-order lag (held over a tick) under the agent: its states, and what was predicted.
+def run_ball(
+    agent: RezeroAgent, late: int, lag: float, ticks: int = 40, dead: int = 0
+) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
+    """A plant with drives of a first-order lag (held over a tick), and ``dead`` ticks before it, under the agent: its states, and
+    what was predicted.
 
     Predictions are (tick they are for, state); a new policy comes into force every tenth tick, four ticks late.
     """
     x, torque, states, predictions, plans = 0.1 * np.ones(2 * N), np.zeros(TORQUES), [], [], Plans()
     blend = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
+    way = [np.zeros(TORQUES)] * dead
     for k in range(ticks):
         states.append(x)
         age = min(late, k)
@@ -297,20 +322,22 @@ def run_ball(agent: RezeroAgent, late: int, lag: float, ticks: int = 40) -> tupl
             plans.add(t + 4 * PERIOD, feedback_policy(k))
         np.testing.assert_allclose(agent.state(), x, atol=1e-10)
         command = agent.command(t, plans).torque
-        torque = torque + blend * (command - torque)
+        way.append(command)
+        torque = torque + blend * (way.pop(0) - torque)
         x = linear_step(x, torque, PERIOD)
     return states, predictions
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.02])
-@pytest.mark.parametrize("late", [0, 2, 5])
-def test_ball_robot_prediction_is_what_happens(late: int, lag: float) -> None:
-    """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true."""
-    states, predictions = run_ball(ball_agent(lag), late, lag)
+@pytest.mark.parametrize(("late", "dead"), [(0, 0), (2, 0), (5, 0), (2, 3)])
+def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float) -> None:
+    """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true: with a dead
+    time, that in which the plan's first torques will act."""
+    states, predictions = run_ball(ball_agent(lag, dead=dead), late, lag, dead=dead)
     assert len(predictions) == 3
     for tick, observation in predictions:
-        assert observation.t == pytest.approx(tick * PERIOD)
-        np.testing.assert_allclose(observation.x, states[tick], atol=1e-10)
+        assert observation.t == pytest.approx((tick + dead) * PERIOD)
+        np.testing.assert_allclose(observation.x, states[tick + dead], atol=1e-10)
         assert np.abs(states[tick] - states[tick - 4]).max() > 1e-3  # the delay mattered
 
 

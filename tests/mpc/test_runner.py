@@ -385,7 +385,7 @@ def test_settings_are_checked() -> None:
 def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None, **settings: Any) -> Runner:
     """Generous limits: the machine may be busy."""
     clock = WallClock()
-    given = {"max_observation_age": 5.0, "watchdog": 5.0, **settings}
+    given = {"max_observation_age": 30.0, "watchdog": 30.0, "patience": 60.0, "max_policy_age": 30.0, **settings}
     return Runner(
         ToyRobot(clock, fault), ToyAgent(PERIOD), mpc or make_mpc(), RealTime(**given), clock, sizes=Sizes.of(problem())
     )
@@ -415,14 +415,14 @@ def test_an_exception_in_the_mpc_thread() -> None:
 
 def test_a_tick_that_hangs_is_stopped_from_outside() -> None:
     release = threading.Event()
-    runner = real(fault=at(20, lambda robot: release.wait(10.0) and None), watchdog=0.1)
+    runner = real(fault=at(20, lambda robot: release.wait(120.0) and None), watchdog=1.0)
     with runner:
         assert wait_for(lambda: runner.stopped)
         before = runner.robot.stops
         assert wait_for(lambda: runner.robot.stops > before + 3)
         writes = len(runner.robot.writes)
         release.set()
-    assert re.search(r"a tick of the controller has not ended for 0\.\d+ s, the limit is 0.1 s", runner.state)
+    assert re.search(r"a tick of the controller has not ended for \d+\.\d+ s, the limit is 1 s", runner.state)
     assert len(runner.robot.writes) == writes
 
 
@@ -452,7 +452,7 @@ def test_a_process_that_is_killed_before_it_is_ready() -> None:
 # ---------------------------------------------------------------------- the same faults in threads and in two processes
 STOPPED = r"stopped at (\d+\.\d+) s: "
 #: Limits [s] wide enough for a busy machine.
-AGE = 0.3
+AGE = 1.0
 
 
 def faulty(mode: str, fault: str) -> MPC | Callable[[], MPC]:
@@ -476,13 +476,13 @@ def check_safe(runner: Runner, sentence: str) -> float:
 
 @pytest.mark.parametrize("mode", ["thread", "process"])
 def test_solves_that_fail_leave_the_policy_its_horizon(mode: str) -> None:
-    with real(faulty(mode, "fails")) as runner:
+    with real(faulty(mode, "fails"), max_policy_age=None) as runner:
         assert wait_for(lambda: runner.report().failures > 3)
         last = runner.plans.current
         assert runner.state == "running" and last is not None
-        when = check_safe(runner, r"the policy is 1\.\d+ s old, the limit is 1 s \(\d+ solves failed\)")
-    assert 1.0 < when - last.valid_from < 1.5  # type: ignore[attr-defined]
-    assert runner.robot.writes[-1] - last.valid_from > 0.9  # type: ignore[attr-defined]
+        when = check_safe(runner, r"the policy is \d+\.\d+ s old, the limit is 1 s \(\d+ solves failed\)")
+    assert when - last.valid_from > 1.0  # type: ignore[attr-defined]
+    assert runner.robot.writes[-1] - last.valid_from > 0.7  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("mode", ["thread", "process"])
@@ -492,7 +492,7 @@ def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
         assert runner.state == "running"
     assert runner.report().mpc_misses >= 5  # 0.25 s at 50 Hz
     with real(faulty(mode, "hangs"), max_policy_age=AGE) as runner:
-        check_safe(runner, r"the policy is 0\.[3-9]\d* s old, the limit is 0\.3 s \(0 solves failed\)")
+        check_safe(runner, r"the policy is \d+\.\d+ s old, the limit is 1 s \(0 solves failed\)")
         if mode == "process":
             os.kill(runner.process_id, signal.SIGKILL)  # do not wait for it
 
@@ -501,7 +501,7 @@ def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
 @pytest.mark.parametrize(
     ("fault", "sentence"),
     [
-        (freeze, r"the measurement is 0\.[3-9]\d* s old, the limit is 0\.3 s"),
+        (freeze, r"the measurement is \d+\.\d+ s old, the limit is 1 s"),
         (lose, r"measurement\.x is not finite"),
     ],
     ids=["stale", "nan"],
@@ -522,7 +522,7 @@ def test_a_process_that_is_suspended() -> None:
     with real(make_mpc, max_policy_age=AGE) as runner:
         assert wait_for(lambda: runner.state == "running")
         os.kill(runner.process_id, signal.SIGSTOP)
-        check_safe(runner, r"the policy is 0\.[3-9]\d* s old, the limit is 0\.3 s \(0 solves failed\)")
+        check_safe(runner, r"the policy is \d+\.\d+ s old, the limit is 1 s \(0 solves failed\)")
         os.kill(runner.process_id, signal.SIGKILL)
 
 

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from wbmpc.model import RobotModel
 from wbmpc.plant import Truth
 from wbmpc.ros2 import Network, open_node
@@ -19,7 +21,8 @@ class Simulated:
     """``change``: what becomes of a JointState before it is sent (None: lost); ``said``: diagnostics that came."""
 
     def __init__(self, robot: RobotModel, network: Network, seed: int = 3, **settings: Any) -> None:
-        given = {"use_sim_time": True, "lockstep": True, **settings}
+        safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
+        given = {"use_sim_time": True, "lockstep": True, **settings, "safety": safety}
         self.settings = settings_of(robot).model_validate(given)
         self.node = open_node("wbmpc", "dds", network)
         self.control = ControlNode(self.node, robot, self.settings)
@@ -60,7 +63,7 @@ class Simulated:
     def _spin(self) -> None:
         self.why = self.sim.spin(self._end.is_set)
 
-    def until(self, condition: Callable[[], object], seconds: float = 20.0) -> bool:
+    def until(self, condition: Callable[[], object], seconds: float = 60.0) -> bool:
         """Step the controller's node until a condition comes true; whether it did within ``seconds`` of the wall's time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -73,7 +76,7 @@ class Simulated:
     def run(self, seconds: float) -> None:
         """Let simulated time pass; fails if it does not."""
         end = self.sim.time + seconds
-        assert self.until(lambda: self.sim.time >= end or self.why, 30.0 + 10.0 * seconds), self.control.state
+        assert self.until(lambda: self.sim.time >= end or self.why, 60.0 + 30.0 * seconds), self.control.state
 
     def ready(self) -> None:
         """Until a goal can be given."""
@@ -104,6 +107,25 @@ class Simulated:
             return
         self._end.set()
         self.control.close()
-        self._thread.join(10.0)
+        self._thread.join(60.0)
         self.node.close()
         self.other.close()
+
+
+class Localisation:
+    """Another localisation of a simulated robot, ``/localisation``: its true pose, moved by ``offset`` (2) [m], as long as it is
+    ``sending``; with a ``covariance`` (36), or exact."""
+
+    def __init__(self, s: Simulated, covariance: Any = ()) -> None:
+        self.offset, self.sending = np.zeros(2), True
+        self._covariance = {"covariance": covariance} if len(covariance) else {}
+        self._poses = s.other.publisher("/localisation", "nav_msgs/msg/Odometry")
+        self._truth, s.sim._odom = s.sim._odom, self
+
+    def publish(self, message: dict[str, Any]) -> None:
+        """In place of the publisher of the true odometry."""
+        self._truth.publish(message)
+        if self.sending:
+            pose = message["pose"]["pose"]
+            moved = {k: pose["position"][k] + o for k, o in zip("xy", self.offset)}
+            self._poses.publish({**message, "pose": {"pose": {**pose, "position": moved}, **self._covariance}})

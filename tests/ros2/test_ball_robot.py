@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -17,7 +18,7 @@ from wbmpc.ros2 import Network
 
 pytestmark = needs_dds
 if not MISSING:
-    from simulated import Simulated
+    from simulated import Localisation, Simulated
 
     from wbmpc.ros2.ball import POSTURES, bodies
     from wbmpc.ros2.goals import HandTrack, Planner
@@ -181,11 +182,30 @@ def test_an_inertial_unit_that_says_nonsense_does_not_count(
     assert errors(caplog, "imu") == 1 and not s.control.body.fault
 
 
+def keep_pace(s: Any, hung: threading.Event) -> None:
+    """The physics does not run away from an MPC that a busy machine gives no time; one that hangs is not waited for."""
+    advance, last = s.sim._advance, [0.0, 0.0]
+
+    def paced() -> None:
+        runner, end = s.control.runner, time.monotonic() + 60.0
+        while runner is not None and not hung.is_set() and time.monotonic() < end:
+            updates = float(runner.board["updates"])
+            if updates != last[0]:
+                last[:] = updates, s.sim.time
+            if not updates or s.sim.time - last[1] < 0.1:
+                break
+            time.sleep(1e-3)
+        advance()
+
+    s.sim._advance = paced
+
+
 def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A solve that does not come back, in a thread of its own: balance goes on, and the MPC takes over when it is back."""
     s = made(lockstep=False)
-    balancing(s)
     solve, hung, back = s.control.pilot.mpc.advance, threading.Event(), threading.Event()
+    keep_pace(s, hung)
+    balancing(s)
 
     def hangs(observation: Any) -> Any:
         hung.set()
@@ -202,6 +222,7 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
     finally:
         s.control.pilot.mpc.advance = solve
         back.set()
+        hung.clear()
     assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
     s.run(1.0)
     assert not s.why and s.truth().tilt < 0.25
@@ -212,18 +233,8 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
 ) -> None:
     """The simulator's true pose, moved by an offset, as an exact source: the robot is where that says."""
     s = made(topics={"pose": "/localisation"})
-    offset, sending = np.array([3.0, -1.0]), [True]
-    poses = s.other.publisher("/localisation", "nav_msgs/msg/Odometry")
-    truth_of = s.sim._odom
-
-    def publish(message: dict[str, Any]) -> None:
-        truth_of.publish(message)
-        if sending:
-            pose = message["pose"]["pose"]
-            moved = {"x": pose["position"]["x"] + offset[0], "y": pose["position"]["y"] + offset[1]}
-            poses.publish({**message, "pose": {"pose": {**pose, "position": moved}}})
-
-    s.sim._odom = Deaf(publish)
+    source = Localisation(s)
+    source.offset[:] = offset = np.array([3.0, -1.0])
     balancing(s)
     s.hand(dx=0.2)
     s.run(3.0)
@@ -232,13 +243,35 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     np.testing.assert_allclose(seen[:2], truth.pose[:2] + offset, atol=3e-3)
     np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
     assert np.sqrt(s.control.pilot.estimate().covariance[0, 0]) < 3e-3
-    sending.clear()
+    source.sending = False
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)
     assert "a goal is refused: the pose on /localisation" in s.control.inbox.refused
     assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
-    sending.append(True)
+    source.sending = True
+    assert s.until(lambda: s.control.state == "running: stay"), s.control.state
+
+
+def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
+    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """One pose that is off by 1 m is left out; when they stay there it holds its place and takes no goals until they are back."""
+    s = made(topics={"pose": "/localisation"})
+    source = Localisation(s)
+    balancing(s)
+    source.offset[0] = 1.0
+    assert s.until(lambda: "jumped by 1.0" in s.control.source.fault)
+    source.offset[0] = 0.0
+    assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: hand to a goal"
+    assert errors(caplog, "jumped by 1.0") == 1
+    source.offset[0] = 1.0
+    assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
+    s.hand(dx=0.2)
+    standing(s)
+    assert "jumped by 1.0" in s.control.state and "a goal is refused: the pose on" in s.control.inbox.refused
+    assert any("jumped by 1.0" in m for m in s.messages(2)) and np.abs(s.truth().pose[:2]).max() < 0.1
+    source.offset[0] = 0.0
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
 
 

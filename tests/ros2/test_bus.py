@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,17 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from needs import MISSING, needs_dds, private, wait_until
+from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
-from wbmpc.ros2.inbox import Several
+from wbmpc.ros2.several import Several
 
 pytestmark = needs_dds
 if not MISSING:
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
+    from rosbags.interfaces import Nodetype
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -50,6 +54,39 @@ def test_a_message_is_the_cdr_that_the_specification_says() -> None:
     body += struct.pack("<II", 0, 0)  # no velocities, no efforts
     assert data[:4] == b"\x00\x01\x00\x00"
     assert data[4:] == body
+
+
+def every_type() -> set[str]:
+    """All message types that the bridge's sources name."""
+    sources = (Path(__file__).parents[2] / "src/wbmpc/ros2").glob("*.py")
+    return {kind for f in sources for kind in re.findall(r"\w+/msg/[A-Z]\w+", f.read_text())}
+
+
+def by_chance(rng: np.random.Generator, form: Any) -> Any:
+    """A value of a field: of whole messages as nested mappings, of sequences up to three parts."""
+    node, detail = form
+    if node == Nodetype.NAME:
+        return {
+            n: by_chance(rng, f)
+            for n, f in types("jazzy").store.fielddefs[detail][1]
+            if n != "structure_needs_at_least_one_member"
+        }
+    if node == Nodetype.BASE:
+        if detail[0] == "string":
+            return "ab c"[: rng.integers(0, 5)]
+        low, high = (0, 2) if detail[0] == "bool" else (0, 120)
+        return float(rng.normal()) if "float" in detail[0] else int(rng.integers(low, high))
+    part, size = detail
+    return [by_chance(rng, part) for _ in range(size if node == Nodetype.ARRAY else rng.integers(0, 4))]
+
+
+@pytest.mark.parametrize("kind", sorted(every_type()) if not MISSING else [])
+def test_every_types_bytes_are_what_rosbags_writes(kind: str) -> None:
+    """Whatever is in a message: rosbags reads our bytes, and writes the same ones of what it has read."""
+    t, rng = types("jazzy"), np.random.default_rng(0)
+    for _ in range(10):
+        data = t.encode(kind, by_chance(rng, (Nodetype.NAME, kind)))
+        assert bytes(t.store.serialize_cdr(t.store.deserialize_cdr(data, kind), kind)) == data
 
 
 def test_what_is_not_given_is_zero_and_what_is_not_known_is_named() -> None:
@@ -119,6 +156,31 @@ def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
         publisher.publish({"data": i})
     assert wait_until(lambda: len(got) == 500)
     assert got == list(range(500))
+
+
+TWO_THREADS = """
+import threading
+from wbmpc.ros2 import Qos, open_node
+one, other, got = open_node("one", "dds"), open_node("other", "dds"), []
+other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))
+publisher = one.publisher("/count", "std_msgs/msg/Float64", Qos(depth=1000))
+while not publisher._writer.get_matched_subscriptions():
+    pass
+threads = [threading.Thread(target=lambda: [publisher.publish({"data": i}) for i in range(1000)]) for _ in range(2)]
+for t in threads:
+    t.start()
+for t in threads:
+    t.join()
+print(len(got))
+"""
+
+
+def test_two_threads_may_send_on_one_topic_that_is_heard_in_their_process() -> None:
+    """In a process of its own: where they wait for each other, all of Python does."""
+    run = subprocess.run(
+        [sys.executable, "-c", TWO_THREADS], env=everything(), timeout=60.0, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "2000", run.stderr
 
 
 def test_late_joiners_get_what_is_latched(nodes: tuple[Any, Any]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -9,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from needs import MISSING, needs_dds, private
+from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.cli import main
 from wbmpc.model import load_robot
@@ -18,6 +20,7 @@ from wbmpc.ros2 import DEFAULT, SENSOR, Network, Qos, open_node
 pytestmark = needs_dds
 if not MISSING:
     from wbmpc.ros2.check import check
+    from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.settings import BallSettings, RosSettings
 
@@ -62,6 +65,17 @@ def states(node: Any, rate: float, names: list[str] | None = None, age: float = 
     return end
 
 
+def known(node: Any, publishers: tuple[str, ...] = (), subscribers: tuple[str, ...] = ()) -> None:
+    """Wait until a node sees these topics: a busy machine takes its time."""
+    there = lambda: all(map(node.publishers, publishers)) and all(map(node.subscribers, subscribers))
+    assert wait_until(there)
+
+
+def commands(*groups: str) -> tuple[str, ...]:
+    """Topics of controllers."""
+    return tuple(f"/{g}_controller/commands" for g in groups)
+
+
 def found(node: Any, listen_for: float = 1.0) -> dict[str, tuple[str, str]]:
     """Findings by topic."""
     return {f.topic: (f.level, f.text) for f in check(node, ROBOT, RosSettings(), listen_for)}
@@ -77,6 +91,7 @@ def test_an_empty_bus(looker: Any) -> None:
 def test_a_good_robot(robot: Any, looker: Any) -> None:
     listen(robot)
     end = states(robot, 300.0)
+    known(looker, ("/joint_states",), commands(*GROUPS))
     f = found(looker)
     end.set()
     assert f["/joint_states"][0] in ("ok", "warning")  # a busy machine may be irregular
@@ -89,6 +104,7 @@ def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) ->
     robot.publisher("/cmd_vel", "geometry_msgs/msg/Pose")
     listen(robot, ("wheel",), "std_msgs/msg/Float64")
     end = states(robot, 10.0, ["hip"], age=100.0)
+    known(looker, ("/imu", "/cmd_vel", "/joint_states"), commands("wheel"))
     found_all = [(f.topic, f.text) for f in check(looker, ROBOT, RosSettings(), 1.5)]
     end.set()
     assert ("/imu", "its type is std_msgs/msg/String, sensor_msgs/msg/Imu is needed") in found_all
@@ -96,7 +112,8 @@ def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) ->
     assert any(t == "/cmd_vel" and "geometry_msgs/msg/Twist or " in text for t, text in found_all)
     said = [text for t, text in found_all if t == "/joint_states"]
     assert any("too slow:" in s for s in said) and any("joint 'leg_LF' is missing" in s for s in said)
-    assert any("100.0 s off this machine's clock" in s or "99.9 s off" in s or "100.1 s off" in s for s in said)
+    off = [re.search(r"stamps are ([\d.]+) s off this machine's clock", s) for s in said]
+    assert any(m and float(m[1]) == pytest.approx(100.0, abs=5.0) for m in off)
 
 
 def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: Any) -> None:
@@ -104,11 +121,39 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     end = states(robot, 100.0)
     robot.subscribe("/arm_controller/commands", COMMANDS, lambda message: None, Qos(latched=True))
     robot.publisher("/steer_controller/commands", COMMANDS)
+    robot.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped", SENSOR)
+    robot.publisher("/hand_goal", "geometry_msgs/msg/Pose")
+    robot.publisher("/hand_path", "nav_msgs/msg/Path")
+    assert wait_until(lambda: len(looker.publishers("/joint_states")) == 2)
+    known(looker, (*commands("steer"), "/goal_pose", "/hand_goal", "/hand_path"), commands("arm"))
     f = {(x.topic, x.text) for x in check(looker, ROBOT, RosSettings(), 1.0)}
     end.set()
     assert ("/joint_states", "2 publishers: their messages mix") in f
+    assert ("/goal_pose", "a publisher does not reach us: it offers best effort, reliable is asked for") in f
+    assert any(t == "/hand_goal" and "its type is geometry_msgs/msg/Pose, geometry_msgs/msg/PoseS" in s for t, s in f)
+    assert not any(t == "/hand_path" for t, _ in f)
     assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
-    assert ("/steer_controller/commands", "somebody else publishes on it: the controller will not start") in f
+    assert ("/steer_controller/commands", "somebody else publishes on it ('robot'): the controller will not start") in f
+
+
+def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, looker: Any) -> None:
+    listen(robot)
+    end = states(robot, 300.0)
+    nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
+    try:
+        ControlNode(nodes[0], ROBOT, RosSettings())
+        known(looker, commands(*GROUPS), commands(*GROUPS))
+        f = found(looker)
+        says = "1 listening; the controller 'wbmpc' is there"
+        assert {g: f[t] for g, t in zip(GROUPS, commands(*GROUPS))} == dict.fromkeys(GROUPS, ("ok", says))
+        nodes[1].publisher(commands("arm")[0], COMMANDS)
+        assert wait_until(lambda: len(looker.publishers(commands("arm")[0])) == 2)
+        two = "2 nodes called 'wbmpc' publish on it: they stop each other"
+        assert found(looker)[commands("arm")[0]] == ("error", two)
+    finally:
+        end.set()
+        for node in nodes:
+            node.close()
 
 
 def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(robot: Any, looker: Any) -> None:
@@ -120,6 +165,7 @@ def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(r
     }
     robot.subscribe("/arm_controller/joint_trajectory", COMMANDS, lambda message: None)
     settings = BallSettings.model_validate({"controllers": controllers})
+    known(looker, (), (*commands("wheel"), "/arm_controller/joint_trajectory"))
     f = {x.topic: (x.level, x.text) for x in check(looker, load_robot("rezero"), settings, 1.0)}
     assert f["/imu"][0] == "error" and f["/wheel_controller/commands"] == ("ok", "1 listening")
     wrong = f"its type is {COMMANDS}, trajectory_msgs/msg/JointTrajectory is needed"
@@ -131,5 +177,36 @@ def test_the_command_says_so_with_its_status(
 ) -> None:
     for name, value in {**private(), "ROS_DOMAIN_ID": "47"}.items():
         monkeypatch.setenv(name, value)
-    assert main(["ros2", "check", "swerve-ur10", "--seconds", "0.5", "--backend", "dds"]) == 1
+    check_command = ["ros2", "check", "swerve-ur10", "--seconds", "0.5", "--backend", "dds"]
+    assert main(check_command) == 1
     assert "error   /joint_states" in capsys.readouterr().out
+    assert main([*check_command, "--json", "--quiet"]) == 1
+    said = capsys.readouterr()
+    assert {"level": "error", "topic": "/joint_states", "text": "nobody publishes it"} in json.loads(said.out)[
+        "findings"
+    ]
+    assert said.err == ""
+    assert main([*check_command, "--quiet", "--verbose"]) == 1
+    assert capsys.readouterr().out == ""
+
+
+def test_the_nodes_say_as_much_as_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {**private(), "ROS_DOMAIN_ID": "51"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(ControlNode, "spin", lambda self, ended: self.step())
+    sim = ["ros2", "sim", "swerve-ur10", "--backend", "dds", "--seconds", "0.1", "--use-sim-time", "--factor", "100"]
+    for command, keys in (
+        (sim, {"ended", "seconds", "behind", "seed"}),
+        (["ros2", "control", *sim[2:5]], {"state", "figures"}),
+    ):
+        assert main([*command, "--json"]) == 0
+        said = capsys.readouterr()
+        assert json.loads(said.out).keys() == keys and said.err and "settings" not in said.err
+        assert main([*command, "--quiet"]) == 0
+        said = capsys.readouterr()
+        assert (said.out, said.err) == ("", "")
+        assert main([*command, "--verbose"]) == 0
+        said = capsys.readouterr()
+        assert said.out == "" and "by dds; settings: {" in said.err

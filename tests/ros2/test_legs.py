@@ -52,7 +52,7 @@ def angles(s: Any) -> np.ndarray:
 def ask(s: Any, values: dict[str, Any]) -> Any:
     """Call the service while the node goes on."""
     answers: list[Any] = []
-    call = lambda: answers.append(s.other.call("/set_legs", SET_LEGS, values, 20.0))
+    call = lambda: answers.append(s.other.call("/set_legs", SET_LEGS, values, 60.0))
     thread = threading.Thread(target=call)
     thread.start()
     assert s.until(lambda: answers)
@@ -71,7 +71,7 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     assert s.until(lambda: s.sim.plant.brakes.engaged[1] == 0.0), s.control.state
     assert np.array_equal(s.sim.plant.brakes.engaged[[0, 2, 3]], [1.0, 1.0, 1.0])
     wanted = np.where(np.array(LEGS) == "leg_RF", -0.65, home)
-    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s), 30.0), (angles(s), s.control.state)
+    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s)), (angles(s), s.control.state)
     s.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
     assert s.until(lambda: s.sim.plant.brakes.engaged[2] == 0.0)
     np.testing.assert_array_equal(s.sim.plant.brakes.engaged, [1.0, 1.0, 0.0, 1.0])
@@ -111,6 +111,21 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
 def test_a_bad_order_is_answered_with_a_sentence(robot: Any, values: dict[str, Any], says: str) -> None:
     answer = ask(robot, values)
     assert not answer.success and says in answer.message
+
+
+def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
+    robot: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Legs parallel (H) and all brakes open: the answer is no, not a yes and a line in the log."""
+    legs = robot.control.legs
+    monkeypatch.setattr(legs, "_now", lambda: (np.zeros(4), np.zeros(4)))
+    legs.stop()
+    answer = ask(robot, {"leg": list(LEGS), "brake_open": [True] * 4})
+    assert not answer.success and "nothing would hold the base against sideways" in answer.message
+    robot.said.clear()
+    told = lambda: [s.message for m in robot.said for s in m.status]
+    assert robot.until(lambda: any("nothing would hold the base" in text for text in told()))
+    assert ask(robot, {"leg": list(LEGS), "brake_open": [False] * 4}).success
 
 
 def test_a_bad_topic_is_told(robot: Any, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,8 +5,6 @@ Truth: typed fields as rosidl makes them. Without ROS nothing here says that ROS
 from __future__ import annotations
 
 import sys
-import threading
-import time
 from importlib.util import find_spec
 from typing import Any
 
@@ -76,6 +74,7 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
     assert [(e.own, e.type, e.qos) for e in node.publishers("x")] == [
         (own, "std_msgs/msg/String", SENSOR) for own in (True, False, False)
     ]
+    assert [node.owner(e) for e in node.publishers("x")] == ["wbmpc", "wbmpc", "somebody"]
     assert node.subscribers("x") == []
     event = type("Event", (), {"last_policy_kind": 1 << 4})()
     made[0].events.incompatible_qos(event)
@@ -92,13 +91,17 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
 
 @needs_dds
 def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
-    """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so."""
+    """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so. In lockstep: a
+    busy machine changes nothing."""
     from wbmpc.model import load_robot
     from wbmpc.ros2.control import ControlNode
+    from wbmpc.ros2.convert import stamp
     from wbmpc.ros2.settings import RosSettings, joint_groups
 
     robot = load_robot("swerve-ur10")
-    settings = RosSettings.model_validate({"rates": {"control": 50}, "safety": {"watchdog": 1.0}})
+    settings = RosSettings.model_validate(
+        {"rates": {"control": 50}, "use_sim_time": True, "lockstep": True, "safety": {"clock": 60}}
+    )
     node, other = open_node("wbmpc", "rclpy"), open_node("robot", "rclpy")
     control = ControlNode(node, robot, settings)
     names = [n for g in joint_groups(robot).values() for n in g]
@@ -115,33 +118,30 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     imu = other.publisher("/imu", "sensor_msgs/msg/Imu")
     goal = other.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
 
-    end = threading.Event()
+    clock = other.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    sent, ticks = got["/wheel_controller/commands"], [50]
 
-    def sense() -> None:  # from a thread of its own: a driver goes on while the controller makes its first plan
-        while not end.wait(0.01):
-            now = {"stamp": {"sec": int(time.time()), "nanosec": int(time.time() % 1.0 * 1e9)}}
-            imu.publish({"header": now})
-            joints.publish({"header": now, "name": names, "position": robot.home[3:]})
-
-    threading.Thread(target=sense, daemon=True).start()
-
-    def moves() -> bool:
+    def tick() -> None:
+        """A period of a robot that does not get anywhere: its state, the time, and then the command."""
+        now, before = stamp(ticks[0] / 50.0), len(sent)
+        ticks[0] += 1
+        imu.publish({"header": {"stamp": now}})
+        joints.publish({"header": {"stamp": now}, "name": names, "position": robot.home[3:]})
+        clock.publish({"clock": now})
+        assert wait_until(lambda: not control.running or len(sent) > before)
         control.step()
-        return (
-            bool(got["/wheel_controller/commands"]) and max(map(abs, got["/wheel_controller/commands"][-1].data)) > 0.1
-        )
 
+    moves = lambda: tick() or (bool(sent) and max(map(abs, sent[-1].data)) > 0.1)
     try:
-        assert wait_until(lambda: moves() or control.state == "waiting for a goal")
+        assert wait_until(lambda: tick() or control.state == "waiting for a goal")
         goal.publish({"header": {"frame_id": "odom"}, "pose": {"position": {"x": 2.0}}})
-        assert wait_until(moves, 20.0), control.state
-        assert wait_until(lambda: moves() and all(got.values())), [t for t, m in got.items() if not m]
+        assert wait_until(moves), control.state
+        assert wait_until(lambda: tick() or all(got.values())), [t for t, m in got.items() if not m]
         said = lambda: got["/diagnostics"][-1].status[0]
-        assert wait_until(lambda: moves() and "running: base to a goal" in said().message), said().message
+        assert wait_until(lambda: tick() or "running: base to a goal" in said().message), said().message
         assert (said().level, said().name) == (b"\0", "wbmpc: controller")
         assert list(made[0].services) == ["/set_legs"] and not node.faults
     finally:
-        end.set()
         control.close()
         node.close()
         other.close()

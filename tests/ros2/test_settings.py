@@ -71,12 +71,21 @@ controllers:
         ("controllers: {w: {topic: /w, joints: [leg_LF]}}", "unknown joint 'leg_LF'"),
         ("[1, 2]", "a mapping of keys is needed"),
         ("a: [", "not valid YAML"),
+        ("joints: {wheel_lf: a}", "unknown joint (key 'joints') 'wheel_lf' (did you mean 'wheel_LF'?)"),
+        ("ignore: gripper", "ignore='gripper': several names in brackets are needed"),
+        ("node: my robot", "node='my robot': a name of letters, digits and _ is needed"),
+        ("topics: {goal_pose: /goal pose}", "topics.goal_pose='/goal pose': a topic's name is made of letters"),
+        ("controllers: {w: {topic: /4/w, joints: [wheel_LF]}}", "controllers.w.topic='/4/w': a topic's name is"),
     ],
 )
 def test_faults_are_one_sentence_with_the_file(tmp_path: Path, text: str, says: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(InputError, match=f"{re.escape(str(path))}: .*{re.escape(says)}"):
         load_settings(path, ROBOT)
+
+
+def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
+    assert load_settings(write(tmp_path, "# nothing yet"), ROBOT) == RosSettings()
 
 
 def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:

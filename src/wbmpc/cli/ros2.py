@@ -25,6 +25,7 @@ SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clo
 Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="For both nodes: states wait for commands, in simulated time.")
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
 Fifo = Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")]
 
 
@@ -36,6 +37,7 @@ def ros2_options(context: typer.Context) -> None:
 
 
 def _on_bus(
+    context: typer.Context,
     robot: str,
     config: Path | None,
     backend: str,
@@ -54,13 +56,17 @@ def _on_bus(
     from wbmpc.ros2.bus import open_node
     from wbmpc.ros2.settings import load_settings
 
-    logging.getLogger("wbmpc").setLevel(logging.INFO)  # a node tells what it does
+    log = logging.getLogger("wbmpc")
+    verbose = log.isEnabledFor(logging.INFO)  # a node tells what it does, unless it is to be quiet; with --verbose more
+    log.setLevel(logging.ERROR if context.obj.quiet else logging.DEBUG if verbose else logging.INFO)
     model = load_robot(robot)
     settings = load_settings(config, model)
     lockstep = settings.lockstep or lockstep
     sim_time = settings.use_sim_time or use_sim_time or lockstep
     settings = settings.model_copy(update={"use_sim_time": sim_time, "lockstep": lockstep})
-    return open_node(f"{settings.node}{suffix}", backend), model, settings
+    node = open_node(f"{settings.node}{suffix}", backend)
+    log.debug("node '%s' by %s; settings: %s", f"{settings.node}{suffix}", node.backend, settings.model_dump_json())
+    return node, model, settings
 
 
 @contextmanager
@@ -96,26 +102,32 @@ def _before_all_others(priority: int) -> None:
 
 @ros2.command("control")
 def ros2_control(
+    context: typer.Context,
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
     use_sim_time: SimTime = False,
     lockstep: Lockstep = False,
     fifo: Fifo = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the controller as a node; it waits for joint states and a goal."""
-    node, model, settings = _on_bus(robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
+    node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
 
     try:
         with _until_told() as ended:
-            ControlNode(node, model, settings).spin(ended)
+            control = ControlNode(node, model, settings)
+            control.spin(ended)
     finally:
         node.close()
+    if as_json:
+        typer.echo(json.dumps({"state": control.state, "figures": control.figures()}))
 
 
 @ros2.command("sim")
 def ros2_sim(
+    context: typer.Context,
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
@@ -125,22 +137,30 @@ def ros2_sim(
     use_sim_time: SimTime = False,
     lockstep: Lockstep = False,
     fifo: Fifo = False,
+    as_json: AsJson = False,
 ) -> None:
     """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
-    node, model, settings = _on_bus(robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
+    tell = not context.obj.quiet
+    node, model, settings = _on_bus(context, robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
     from wbmpc.ros2.sim import SimNode
 
     try:
         with _until_told() as ended:
             sim = SimNode(node, model, settings, seed, factor=factor)
-            typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
-            typer.echo(f"{sim.spin(ended, seconds)}; too slow {sim.behind} times", err=True)
+            if tell:
+                typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
+            why = sim.spin(ended, seconds)
     finally:
         node.close()
+    if tell:
+        typer.echo(f"{why}; too slow {sim.behind} times", err=True)
+    if as_json:
+        typer.echo(json.dumps({"ended": why, "seconds": round(sim.time, 6), "behind": sim.behind, "seed": seed}))
 
 
 @ros2.command("check")
 def ros2_check(
+    context: typer.Context,
     robot: Robot,
     config: Config = None,
     backend: BackEnd = "auto",
@@ -149,7 +169,7 @@ def ros2_check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
-    node, model, settings = _on_bus(robot, config, backend, "_check", use_sim_time)
+    node, model, settings = _on_bus(context, robot, config, backend, "_check", use_sim_time)
     from wbmpc.ros2.check import ERROR, check
 
     try:

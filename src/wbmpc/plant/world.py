@@ -214,6 +214,13 @@ class World:
         """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
         return self.diverged or self.tilt > FALL_TILT
 
+    @property
+    def twist(self) -> Array:
+        """Of the base (6) in its own axes: linear [m/s], angular [rad/s]."""
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, self.body, velocity, 1)
+        return np.concatenate([velocity[3:], velocity[:3]])
+
     def frames(self, height: float) -> dict[str, Array]:
         """Base and tool as :class:`Truth` wants them; ``height`` [m] of the planner's z = 0 above the floor."""
         self.refresh()

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, RezeroAgent
-from wbmpc.errors import NotFinite
 from wbmpc.estimation import BallNoise, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import resting
@@ -72,10 +71,7 @@ class BusBallAgent(RezeroAgent):
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
         if self.observer is not None:
-            past = self._torques[-1 - self._late()]
-            self.disturbance = self.observer.update(message.now, state, past, interval or self.period)
-            if not np.isfinite(self.disturbance).all():
-                raise NotFinite("the estimated disturbance is not finite")
+            self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
 
     def parameters(self) -> dict[str, Array]:
@@ -84,7 +80,7 @@ class BusBallAgent(RezeroAgent):
         if moment.any():
             assert self.measured is not None
             disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
-        return {"disturbance": disturbance, "force": force}
+        return {**super().parameters(), "disturbance": disturbance, "force": force}
 
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the policy, or of the hold that it has become."""
@@ -182,6 +178,7 @@ class BallPilot:
         robot.mass_matrix(robot.home[: robot.base.nq])
         robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
+        resting(robot, *robot.pose(robot.home))
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:
@@ -244,14 +241,21 @@ class BallPilot:
         """The hand is to exert a wrench (6): the plan counts with the world's answer."""
         self._answer = self.agent.answer = -wrench
 
+    def relocate(self) -> None:
+        """Whoever holds it, poses count as they come: see :meth:`stand`."""
+
     # ------------------------------------------------------------------ tasks
-    def follow(self, task: Task, x: Array) -> None:
-        """References for the hand and for the body at rest; the ball goes where the hand needs it."""
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """For the hand and for the body at rest; the ball goes where the hand needs it. A way of the hand takes 0.1 s and more."""
         hand = task.hand
-        self.pending.set({
+        return {
             "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": bodies(task, self.robot, x),
-            "twist": Reference.constant(np.zeros(6)), "torque": Reference.constant(self._torque),
-        })  # fmt: skip
+            "twist": Reference.constant(np.zeros(6)),
+        }  # fmt: skip
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self.pending.set({**references, "torque": Reference.constant(self._torque)})
 
     # ------------------------------------------------------------------ what is told
     def estimate(self) -> Estimate | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -37,12 +37,14 @@ DEFAULT, SENSOR, LATCHED = Qos(), Qos(reliable=False, depth=5), Qos(latched=True
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher or a subscription that somebody has; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``."""
+    """A publisher or a subscription that somebody has; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``;
+    ``who``: what the back end knows its node by, see :meth:`Node.owner`."""
 
     topic: str
     type: str
     qos: Qos
     own: bool
+    who: Any = field(default=None, compare=False)
 
 
 class Publisher(Protocol):
@@ -58,7 +60,8 @@ class Node(Protocol):
     subscriptions from :meth:`work`. Messages have attributes as in ROS. :meth:`subscribe` gives a function that ends the
     subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once.
 
-    ``faults``: sentences about endpoints that do not match, as long as these are there; ``backend``: its name.
+    ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: sentences about endpoints that do not
+    match, as long as these are there; ``backend``: its name.
     """
 
     backend: str
@@ -74,6 +77,7 @@ class Node(Protocol):
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...
     def publishers(self, topic: str) -> list[Endpoint]: ...
     def subscribers(self, topic: str) -> list[Endpoint]: ...
+    def owner(self, endpoint: Endpoint) -> str: ...
     def close(self) -> None: ...
 
 

@@ -13,7 +13,7 @@ from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
-from wbmpc.ros2.settings import Controller, RosSettings
+from wbmpc.ros2.settings import ORDERS, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
@@ -76,8 +76,10 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         needed = topic != topics.imu or robot.description.base.type == "ball"
         found += _source(node, topic, kind, ears[topic], settings, needed)
     for controller in settings.command_topics(robot).values():
-        found += _sink(node, controller, needed="brake" not in controller.topic)
+        found += _sink(node, controller, settings.node, needed="brake" not in controller.topic)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
+    for key, kind in ORDERS.items():
+        found += _order(node, getattr(topics, key), kind)
     poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
     found += _several_types(node, topics.pose, poses, True)
     return found
@@ -119,19 +121,32 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
     return found or [Finding(OK, topic, f"{kind}, {ear.rate:.0f} Hz, longest gap {1e3 * ear.gap:.0f} ms")]
 
 
-def _sink(node: Node, controller: Controller, needed: bool) -> list[Finding]:
+def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[Finding]:
     topic = controller.topic
     subscribers = [e for e in node.subscribers(topic) if not e.own]
-    rivals = [e for e in node.publishers(topic) if not e.own]
+    who = [node.owner(e) for e in node.publishers(topic) if not e.own]
+    rivals = [name for name in who if name != ours]
     if rivals:
-        return [Finding(ERROR, topic, "somebody else publishes on it: the controller will not start")]
+        named = f" ('{rivals[0]}')" if rivals[0] else ""
+        return [Finding(ERROR, topic, f"somebody else publishes on it{named}: the controller will not start")]
+    if len(who) > 1:
+        return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
     if not subscribers:
         return [Finding(ERROR if needed else WARNING, topic, "nobody listens: is the controller active?")]
     wrong = _wrong_types(topic, subscribers, (controller.type,))
     if wrong:
         return wrong
     faults = [Finding(ERROR, topic, e.qos.refuses(DEFAULT)) for e in subscribers if e.qos.refuses(DEFAULT)]
-    return faults or [Finding(OK, topic, f"{len(subscribers)} listening")]
+    there = f"; the controller '{ours}' is there" if who else ""
+    return faults or [Finding(OK, topic, f"{len(subscribers)} listening{there}")]
+
+
+def _order(node: Node, topic: str, kind: str) -> list[Finding]:
+    """Of who sends goals or orders; nobody has to."""
+    publishers = [e for e in node.publishers(topic) if not e.own] if topic else []
+    found = _wrong_types(topic, publishers, (kind,))
+    offers = [DEFAULT.refuses(e.qos) for e in publishers if e.type == kind]
+    return found + [Finding(ERROR, topic, f"a publisher does not reach us: {why}") for why in offers if why]
 
 
 def _several_types(node: Node, topic: str, kinds: tuple[str, ...], needed: bool) -> list[Finding]:

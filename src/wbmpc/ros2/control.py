@@ -7,6 +7,7 @@ import logging
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,11 @@ from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.inbox import POSE_AGE, Inbox, PoseSource
+from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.legs import Legs
+from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.pilot import Pilot
+from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.sending import trajectory_senders
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
@@ -72,11 +75,15 @@ class ControlNode:
         self.pilot = pilot_of(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
+        self.gate = Gate(settings.topics.pose, settings.safety.jump)
         if settings.topics.pose:
             self.pilot.fix = self._fix
         self.body = BusRobot(node, self.pilot, settings, self.clock)
-        self.legs = Legs(node, robot, settings, self._not_for_legs) if self.pilot.brakes is not None else None
+        self.legs = (
+            Legs(node, robot, settings, self._not_for_legs, self._legs_now) if self.pilot.brakes is not None else None
+        )
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
+        self.planning = Planning(self.pilot.references)
         self.runner: Runner | None = None
         self._rival, self._said, self._held = "", "", ""
         self._task: Task | None = None
@@ -130,6 +137,7 @@ class ControlNode:
         if moved:
             self._stay()
         self._end_runner()
+        self.planning.close()
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
             while time.perf_counter() < end:
@@ -205,56 +213,89 @@ class ControlNode:
         return self.now() - (self.clock.now() if self.running else 0.0)
 
     def _fix(self) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance."""
-        if self.pilot.keeps and self.source.lost():
-            return None  # it goes on without; see _look_around
-        taken = self.source.take()
-        return None if taken is None else (self.clock.now() - taken[0], *taken[1:])
+        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance. One that jumps while
+        the robot moves does not count; a robot that can stop does, and takes its place from the next one."""
+        if self.running:
+            seen = self.pilot.snapshot()
+            if seen is not None:
+                self.gate.note(seen[0], seen[1][self.robot.state["base"]][:3])
+        # who would fall goes on without; see _look_around
+        taken = self.source.newest() if self.pilot.keeps else self.source.take()
+        if taken is None:
+            return None
+        fix = self.clock.now() - taken[0], *taken[1:]
+        estimate = self.pilot.estimate()
+        if not self.running or estimate is None:
+            self.source.judge("")
+            return fix
+        jumped = self.gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+        self.source.judge(jumped)
+        if jumped and not self.pilot.keeps:
+            self.pilot.relocate()
+            raise SafeStop(jumped)
+        return None if jumped else fix
 
     # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
         """Follow the sensors while nobody commands the drives."""
         if self.waits_for():
             return
-        try:
-            measurement = self.body.read()
-        except (SafeStop, InputError):
-            return
-        self.pilot.stand(measurement)
+        with suppress(SafeStop, InputError):
+            self.pilot.stand(self.body.read())
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
-        """All goals that wait, in the order in which they came."""
-        while (request := self.inbox.take()) is not None:
-            seen = self.pilot.snapshot()
-            why = (self._held if self.running else self.waits_for()) or (
-                "" if seen is not None else "there is no state yet"
-            )
-            if why:
-                self.inbox.refuse(f"a goal is refused: {why}")
-                continue
-            assert seen is not None
-            x, t = seen[1], self.clock.now() if self.running else 0.0
+        """All goals that wait, in the order in which they came; those whose plans take long in a later step."""
+        while self.planning.busy or (request := self.inbox.take()) is not None:
+            if not self.planning.busy:
+                seen, why = self.pilot.snapshot(), self._not_now()
+                if why or seen is None:
+                    self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
+                    continue
+                assert request is not None
+                self.planning.begin(request, seen[1], self.clock.now() if self.running else 0.0, self.running)
+            if not self.planning.ready():
+                return
             try:
-                task = request(x, t)
-                if not self.running:
-                    self._start(x, task)
-                else:
-                    self._put(task, x)
+                self._take_over(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
                 self.inbox.refuse(f"a goal is refused: {sentence_of(error)}")
                 self.inbox.running = self.inbox.running if self.running else None
             else:
                 self.inbox.refused = ""
 
+    def _not_now(self) -> str:
+        """Why no goal can be taken; empty if one can."""
+        return self._held if self.running else self.waits_for()
+
+    def _take_over(self, planned: Planned) -> None:
+        """Put a planned task into force, if that is still right. Raises :class:`InputError`."""
+        seen, why = self.pilot.snapshot(), self._not_now()
+        if planned.moving and not self.running:
+            why = "the robot has stopped meanwhile"
+        if why or seen is None:
+            raise InputError(why or "there is no state yet")
+        if self.running:
+            self._put(planned.task, planned.references)
+        else:
+            self._start(seen[1], planned.task, planned.references)
+
     def _not_for_legs(self) -> str:
         """Why legs cannot be moved now; empty if they can."""
         return "" if self.running else self.waits_for()
 
+    def _legs_now(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Brakes (n, 1 = open) and legs (n) [rad] now; None before the first state."""
+        seen, brakes = self.pilot.snapshot(), self.pilot.brakes
+        if seen is None or brakes is None:
+            return None
+        t = self.clock.now() + AHEAD if self.running else 0.0
+        return brakes.commanded(t), seen[1][self.robot.state["leg"]]
+
     def _move_legs(self) -> None:
         """Orders to legs and brakes; the first one starts a robot that stands, and it stays where it is."""
         legs, pilot = self.legs, self.pilot
-        if legs is None or not (legs.waiting or self.running):
+        if legs is None or not (legs.waiting or self.running) or self.planning.busy:
             return
         seen = pilot.snapshot()
         if seen is None:
@@ -268,14 +309,15 @@ class ControlNode:
     def _order(self, legs: Legs, x: np.ndarray) -> None:
         pilot = self.pilot
         if not self.running:
-            self._start(x, pilot.planner.hold(x, 0.0))
+            task = pilot.planner.hold(x, 0.0)
+            self._start(x, task, pilot.references(task, x))
         assert pilot.brakes is not None
         leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
         if legs.apply(pilot.brakes, t, leg):
             assert legs.angles is not None
             pilot.swing(legs.angles)
             assert self._task is not None
-            self._put(self._task, x)
+            self._put(self._task, pilot.references(self._task, x))
         legs.watch(pilot.brakes, t, leg)
 
     def _lead(self) -> None:
@@ -293,20 +335,21 @@ class ControlNode:
             if t >= sender.due:
                 sender.send(policy, t, self.now())
 
-    def _put(self, task: Task, x: np.ndarray) -> None:
-        self.pilot.follow(task, x)
+    def _put(self, task: Task, references: References) -> None:
+        self.pilot.follow(references)
         self.inbox.running, self._task = task, task
 
-    def _start(self, x: np.ndarray, task: Task) -> None:
+    def _start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
         settings, pilot = self.settings, self.pilot
         pilot.begin(x)
-        self._put(task, x)
+        self.gate.forget()
+        self._put(task, references)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
-            max_policy_age=0.5,
+            max_policy_age=settings.safety.policy,
             max_observation_age=watchdog,
             watchdog=watchdog,
             records=_RECORDS,
@@ -336,6 +379,8 @@ class ControlNode:
             silent = time.monotonic() - clock.heard
             if silent > limit and self.running:
                 self._halt(f"the time on /clock has stopped for {silent:.1f} s")
+            elif silent > limit and self.runner is not None:
+                self.body.stop()  # the runner's loop waits for a time that does not come
             elif clock.went_back and self.running:
                 self._halt("the time on /clock went back: the simulator was started anew")
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
@@ -366,7 +411,8 @@ class ControlNode:
             _LOG.error("holds its place: %s", sentence)
             seen = self.pilot.snapshot()
             assert seen is not None
-            self._put(self.pilot.planner.hold(seen[1], self.clock.now()), seen[1])
+            task = self.pilot.planner.hold(seen[1], self.clock.now())
+            self._put(task, self.pilot.references(task, seen[1]))
 
     def _stay(self) -> None:
         """Who follows trajectories stays where the robot is: a stop, once."""
@@ -377,21 +423,22 @@ class ControlNode:
                 sender.hold(seen[1], self.now())
 
     def _halt(self, sentence: str) -> None:
-        """Stop; with the bus's clock at rest the runner's loop does not ramp down, so it is done from here."""
+        """Stop; see :meth:`_watch` for one without a clock."""
         assert self.runner is not None
         self.runner.halt(sentence)
         self.body.stop()
+
+    def refused(self) -> dict[str, str]:
+        """What was refused, and why: goals, orders to the legs, poses; until one is taken again."""
+        orders = self.legs.refused if self.legs is not None else ""
+        said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        return {key: why for key, why in said.items() if why}
 
     def figures(self) -> dict[str, Any]:
         """For diagnostics."""
         values: dict[str, Any] = {"backend": self.node.backend, "age of the joint states [ms]": _ms(self.body.age())}
         values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
-        if self.inbox.refused:
-            values["refused"] = self.inbox.refused
-        if self.legs is not None and self.legs.refused:
-            values["refused order to the legs"] = self.legs.refused
-        if self.source.fault:
-            values["refused pose"] = self.source.fault
+        values.update(self.refused())
         if self.runner is None:
             return values
         r = self.runner.report()

@@ -51,6 +51,8 @@ _INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64
 _BASE: dict[str, Any] = {name: getattr(idl_types, name) for name in _INTEGERS}
 _BASE |= {"float32": idl_types.float32, "float64": idl_types.float64, "bool": bool}
 _BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
+#: A node announces its endpoints when it has made them; in this time [s] that has come.
+_ANNOUNCED = 1.0
 Take = Callable[[DataReader], None]
 #: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3; DDS-XTypes 1.3, section 7.6.3).
 _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation", 24: "type"}
@@ -96,6 +98,7 @@ class DdsNode:
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
         ]
         self._known: tuple[dict[Any, Any], dict[Any, Any]] = {}, {}
+        self._names: tuple[dict[bytes, str], DataReader] | None = None
         self._graph_lock = threading.Lock()  # callbacks do not wait for it
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
@@ -132,11 +135,11 @@ class DdsNode:
                 _LOG.error("%s: %s: %s", name, type(error).__name__, error)
 
         def take(reader: DataReader) -> None:
-            for data in _taken(reader):
-                if deferred:
-                    self._deferred.append((call, data))
-                else:
-                    with self._lock:
+            with self._lock:  # taking too: another thread may bring what came later
+                for data in _taken(reader):
+                    if deferred:
+                        self._deferred.append((call, data))
+                    else:
                         call(data)
 
         ours = Ours("subscription", name, kind, qos, others)
@@ -213,6 +216,22 @@ class DdsNode:
         """Everybody's subscriptions of a topic, this node's too."""
         return self._endpoints(1, topic)
 
+    def owner(self, endpoint: Endpoint) -> str:
+        """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`."""
+        if self._names is None:
+            topic = self._topic("ros_discovery_info", _INFO)
+            self._names = {}, DataReader(self._participant, topic, qos=self._qos(Qos(latched=True, depth=100), _INFO))
+        names, reader = self._names
+        end = time.monotonic() + _ANNOUNCED
+        while True:
+            for data in _taken(reader):
+                for node in self.types.decode(_INFO, data).node_entities_info_seq:
+                    for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
+                        names[bytes(gid.data)[:16]] = node.node_name
+            if endpoint.who in names or time.monotonic() > end:
+                return names.get(endpoint.who, "")
+            time.sleep(0.01)
+
     def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
         wanted, found = f"rt{full_name(topic)}", []
         with self._graph_lock:
@@ -226,7 +245,7 @@ class DdsNode:
             samples = [s for s in known.values() if s.topic_name == wanted]
         for s in samples:
             own = s.participant_key == self._key
-            found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own))
+            found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own, s.key.bytes))
         return found
 
     def _announce(self) -> None:
@@ -307,10 +326,15 @@ class DdsNode:
 
 
 class DdsPublisher:
-    """See :class:`wbmpc.ros2.bus.Publisher`."""
+    """See :class:`wbmpc.ros2.bus.Publisher`.
+
+    The package waits for a writer with Python's interpreter in its hand, and a reader in the same process is served from within
+    a write: two threads on one writer would wait for each other for ever. So they take turns here.
+    """
 
     def __init__(self, writer: DataWriter, carry: type, known: Types, kind: str) -> None:
         self._writer, self._carry, self._types, self._kind = writer, carry, known, kind
+        self._turn = threading.RLock()
 
     def publish(self, values: Mapping[str, Any]) -> None:
         """Send a message."""
@@ -318,7 +342,9 @@ class DdsPublisher:
 
     def send(self, data: bytes) -> None:
         """Send a message that is CDR already, for example from a recording."""
-        self._writer.write(self._carry(data))
+        sample = self._carry(data)
+        with self._turn:
+            self._writer.write(sample)
 
 
 class _Watch(Listener):  # type: ignore[misc]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.mpc.safety import SafeStop
-from wbmpc.ros2.bus import DEFAULT, SENSOR, Node
+from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.ros2.several import Several
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
@@ -25,41 +25,10 @@ Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
 _MOST_POINTS = 20_000
-#: Largest time [s] without a pose of another localisation.
-POSE_AGE = 0.5
 _TWISTS: dict[str, Callable[[Any], Any]] = {  # what of a message is the speed
     "geometry_msgs/msg/Twist": lambda message: message,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
 }
-
-
-_POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
-
-
-class Several:
-    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type."""
-
-    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[[Any], None]]) -> None:
-        self._node, self._topic, self._takes = node, topic, takes
-        self._ends: dict[str, Callable[[], None]] = {}
-        self._said = ""
-
-    def look(self) -> None:
-        """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
-        one type only."""
-        kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
-        for kind in [k for k in self._ends if kinds and k not in kinds]:
-            self._ends.pop(kind)()
-        for kind in sorted(kinds - self._ends.keys()):
-            try:
-                self._ends[kind] = self._node.subscribe(
-                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
-                )
-            except Exception as error:
-                sentence = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
-                if sentence != self._said:
-                    _LOG.error("%s", sentence)
-                self._said = sentence
 
 
 class Inbox:
@@ -81,16 +50,12 @@ class Inbox:
         takes = {kind: partial(self._take_speed, part) for kind, part in _TWISTS.items()}
         self._speeds = Several(node, settings.topics.cmd_vel, takes)
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
-        topics = settings.topics
-        for topic, kind, take in (
-            (topics.goal_pose, "geometry_msgs/msg/PoseStamped", self._goal_pose),
-            (topics.hand_goal, "geometry_msgs/msg/PoseStamped", self._hand_goal),
-            (topics.base_path, "nav_msgs/msg/Path", self._base_path),
-            (topics.hand_path, "nav_msgs/msg/Path", self._hand_path),
-            (topics.wrench, "geometry_msgs/msg/WrenchStamped", self._take_wrench),
-        ):
-            if topic:
-                node.subscribe(topic, kind, partial(self._try, topic, take), DEFAULT, deferred=True)
+        for key, take in {
+            "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
+            "hand_path": self._hand_path, "wrench": self._take_wrench,
+        }.items():  # fmt: skip
+            if topic := getattr(settings.topics, key):
+                node.subscribe(topic, ORDERS[key], partial(self._try, topic, take), DEFAULT, deferred=True)
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:
@@ -117,6 +82,11 @@ class Inbox:
         if sentence != self.refused:
             _LOG.warning("%s", sentence)
         self.refused = sentence
+
+    @property
+    def unheard(self) -> str:
+        """Which type of speeds is not heard, and why; empty if all are."""
+        return self._speeds.fault
 
     def look_for_speeds(self) -> None:
         """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
@@ -220,61 +190,3 @@ class Inbox:
     def _all_in_world(self, frame: str, x: Array, positions: Array, turned: Array) -> tuple[Array, Array]:
         pairs = [self._in_world(frame, x, p, q) for p, q in zip(positions, turned, strict=True)]
         return np.array([p for p, _ in pairs]), np.array([q for _, q in pairs])
-
-
-class PoseSource:
-    """Another localisation of the base (Odometry or PoseWithCovarianceStamped, in the world frame).
-
-    ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
-    ``fault``: what is wrong with those that come; empty when they are right again.
-    """
-
-    def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
-        self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
-        self.at, self.fault = -np.inf, ""
-        self._fix: tuple[float, Array, Array] | None = None
-        self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
-
-    def look(self) -> None:
-        """Subscribe in the type in which somebody publishes it."""
-        self._messages.look()
-
-    def take(self) -> tuple[float, Array, Array] | None:
-        """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once. Raises
-        :class:`SafeStop` if nothing has come for :data:`POSE_AGE`."""
-        lost = self.lost()
-        if lost:
-            raise SafeStop(lost)
-        fix, self._fix = self._fix, None
-        return None if fix is None else (max(self.stamp() - fix[0], 0.0), *fix[1:])
-
-    def lost(self) -> str:
-        """Why there is no pose any more; empty if there is."""
-        topic, silent = self.settings.topics.pose, self.now() - self.at
-        if silent <= POSE_AGE:
-            return ""
-        why = f" ({self.fault})" if self.fault else ""
-        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
-
-    def _take(self, message: Any) -> None:
-        try:
-            self._read(message)
-        except InputError as error:
-            if str(error) != self.fault:
-                _LOG.error("%s", error)
-            self.fault = str(error)
-        else:
-            self.fault = ""
-
-    def _read(self, message: Any) -> None:
-        topic, world = self.settings.topics.pose, self.settings.frames.world
-        if message.header.frame_id != world:
-            raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
-        covariance = np.asarray(message.pose.covariance, float).reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
-        pose = planar(*read_pose(message.pose.pose, topic))
-        if not np.isfinite(covariance).all():
-            raise InputError(f"{topic}: a number of the covariance is not finite")
-        now, stamped = self.stamp(), seconds(message.header.stamp)
-        # a stamp of another machine's clock, or none, says nothing: the pose is then of now
-        self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance
-        self.at = self.now()

@@ -15,16 +15,19 @@ from typing import Any
 import numpy as np
 
 from wbmpc.control import BrakeControl
+from wbmpc.control.brakes import refuse_floating
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import sentence_of
-from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.settings import ORDERS, RosSettings
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
 SET_LEGS = "wbmpc_msgs/srv/SetLegs"
+#: Brakes (n, 1 = open) and legs (n) [rad].
+Now = tuple[Array, Array]
 #: A leg is where it should be within this [rad].
 THERE = 0.01
 
@@ -33,11 +36,19 @@ class Legs:
     """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
     ``refused``: why the last bad order was not taken, empty when one has been taken since.
 
-    :meth:`take` gives an order once to the node's own thread; :meth:`begin` and :meth:`watch` belong to that thread too.
+    ``ready()``: why no order can be taken; ``now()``: how brakes and legs are. :meth:`apply` and :meth:`watch` belong to the
+    node's own thread.
     """
 
-    def __init__(self, node: Node, robot: RobotModel, settings: RosSettings, ready: Callable[[], str]) -> None:
-        self.robot, self.settings, self._ready = robot, settings, ready
+    def __init__(
+        self,
+        node: Node,
+        robot: RobotModel,
+        settings: RosSettings,
+        ready: Callable[[], str],
+        now: Callable[[], Now | None],
+    ) -> None:
+        self.robot, self.settings, self._ready, self._now = robot, settings, ready, now
         self.names = robot.state.groups["leg"]
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
@@ -45,14 +56,14 @@ class Legs:
         self._order: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
-        takes: dict[str, tuple[str, Callable[[Any], str]]] = {
-            topics.legs: ("sensor_msgs/msg/JointState", lambda m: self._wanted("", list(m.name), m.position, ())),
-            topics.brakes: ("std_msgs/msg/Float64MultiArray", lambda m: self._brakes(m.data)),
-            topics.leg_configuration: ("std_msgs/msg/String", lambda m: self._wanted(m.data, [], (), ())),
+        takes: dict[str, Callable[[Any], str]] = {
+            "legs": lambda m: self._wanted("", list(m.name), m.position, ()),
+            "brakes": lambda m: self._brakes(m.data),
+            "leg_configuration": lambda m: self._wanted(m.data, [], (), ()),
         }
-        for topic, (kind, take) in takes.items():
-            if topic:
-                node.subscribe(topic, kind, partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+        for key, take in takes.items():
+            if topic := getattr(topics, key):
+                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
@@ -135,12 +146,21 @@ class Legs:
                 raise InputError(f"legs: {name} at {angle:g} rad is outside its limits {low:g} to {high:g}")
 
     def _put(self, goal: Array, brake: Array) -> None:
-        self.refused = ""
         with self._lock:
             if self._order is not None:  # what has not been taken yet is completed
                 goal = np.where(np.isnan(goal), self._order[0], goal)
                 brake = np.where(np.isnan(brake), self._order[1], brake)
+            if (now := self._now()) is not None:
+                moving, state = self._outcome(goal, brake, now[0])
+                if not moving.any():
+                    refuse_floating(self.robot.base.geometry, now[1], state)
             self._order = goal, brake
+        self.refused = ""
+
+    def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
+        """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""
+        moving = (self.moving | ~np.isnan(goal)) & ~(brake == 0.0)
+        return moving, np.where(np.isnan(brake), np.where(moving, 1.0, commanded), brake)
 
     # ------------------------------------------------------------------ in the node's thread
     @property
@@ -163,10 +183,7 @@ class Legs:
         sent = ~np.isnan(goal)
         before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
-        self.moving = (self.moving | sent) & ~(brake == 0.0)
-        now = brakes.commanded(t).copy()
-        now[self.moving] = 1.0
-        state = np.where(np.isnan(brake), now, brake)
+        self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:

@@ -114,7 +114,8 @@ class BusRobot:
             return f"no joint states on {self.settings.topics.joint_states} yet"
         age = self.age()
         if age > self.settings.safety.watchdog:
-            return f"the joint states on {self.settings.topics.joint_states} are {age:.1f} s old"
+            limit = self.settings.safety.watchdog
+            return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
         if self.pilot.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
         return ""

@@ -110,6 +110,10 @@ class RosNode:
         """Everybody's subscriptions of a topic, this node's too."""
         return self._endpoints("subscription", topic, self._node.get_subscriptions_info_by_topic(full_name(topic)))
 
+    def owner(self, endpoint: Endpoint) -> str:
+        """The name of an endpoint's node."""
+        return str(endpoint.who or "")
+
     def _endpoints(self, side: str, topic: str, infos: list[Any]) -> list[Endpoint]:
         """Of more endpoints with this node's name than it has itself, some are another node's of the same name."""
         found, own = [], self._made[side, full_name(topic)]
@@ -122,7 +126,7 @@ class RosNode:
             )
             mine = own > 0 and info.node_name == self.name
             own -= mine
-            found.append(Endpoint(full_name(topic), info.topic_type, qos, mine))
+            found.append(Endpoint(full_name(topic), info.topic_type, qos, mine, info.node_name))
         return found
 
     def close(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,11 +23,24 @@ from wbmpc.ros2.bus import full_name
 GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
+#: Types of goals and orders, by the keys of their topics.
+ORDERS = {
+    "goal_pose": "geometry_msgs/msg/PoseStamped", "hand_goal": "geometry_msgs/msg/PoseStamped",
+    "base_path": "nav_msgs/msg/Path", "hand_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
+    "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
+}  # fmt: skip
 
 
 def _not_empty(name: str) -> str:
     if not name.strip("/ "):
         raise ValueError("a name is needed")
+    return name
+
+
+def _topic(name: str) -> str:
+    """A topic's name as ROS has them (REP 144 and the design article on names)."""
+    if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
+        raise ValueError("a topic's name is made of letters, digits, _ and /, and begins with none of the digits")
     return name
 
 
@@ -56,6 +70,11 @@ class Topics(Settings):
     hand_plan: str = "/hand_plan"
     footprint: str = "/footprint"
     diagnostics: str = "/diagnostics"
+
+    @field_validator("*")
+    @classmethod
+    def _valid(cls, name: str) -> str:
+        return name and _topic(name)
 
     @field_validator("joint_states")
     @classmethod
@@ -103,13 +122,16 @@ class Goals(Settings):
 
 
 class Safety(Settings):
-    """``watchdog`` [s]: largest age of joint states; ``ramp`` [s] of a stop; ``cmd_vel`` [s]: a speed holds this long;
-    ``clock`` [s]: with simulated time, largest wall time without it."""
+    """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time without it. ``jump`` [m, rad]: how
+    far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
+    policy: float = Field(0.5, gt=0, le=10)
     ramp: float = Field(0.2, ge=0, le=2)
     cmd_vel: float = Field(0.5, gt=0, le=5)
     clock: float = Field(1.0, gt=0, le=60)
+    jump: float = Field(0.1, gt=0, le=10)
 
 
 class Controller(Settings):
@@ -125,7 +147,7 @@ class Controller(Settings):
     @field_validator("topic")
     @classmethod
     def _named(cls, name: str) -> str:
-        return _not_empty(name)
+        return _topic(_not_empty(name))
 
     @property
     def type(self) -> str:
@@ -159,6 +181,13 @@ class RosSettings(Settings):
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
     use_gyro: bool = True
+
+    @field_validator("node")
+    @classmethod
+    def _node(cls, name: str) -> str:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise ValueError("a name of letters, digits and _ is needed")
+        return name
 
     def bus_name(self, joint: str) -> str:
         """What a joint of ours is called on the bus."""
@@ -229,6 +258,7 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
         data = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    data = {} if data is None else data
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping of keys is needed; valid: {', '.join(kind.model_fields)}")
     try:

@@ -26,7 +26,7 @@ _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.
 COMMAND_TIMEOUT = 0.1
 #: In lockstep: how long an answer is waited for, and after what time the question is asked again [s of the wall].
-PATIENCE, AGAIN = 1.0, 0.05
+PATIENCE, AGAIN = 3.0, 0.05
 #: A trajectory answers for so long [s].
 AGAIN_LED = 0.2
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
@@ -230,9 +230,11 @@ class SimNode:
     def _publish_truth(self, at: float) -> None:
         truth, world = self.plant.truth(), self.settings.frames.world
         position, turned = self.side.base(truth)
-        self._odom.publish(
-            {"header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)}}
-        )
+        twist = self.plant.world.twist
+        self._odom.publish({
+            "header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)},
+            "twist": {"twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])}},
+        })  # fmt: skip
         hand = truth.tool + [0.0, 0.0, self.side.lift]
         self._hand.publish(
             {"header": header(at, world), "pose": pose(hand, lie.rotation_to_quaternion(truth.tool_rotation))}

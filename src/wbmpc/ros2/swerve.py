@@ -150,10 +150,17 @@ class SwervePilot:
     def push(self, wrench: Array) -> None:
         """Drives that follow speeds cannot exert a wrench: it counts in the zero-moment point only."""
 
+    def relocate(self) -> None:
+        """The next pose of another localisation counts whatever was known before."""
+        self.agent._placed = False
+
     # ------------------------------------------------------------------ tasks
-    def follow(self, task: Task, x: Array) -> None:
-        """Put a task into force; legs go where ``legs`` says, or stay."""
-        references = references_of(task, self.robot, x, self.legs)
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """Of a task; legs go where ``legs`` says, or stay."""
+        return references_of(task, self.robot, x, self.legs)
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
         self._twists = references["input"]
         self.pending.set(references)
 

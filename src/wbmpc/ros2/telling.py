@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 WELL, WARNING, ERROR = 0, 1, 2
 #: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
 EVERY = 2
+#: What has changed is told before its turn, but not sooner than this [s] after the last time.
+SOON = 0.05
 
 
 class Teller:
@@ -42,11 +44,15 @@ class Teller:
             "plan": [0.0, 1.0 / rates.plan],
             "say": [0.0, 1.0 / rates.diagnostics],
         }
-        self._before: tuple[float, np.ndarray] | None = None
+        self._said: tuple[str, ...] = ()
+        self._told = -np.inf
 
     def tell(self) -> None:
         """Publish what is due."""
         now = time.perf_counter()
+        said = self.controller.state, *self.controller.refused().values()
+        if said != self._said and now - self._told > SOON:
+            self._said, self._due["say"][0] = said, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
             due = self._due[key]
             if now >= due[0]:
@@ -114,12 +120,13 @@ class Teller:
 
     def _diagnostics(self) -> None:
         c = self.controller
+        self._told = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
         level = ERROR if stopped or c.ill else WELL if c.running else WARNING
-        refused = c.inbox.refused or c.source.fault or (c.legs.refused if c.legs is not None else "")
-        if level == WELL and refused:
+        if level == WELL and c.refused():
             level = WARNING
-        entries = [status(level, f"{c.settings.node}: controller", c.state, c.robot.description.name, c.figures())]
-        faults = c.node.faults
+        message = "; ".join([c.state, *(why for why in c.refused().values() if why not in c.state)])
+        entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, c.figures())]
+        faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
         self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})

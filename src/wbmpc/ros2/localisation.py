@@ -1,0 +1,139 @@
+"""Another localisation of the base: poses from the bus, how old they are, and a gate for those that jump."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.mpc.safety import SafeStop
+from wbmpc.ros2.bus import Node
+from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.several import Several
+
+_LOG = logging.getLogger("wbmpc")
+Array = np.ndarray
+Time = Callable[[], float]
+#: Largest time [s] without a pose.
+POSE_AGE = 0.5
+_POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
+#: Where the robot was is kept for as many ticks: a pose belongs to the time of its stamp.
+_REMEMBERED = 400
+#: A pose may be off by this many standard deviations besides.
+_SPREAD = 3.0
+
+
+class PoseSource:
+    """Odometry or PoseWithCovarianceStamped, in the world frame.
+
+    ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
+    ``fault``: what is wrong with those that come, ``jumped`` included; empty when they are right again.
+    """
+
+    def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
+        self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
+        self.at, self.jumped, self._wrong = -np.inf, "", ""
+        self._good = -np.inf  # when the last one that counted came
+        self._fix: tuple[float, Array, Array] | None = None
+        self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the poses that come."""
+        return self._wrong or self.jumped or self._messages.fault
+
+    def look(self) -> None:
+        """Subscribe in the type in which somebody publishes it."""
+        self._messages.look()
+
+    def take(self) -> tuple[float, Array, Array] | None:
+        """As :meth:`newest`; raises :class:`SafeStop` if nothing has come for :data:`POSE_AGE`."""
+        lost = self.lost()
+        if lost:
+            raise SafeStop(lost)
+        return self.newest()
+
+    def newest(self) -> tuple[float, Array, Array] | None:
+        """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once."""
+        fix, self._fix = self._fix, None
+        return None if fix is None else (max(self.stamp() - fix[0], 0.0), *fix[1:])
+
+    def lost(self) -> str:
+        """Why there is no pose any more; empty if there is. One that jumped is none."""
+        topic, silent = self.settings.topics.pose, self.now() - (self._good if self.jumped else self.at)
+        if silent <= POSE_AGE:
+            return ""
+        why = f" ({self.fault})" if self.fault else ""
+        return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
+
+    def judge(self, jumped: str) -> None:
+        """What the gate said of the pose that was taken last; empty: it counts."""
+        if jumped and not self.jumped:
+            _LOG.error("%s; it does not count", jumped)
+        self.jumped = jumped
+        if not jumped:
+            self._good = self.now()
+
+    def _take(self, message: Any) -> None:
+        try:
+            self._read(message)
+        except InputError as error:
+            if str(error) != self._wrong:
+                _LOG.error("%s", error)
+            self._wrong = str(error)
+        else:
+            self._wrong = ""
+
+    def _read(self, message: Any) -> None:
+        topic, world = self.settings.topics.pose, self.settings.frames.world
+        if message.header.frame_id != world:
+            raise InputError(f"{topic}: the pose is in frame '{message.header.frame_id}', '{world}' is needed")
+        covariance = np.asarray(message.pose.covariance, float).reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
+        pose = planar(*read_pose(message.pose.pose, topic))
+        if not np.isfinite(covariance).all():
+            raise InputError(f"{topic}: a number of the covariance is not finite")
+        if np.any(np.diag(covariance) < 0.0):
+            raise InputError(f"{topic}: a variance is negative")
+        now, stamped = self.stamp(), seconds(message.header.stamp)
+        # a stamp of another machine's clock, or none, says nothing: the pose is then of now
+        self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance
+        self.at = self.now()
+
+
+class Gate:
+    """Compares poses with the robot's own motion, which the last poses that counted have corrected: wheels, gyro or inertial unit
+    say how far it can have come. ``limit``: how far off [m, rad] a pose may be beyond :data:`_SPREAD` standard deviations."""
+
+    def __init__(self, topic: str, limit: float) -> None:
+        self._topic, self._limit = topic, limit
+        self._was: deque[tuple[float, Array]] = deque(maxlen=_REMEMBERED)
+
+    def forget(self) -> None:
+        """The robot may be anywhere."""
+        self._was.clear()
+
+    def note(self, t: float, pose: Array) -> None:
+        """The robot's own estimate (x, y, yaw) at t [s]."""
+        if not self._was or t > self._was[-1][0]:
+            self._was.append((t, np.array(pose)))
+
+    def jumped(self, t: float, pose: Array, covariance: Array, own: Array) -> str:
+        """By how much a pose of time t [s] is farther from the estimate than both covariances (3, 3), the ``own`` one and the
+        pose's, allow; empty if it is not."""
+        if not self._was:
+            return ""
+        then = min(self._was, key=lambda place: abs(place[0] - t))[1]
+        spread = covariance + own
+        moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_turn(pose[2], then[2]) - then[2])
+        variances = max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0), float(spread[2, 2])
+        for off, variance, unit in ((moved, variances[0], "m"), (turned, variances[1], "rad")):
+            most = self._limit + _SPREAD * float(np.sqrt(variance))
+            if off > most:
+                against = f"against the robot's own motion, {most:.2f} {unit} are allowed"
+                return f"the pose on {self._topic} jumped by {off:.2f} {unit} {against}"
+        return ""

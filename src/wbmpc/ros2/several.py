@@ -1,0 +1,41 @@
+"""One topic in several types: speeds and poses come in either of two."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from wbmpc.ros2.bus import SENSOR, Node
+from wbmpc.ros2.convert import sentence_of
+
+_LOG = logging.getLogger("wbmpc")
+
+
+class Several:
+    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type;
+    ``fault``: which type is not heard, and why; empty when all are."""
+
+    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[[Any], None]]) -> None:
+        self._node, self._topic, self._takes = node, topic, takes
+        self._ends: dict[str, Callable[[], None]] = {}
+        self.fault = ""
+
+    def look(self) -> None:
+        """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
+        one type only."""
+        kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
+        for kind in [k for k in self._ends if kinds and k not in kinds]:
+            self._ends.pop(kind)()
+        for kind in sorted(kinds - self._ends.keys()):
+            try:
+                self._ends[kind] = self._node.subscribe(
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
+                )
+            except Exception as error:
+                sentence = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                if sentence != self.fault:
+                    _LOG.error("%s", sentence)
+                self.fault = sentence
+            else:
+                self.fault = ""

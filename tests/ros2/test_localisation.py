@@ -1,0 +1,139 @@
+"""Another localisation of a swerve robot. Truth: poses that were sent, a Kalman step by hand, limits of the settings."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds
+
+pytestmark = needs_dds
+if not MISSING:
+    from simulated import Localisation, Simulated
+    from standin import NETWORK, PERIOD, ROBOT, check_stopped
+
+    from wbmpc.ros2.localisation import Gate
+
+
+def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    p = pair(topics={"pose": "/amcl_pose"})
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    says = "/amcl_pose: the pose is in frame 'map', 'odom' is needed"
+
+    def tell(frame: str, times: int) -> None:
+        for _ in range(times):
+            publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
+            time.sleep(0.02)
+
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused pose"]
+    for k in (1, 2):
+        tell("map", 5)
+        assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
+        assert sum(r.getMessage() == says for r in caplog.records) == k
+        assert p.until(lambda: says in said())
+        tell("odom", 1)
+        assert p.until(lambda: p.control.source.fault == "")
+        time.sleep(0.6)
+
+
+def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    p = pair(topics={"pose": "/amcl_pose"})
+    assert p.until(lambda: p.control.state == "waiting: no pose on /amcl_pose"), p.control.state
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    sending = [True]
+
+    def change(message: dict[str, Any]) -> dict[str, Any]:
+        if sending and round(p.standin.time / PERIOD) % 10 == 0:
+            publisher.publish({"header": {"frame_id": "odom"}, "pose": {"pose": {"position": {"x": 3.0, "y": -1.0}}}})
+        return message
+
+    p.standin.change = change
+    p.ready()
+    np.testing.assert_allclose(p.control.pilot.snapshot()[1][:3], [3.0, -1.0, 0.0])
+    p.go(3.5, -1.0)
+    assert p.until(lambda: p.control.runner is not None and "running" in p.control.state)
+    sending.clear()
+    p.run(0.45)
+    check_stopped(p, "the pose on /amcl_pose is 0.", caplog)
+
+
+def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
+    """Two poses of the same spread for a robot that stands: their mean, with half of the variance (Kalman by hand)."""
+    p = pair(topics={"pose": "/amcl_pose"})
+    publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    covariance = np.diag([1e-4, 1e-4, 0.0, 0.0, 0.0, 1e-4]).ravel()
+    for x in (3.0, 3.01):
+        message = {"pose": {"position": {"x": x}}, "covariance": covariance}
+        publisher.publish({"header": {"frame_id": "odom"}, "pose": message})
+        time.sleep(0.05)
+        p.run(0.05)
+    assert p.control.pilot.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
+    e = p.control.pilot.estimate()
+    assert e.covariance[0, 0] == pytest.approx(0.5e-4, rel=0.05) and e.covariance[2, 2] == 1e6
+
+
+@pytest.fixture
+def simulated(caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
+    caplog.set_level(logging.INFO, "wbmpc")
+    s = Simulated(ROBOT, NETWORK, topics={"pose": "/localisation"})
+    yield s
+    s.close()
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-4])
+def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
+    simulated: Any, caplog: pytest.LogCaptureFixture, variance: float
+) -> None:
+    """MuJoCo's true pose, moved: by 0.05 m it is taken in, by 1 m it is not. A robot that stands believes its localisation again:
+    the next goal starts from there."""
+    s = simulated
+    source = Localisation(s, np.diag([variance] * 6).ravel())
+
+    def go(x: float) -> None:
+        s.send("/goal_pose", "geometry_msgs/msg/PoseStamped", {
+            "header": {"frame_id": "odom"}, "pose": {"position": {"x": x}},
+        })  # fmt: skip
+        begin = s.truth().pose[0]
+        assert s.until(lambda: s.truth().pose[0] > begin + 0.1), s.control.state
+
+    s.ready()
+    go(3.0)
+    source.offset[0] = 0.05
+    s.run(0.3)
+    assert s.control.state == "running: base to a goal" and not s.control.source.fault
+    source.offset[0] = 1.05
+    says = "the pose on /localisation jumped by 1.0"
+    assert s.until(lambda: s.control.runner.stopped) and says in s.control.state, s.control.state
+    assert sum(says in r.getMessage() and "stopped" in r.getMessage() for r in caplog.records) == 1
+    assert s.until(lambda: any(says in m for m in s.messages(2)))
+    assert s.until(lambda: np.abs(s.sim._groups["wheel"]).max() == 0.0)
+    at = lambda: s.control.pilot.snapshot()[1][0]
+    assert s.until(lambda: abs(at() - s.truth().pose[0] - 1.05) < 0.02 and not s.control.source.fault), at()
+    go(at() + 1.0)
+    assert s.control.state == "running: base to a goal"
+
+
+def test_the_gate_allows_what_motion_and_spread_explain() -> None:
+    """By hand: a robot at 1 m/s and a pose that is 0.1 s old; 0.1 m, and three standard deviations of both, are allowed."""
+    gate, exact = Gate("/p", 0.1), np.zeros((3, 3))
+    for t in np.arange(0.0, 1.0, 0.01):
+        gate.note(float(t), np.array([t, 0.0, np.pi - 1e-3]))
+    pose = lambda x, y=0.0, yaw=np.pi: np.array([x, y, yaw])
+    assert gate.jumped(0.9, pose(0.9), exact, exact) == "" != gate.jumped(0.7, pose(0.9), exact, exact)
+    assert gate.jumped(0.9, pose(0.9, 0.09), exact, exact) == ""
+    assert "jumped by 0.11 m" in gate.jumped(0.9, pose(0.9, 0.11), exact, exact)
+    spread = np.diag([0.03**2, 0.0, 0.0])
+    assert gate.jumped(0.9, pose(0.9, 0.22), spread, np.diag([0.04, 0.04, 0.0]) ** 2) == ""  # 0.1 + 3 * 0.05
+    assert "0.25 m are allowed" in gate.jumped(0.9, pose(0.9, 0.26), spread, np.diag([0.04, 0.04, 0.0]) ** 2)
+    assert gate.jumped(0.9, pose(0.9, yaw=-np.pi), exact, exact) == ""  # the same direction
+    assert "jumped by 0.20 rad" in gate.jumped(0.9, pose(0.9, yaw=np.pi - 0.201), exact, exact)
+    gate.forget()
+    assert gate.jumped(0.9, pose(99.0), exact, exact) == ""

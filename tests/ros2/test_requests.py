@@ -1,0 +1,163 @@
+"""Goals and speeds as they come from the bus, the bad ones too. Truth: what was sent, the wheels' radius."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds
+
+from wbmpc.ros2 import open_node
+
+pytestmark = needs_dds
+if not MISSING:
+    from standin import ENVIRONMENT, NETWORK, drive
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame", "position", "says"),
+    [
+        ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
+        ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
+        ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
+        ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
+    ],
+)
+def test_a_bad_goal_changes_nothing(
+    pair: Callable[..., Any], topic: str, frame: str, position: dict[str, float], says: str
+) -> None:
+    p = pair()
+    drive(p)
+    task = p.control._task
+    p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})
+    assert p.until(lambda: says in p.control.inbox.refused)
+    assert p.control._task is task and p.control.running
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    assert p.until(lambda: any(says in text for text in said()))
+
+
+def test_whatever_a_goal_does_what_runs_goes_on(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Too far away, and a planner that fails as nobody foresaw: the robot drives on, one log line each, diagnostics say so;
+    the next goal that is taken ends it."""
+    p = pair()
+    drive(p)
+    task = p.control._task
+    for _ in range(2):
+        p.go(1e9)
+        assert p.until(lambda: "the base's goal is 1e+09 m away" in p.control.inbox.refused)
+    assert p.control._task is task
+    assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
+
+    def fails(*_: Any) -> None:
+        raise MemoryError("no room")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(p.control.pilot.planner, "to_base", fails)
+        says = "a goal is refused: MemoryError: no room"
+        for _ in range(2):
+            p.go(1.5)
+            assert p.until(lambda: p.control.inbox.refused == says)
+    assert p.control._task is task and p.control.running and p.standin.speed > 0.5
+    assert sum(says in r.getMessage() for r in caplog.records) == 1
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    assert p.until(lambda: says in said())
+    p.go(1.5)
+    assert p.until(lambda: p.control._task is not task)
+    assert p.control.inbox.refused == ""
+
+
+def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
+    """The first Python block of docs/ros2.md, as a process."""
+    block = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs/ros2.md").read_text(), re.S)[0]
+    p = pair()
+    p.ready()
+    given = {**os.environ, **ENVIRONMENT}
+    operator = subprocess.Popen([sys.executable, "-u", "-c", block], env=given, stdout=subprocess.PIPE, text=True)
+    try:
+        assert p.until(lambda: p.control.state == "running: base to a goal"), p.control.inbox.refused
+        assert p.until(lambda: operator.poll() is not None)
+        assert "running: base to a goal" in operator.communicate()[0] and operator.returncode == 0
+    finally:
+        operator.kill()
+
+
+def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot drives on and says so meanwhile; and once it has stopped, the plan does not start it again."""
+    p = pair(rates={"diagnostics": 20.0})
+    drive(p)
+    task, begun, go_on = p.control._task, threading.Event(), threading.Event()
+    plan = p.control.pilot.planner.to_base
+
+    def slow(*given: Any) -> Any:
+        begun.set()
+        assert go_on.wait(60.0)
+        return plan(*given)
+
+    monkeypatch.setattr(p.control.pilot.planner, "to_base", slow)
+    p.go(1.5)
+    assert p.until(begun.is_set)
+    p.said.clear()
+    assert p.until(lambda: len(p.said) > 2) and p.control.state == "running: base to a goal"
+    assert p.control._task is task and p.standin.speed > 0.5
+    go_on.set()
+    assert p.until(lambda: p.control._task is not task) and p.control.inbox.refused == ""
+    begun.clear()
+    go_on.clear()
+    p.go(2.5)
+    assert p.until(begun.is_set)
+    broken = iter([lambda m: {**m, "position": m["position"] * np.nan}])
+    p.standin.change = lambda m: next(broken, lambda same: same)(m)
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0)
+    go_on.set()
+    assert p.until(lambda: p.control.inbox.refused == "a goal is refused: the robot has stopped meanwhile")
+    p.run(0.2)
+    assert p.control.runner.stopped and p.standin.speed == 0.0
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., Any], stamped: bool) -> None:
+    p = pair(safety={"cmd_vel": 0.3})
+    p.ready()
+    twist = {"linear": {"x": 0.4}}
+    kind = "geometry_msgs/msg/TwistStamped" if stamped else "geometry_msgs/msg/Twist"
+    publisher = p.standin.node.publisher("/cmd_vel", kind)
+    assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+    for _ in range(12):
+        publisher.publish({"twist": twist} if stamped else twist)
+        p.run(0.1)
+    assert p.control.pilot.snapshot()[1][0] > 0.1
+    np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 4.0, rtol=0.1)  # 0.4 m/s on wheels of 0.1 m
+    assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2)  # 20 mm/s
+    assert p.control.state == "running: base to rest"
+    assert p.control.running
+
+
+def test_stamped_speeds_drive_the_base_beside_somebody_who_could_send_plain_ones(pair: Callable[..., Any]) -> None:
+    """A teleoperator who is silent, then a navigator: both types of one topic, and no mismatch is told."""
+    p = pair()
+    p.ready()
+    silent = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+    assert p.until(lambda: silent._writer.get_matched_subscriptions())
+    other = open_node("navigator", "dds", NETWORK)
+    try:
+        publisher = other.publisher("/cmd_vel", "geometry_msgs/msg/TwistStamped")
+        assert p.until(lambda: publisher._writer.get_matched_subscriptions())
+        for _ in range(4):
+            publisher.publish({"twist": {"linear": {"x": 0.4}}})
+            p.run(0.1)
+        assert p.control.state == "running: base at a speed" and p.standin.speed > 1.0
+        assert p.node.faults == []
+    finally:
+        other.close()

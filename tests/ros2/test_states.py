@@ -1,0 +1,113 @@
+"""States as they come from the bus: their age, their order, a recording. Truth: stamps and means by hand, rolling by geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, wait_until
+
+from wbmpc.model import rolling_inverse_kinematics
+
+pytestmark = needs_dds
+if not MISSING:
+    from rosbags.rosbag2 import Reader, Writer
+    from rosbags.typesys import Stores, get_typestore
+    from standin import ROBOT
+
+    from wbmpc.ros2.convert import header
+    from wbmpc.ros2.messages import types
+
+
+def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two machines' clocks may differ by hours; a driver that hangs repeats itself. The wall's clock is the test's."""
+    body, t, now = pair(use_sim_time=False).control.body, types("jazzy"), [7.0]
+    monkeypatch.setattr("wbmpc.ros2.robot.time", SimpleNamespace(perf_counter=lambda: now[0]))
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+    kind = "sensor_msgs/msg/JointState"
+    encoded = lambda at: t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]})
+    message = lambda at: t.decode(kind, encoded(at))
+    for at in (5.0, 5.1):
+        now[0] += 0.1
+        body._take_joints(message(at))
+        assert body.age() == 0.0 and body.waits_for() == ""
+    for _ in range(5):
+        now[0] += 0.032
+        body._take_joints(message(5.1))
+    assert body.age() == pytest.approx(0.16) and "have stopped for more than 0.1 s" in body.waits_for()
+
+
+def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callable[..., Any]) -> None:
+    """Means by hand: what is stamped up to the joint states counts for these, what is later for the next ones; stamps of
+    another clock say nothing, so all that came counts."""
+    body, t = pair(use_sim_time=False).control.body, types("jazzy")
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+
+    def joints(at: float) -> None:
+        kind = "sensor_msgs/msg/JointState"
+        body._take_joints(
+            t.decode(kind, t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}))
+        )
+
+    def imu(at: float, rate: float) -> None:
+        kind = "sensor_msgs/msg/Imu"
+        body._take_imu(t.decode(kind, t.encode(kind, {"header": header(at, ""), "angular_velocity": {"z": rate}})))
+
+    read = lambda: float(body._averaged(body._joints[0].stamp).gyro[2])
+    for at, rate in ((10.000, 1.0), (10.001, 2.0), (10.003, 8.0)):
+        imu(at, rate)
+    joints(10.001)
+    assert read() == read() == 1.5  # asked twice, it is the same
+    joints(10.002)
+    assert read() == 8.0  # the newest, while there is none of this interval
+    joints(10.003)
+    assert read() == 8.0
+    for at, rate in ((99.0, 3.0), (99.1, 5.0)):
+        imu(at, rate)
+    joints(10.005)
+    assert read() == 4.0
+
+
+def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_path: Path) -> None:
+    """A bag in which all wheels, parallel as at home, roll a turn ahead: its untouched bytes give the odometry 2 π r ahead, and
+    nothing is commanded."""
+    geometry = ROBOT.base.geometry
+    ahead = np.sign(
+        rolling_inverse_kinematics(geometry, *(ROBOT.home[ROBOT.state[g]] for g in ("leg", "steer")), [1, 0, 0])[1]
+    )
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "sensor_msgs/msg/JointState"
+    names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+    t, order = types("jazzy"), np.argsort(names)  # by their names, as the joint_state_broadcaster has them
+    with Writer(tmp_path / "bag", version=9) as bag:
+        connection = bag.add_connection("/joint_states", kind, typestore=store)
+        for k in range(101):
+            x = ROBOT.home.copy()
+            x[ROBOT.state["wheel"]] = ahead * 2 * np.pi * k / 100
+            stamped = header(1.0 + 0.01 * k, "")
+            message = t.encode(kind, {"header": stamped, "name": np.array(names)[order], "position": x[3:][order]})
+            bag.write(connection, k * 10_000_000, message)
+    p = pair(topics={"imu": ""})
+    node = p.standin.node
+    clock = node.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    joints = node.publisher("/joint_states", kind)
+    assert wait_until(lambda: joints._writer.get_matched_subscriptions() and clock._writer.get_matched_subscriptions())
+    with Reader(tmp_path / "bag") as bag:
+        for _, at, data in bag.messages():
+            joints.send(data)
+            clock.publish({"clock": {"sec": 1 + at // 10**9, "nanosec": at % 10**9}})
+            stamp = 1.0 + 1e-9 * at
+            arrived = lambda s=stamp: (  # type: ignore[misc]
+                p.control.body._joints is not None and abs(p.control.body._joints[0].stamp - s) < 1e-6
+                and abs(p.control.clock.stamp() - s) < 1e-6
+            )  # fmt: skip
+            assert wait_until(arrived)
+            p.control.step()
+    pose = p.control.pilot.snapshot()[1][:3]
+    np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
+    assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
