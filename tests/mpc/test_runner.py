@@ -28,7 +28,7 @@ from realtime_toys import (
     problem,
     wait_for,
 )
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, Sizes, VirtualClock, WallClock
 from wbmpc.mpc.figures import Spread
 from wbmpc.mpc.safety import Latency, not_finite
@@ -195,9 +195,9 @@ def test_a_failed_solve_keeps_the_last_policy() -> None:
 
 
 # ---------------------------------------------------------------------- safe stops
-def raises(text: str) -> Callable[..., Any]:
+def raises(text: str, kind: type[Exception] = RuntimeError) -> Callable[..., Any]:
     def fault(*ignored: object) -> None:
-        raise RuntimeError(text)
+        raise kind(text)
 
     return fault
 
@@ -276,6 +276,7 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
         "0.500 s: the controller raised RuntimeError: drive off",
         True,
     ),
+    "the robot gives up": (lambda r: late_write(r, raises("it fell", RunAborted)), "0.500 s: it fell", False),
     "command raises": (
         lambda r: late_command(r, raises("lost")),
         "0.500 s: the controller raised RuntimeError: lost",
