@@ -75,6 +75,7 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     np.testing.assert_allclose(shown["hand_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
 
 
+@pytest.mark.wallclock
 def test_the_runner_is_watched_and_steered() -> None:
     """Goals, weights, a push and the legs' brakes change a run of three processes that goes on meanwhile; a reset begins it
     anew, and the end ends it."""

@@ -363,13 +363,14 @@ class Runner:
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""
-        limit, looked = self.settings.watchdog, self.clock.now()
-        self._beat = looked
+        limit, looked, worst = self.settings.watchdog, self.clock.now(), 0.0
+        self._beat = beat = looked
         while not self._ended.wait(0.2 * limit):
             now = self.clock.now()
-            silent, held_up, looked = now - self._beat, now - looked > 0.5 * limit, now
+            worst = max(worst, now - looked) if self._beat == beat else now - looked
+            silent, beat, looked = now - self._beat, self._beat, now
             if silent > limit:
-                why = ": the machine is too busy, the watchdog was held up too" if held_up else ""
+                why = ": the machine is too busy, the watchdog was held up too" if worst > 0.5 * limit else ""
                 self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")
                 self._stop_robot()
 
