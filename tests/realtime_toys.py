@@ -162,9 +162,9 @@ def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
 
 
 # ---------------------------------------------------------------------- faults
-def raises(text: str) -> Callable[..., Any]:
+def raises(text: str, kind: type[Exception] = RuntimeError) -> Callable[..., Any]:
     def fault(*ignored: object) -> None:
-        raise RuntimeError(text)
+        raise kind(text)
 
     return fault
 

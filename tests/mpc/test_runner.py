@@ -23,7 +23,7 @@ from realtime_toys import (
     make_mpc,
     raises,
 )
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, VirtualClock, WallClock
 from wbmpc.mpc.figures import Spread
 from wbmpc.mpc.safety import Latency, not_finite
@@ -251,6 +251,7 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
         "0.500 s: the controller raised RuntimeError: drive off",
         True,
     ),
+    "the robot gives up": (lambda r: late_write(r, raises("it fell", RunAborted)), "0.500 s: it fell", False),
     "command raises": (
         lambda r: late_command(r, raises("lost")),
         "0.500 s: the controller raised RuntimeError: lost",
