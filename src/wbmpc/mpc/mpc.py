@@ -253,13 +253,17 @@ class MPC:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
 
     def _fall_back(self) -> Policy:
-        """Keep the last policy, valid for its horizon, and restart from its plan."""
+        """Keep the last policy, valid for its horizon, and restart from its plan.
+
+        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs.
+        """
         self.statistics.failures += 1
         if self._policy is None:
             found = self.solver.certified(*self._outcome)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
-        self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
+        if self.solver.status(self._outcome[0]) is not Status.EQUALITY_MISSED:
+            self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
         return self._policy
 
 

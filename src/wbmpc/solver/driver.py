@@ -189,14 +189,18 @@ def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: 
     return last_residual, changed
 
 
+@compiled(BOOL, NUMS, INTS, NUMS)
+def misses_equality(m, o, s):  # type: ignore[no-untyped-def]
+    """Whether, in real time, the plan's first input misses an equality by more than ``equality_bound``."""
+    return s[KEEP] > 0.0 and o[NG] > 0 and first_equalities(m, o) > s[EQUALITY_BOUND]
+
+
 @compiled(INT, NUMS, INTS, NUMS, INT)
 def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
         return LIMIT_MISSED
-    if s[KEEP] > 0.0 and o[NG] > 0 and first_equalities(m, o) > s[EQUALITY_BOUND]:
-        return EQUALITY_MISSED
-    return status
+    return EQUALITY_MISSED if misses_equality(m, o, s) else status
 
 
 @compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
@@ -271,7 +275,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         o[POLICY] = 1
         short = alpha < 0.9 * first or m[state + MISSED] > LIMIT_TOLERANCE
         most = int(s[ITERATIONS]) + int(s[EXTRA])
-        if it == limit and short and limit < most:
+        if it == limit and limit < most and (short or misses_equality(m, o, s)):
             limit += 1
         elif it == limit and m[state + MISSED] > LIMIT_TOLERANCE and s[KEEP] > 0.0 and hold + o[NG] == 0.0:
             hold, limit = 2.0, limit + 1  # a last time, with inputs held within the rows

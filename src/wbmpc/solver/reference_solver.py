@@ -267,7 +267,7 @@ class InterpretedSolver(InterpretedDirections):
             return
         self._watch(c)
         outside, most = self.ws.state[MISSED] > LIMIT_TOLERANCE, int(c.iterations) + int(c.extra_when_cut)
-        if (alpha < 0.9 * run.first or outside) and run.limit < most:
+        if run.limit < most and (alpha < 0.9 * run.first or outside or self._misses_equality(c)):
             run.limit += 1
         elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.compliance.size:
             run.hold = self.hold = 2
@@ -286,9 +286,10 @@ class InterpretedSolver(InterpretedDirections):
 
         if self.ws.state[MISSED] > LIMIT_TOLERANCE:
             return LIMIT_MISSED
-        if c.keep_multipliers and self._first_equalities() > c.equality_bound:
-            return EQUALITY_MISSED
-        return status
+        return EQUALITY_MISSED if self._misses_equality(c) else status
+
+    def _misses_equality(self, c: Any) -> bool:
+        return bool(c.keep_multipliers and self._first_equalities() > c.equality_bound)
 
     def _first_equalities(self) -> float:
         """As first_equalities of the compiled solver, with the rows' slopes at the plan itself."""

@@ -231,6 +231,7 @@ def first_equalities(m, o):  # type: ignore[no-untyped-def]
     Rows with a compliance to speak of are wishes. The buffer still has the first node's rows: they were eliminated last.
     """
     nu, lz, values, state = o[NU], o[LZ], o[LANE_VALUES], o[STATE]
+    m[state + UNEQUAL] = 0.0
     load_block(m, o, 0, min(LANES, o[N]), o[X], o[U])
     stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)
     for q in range(o[NG]):
