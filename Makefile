@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -78,6 +78,12 @@ ball-robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/ball-robustness --only \
 	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle $(ROBUSTNESS_ARGS)
 
+# the ball robot's experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
+ball: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --conditions protocol --out runs/ball --only \
+	  rezero-steps rezero-push-ball rezero-push-hand rezero-wholebody rezero-taskspace rezero-circle rezero-door \
+	  rezero-frequency $(BALL_ARGS)
+
 # gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on)
 ball-rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --search all --file runs/ball-rivals.jsonl
@@ -123,7 +129,7 @@ pictures: $(VENV)/.installed
 	$(BIN)/python scripts/pictures.py
 	rm -rf build/clip
 	$(ENVIRONMENT) $(BIN)/wbmpc run swerve-track --set periods=1 --set rest=2 --out build/clip --quiet
-	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --speed 6 --width 360 --height 200
+	$(BIN)/wbmpc render build/clip --gif docs/images/swerve.gif --force --speed 6 --width 360 --height 200
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "wbmpc needs Python 3.11 or newer, and there is no '$(PYTHON)': install python3, or call 'make PYTHON=/path/to/python3'." >&2; exit 1; }

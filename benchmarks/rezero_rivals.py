@@ -1,7 +1,7 @@
 """The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--draws 3] [--seeds 200-203] [--runs NAME …] [--only CONTROLLER …]
-       [--file FILE] [--report]
+Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square] [--draws 3] [--first 0] [--seeds 200-203]
+       [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from wbmpc.reproduce import parse_seeds
 
 REGULATOR = {"hand": (0.01, 1.0), "torque": (0.3, 30.0), "damping": (0.3, 30.0), "most": (0.03, 0.5)}
 SEPARATE = {
-    "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.02, 2.0), "pace": (4.0, 25.0),
-    "integral": (0.1, 3.0),
+    "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.01, 2.0), "pace": (4.0, 40.0),
+    "integral": (0.1, 6.0),
 }  # fmt: skip
 #: What is searched, by controller: lowest and highest value of each gain, on a logarithmic scale.
 SPACE: dict[str, dict[str, tuple[float, float]]] = {
@@ -100,17 +100,37 @@ def value(row: dict[str, Any], metric: str) -> float:
     return float("inf") if found is None else float(found)
 
 
-def loss(store: Store, controller: str, gains: dict[str, float], seed: int) -> float:
+def pushes_loss(store: Store, given: list[str], seed: int) -> float:
     """Of the steps (nobody sees one before it comes) and of pushes of 200 N while the hand is held, shortened, with the state of
     the simulator and noise: falls and pushes without recovery, rise time [s], powers of ten of the steady error over 1 mm, how
     far [m] the hand was pushed."""
-    key = controller.replace("-", "_")
-    given = [f"controller={controller}", "estimator=truth", *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())]
     steps = store.run("rezero-steps", seed, [*given, "preview=false", "hold=2", "settle=1", "rest=0"])
     pushed = store.run("rezero-push-hand", seed, [*given, "forces=[200]", "settle=1", "pause=4"])
     total = 4.0 * (value(steps, "fell") + value(pushed, "fell")) + min(value(steps, "rise_time_max"), 3.0)
     total += np.log10(np.clip(value(steps, "steady_position_error_max") / 1e-3, 1.0, 1e3))
     return float(total + value(pushed, "not_recovered") + min(value(pushed, "hand_error_max"), 2.0))
+
+
+def square_loss(store: Store, given: list[str], seed: int) -> float:
+    """Of the square with 1 kg that nobody knows of, shortened, with the state of the simulator and noise: falls, and the errors of
+    ball and hand in units of 20 mm rms."""
+    run = store.run("rezero-wholebody", seed, [*given, "settle=4", "hold=1.5"])
+    errors = (value(run, f"{what}_error_rms{which}") for what, which in (("ball", "_wholebody"), ("hand", "")))
+    return float(20.0 * value(run, "fell") + sum(min(e / 0.02, 20.0) for e in errors))
+
+
+#: What a search makes small, by task: its loss, and an experiment whose settings have the gains that there are.
+TASKS: dict[str, tuple[Callable[[Store, list[str], int], float], str]] = {
+    "pushes": (pushes_loss, "rezero-push-hand"),
+    "square": (square_loss, "rezero-wholebody"),
+}
+
+
+def loss(store: Store, task: str, controller: str, gains: dict[str, float], seed: int) -> float:
+    """Of a task with these gains."""
+    key = controller.replace("-", "_")
+    given = [f"controller={controller}", "estimator=truth", *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())]
+    return TASKS[task][0](store, given, seed)
 
 
 def candidate(
@@ -126,21 +146,21 @@ def candidate(
     return out
 
 
-def search(store: Store, controller: str, seeds: list[int], draws: int) -> dict[str, float]:
-    """The best gains for a controller: those that there are, ``draws`` from the whole space, as many about the best so far.
-    Controllers with the same space get the same draws."""
-    space, rng = SPACE[controller], np.random.default_rng(0)
-    kind = REGISTRY["rezero-steps"].config_type()
+def search(store: Store, task: str, controller: str, seeds: list[int], draws: int, first: int = 0) -> dict[str, float]:
+    """The best gains of a controller for a task: those that there are, ``draws`` from the whole space, as many about the best so
+    far. Controllers with the same space get the same draws; another ``first`` gives others."""
+    space, rng = SPACE[controller], np.random.default_rng(first)
+    kind = REGISTRY[TASKS[task][1]].config_type()
     own = getattr(kind.rival, controller.replace("-", "_"))
     best = {k: float(getattr(own, k)) for k in space}
     least = float("inf")
     for k in range(1 + 2 * draws):
         gains = candidate(space, rng, best if k > draws else None) if k else best
-        found = sum(loss(store, controller, gains, seed) for seed in seeds)
-        print(f"{controller} {k} {gains}: {found:.3f}", flush=True)
+        found = sum(loss(store, task, controller, gains, seed) for seed in seeds)
+        print(f"{task} {controller} {k} {gains}: {found:.3f}", flush=True)
         if found < least:
             least, best = found, gains
-    print(f"{controller} best: {best}: {least:.3f}", flush=True)
+    print(f"{task} {controller} best: {best}: {least:.3f}", flush=True)
     return best
 
 
@@ -182,8 +202,12 @@ def table(store: Store, labels: list[str], controllers: list[str], seeds: list[i
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--search", nargs="+", choices=["all", *SPACE])
+    parser.add_argument("--task", choices=list(TASKS), default="pushes", help="of the search")
     parser.add_argument("--seeds", help="as 200-203 or 200,205; left out: 0 for the search, 200-203 for the table")
     parser.add_argument("--draws", type=int, default=3, help="of the search: twice as many runs and one more")
+    parser.add_argument(
+        "--first", type=int, default=0, help="of the random numbers: another search goes on with others"
+    )
     parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS)[:3])
     parser.add_argument("--only", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
     parser.add_argument("--file", type=Path, default=Path("rezero_rivals.jsonl"))
@@ -192,7 +216,7 @@ def main() -> None:
     store = Store(given.file)
     if given.search:
         for controller in SPACE if "all" in given.search else given.search:
-            search(store, controller, list(parse_seeds(given.seeds or "0")), given.draws)
+            search(store, given.task, controller, list(parse_seeds(given.seeds or "0")), given.draws, given.first)
     else:
         seeds = list(parse_seeds(given.seeds or "200-203"))
         print(table(store, given.runs, given.only, seeds, given.report))

@@ -1,9 +1,11 @@
 """Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
-Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR]
+       [--report] [--docs FILE]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
-all swerve experiments; conditions of the other kind of robot are passed over.
+all swerve experiments; conditions of the other kind of robot are passed over. --docs puts the overview into a document, between
+marks with DIR's name.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import overview
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
@@ -91,6 +94,24 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
         ("steady_ball_offset_max", 1e3, "mm"),
         ("fell", 1.0, "1"),
     ),
+    "rezero-taskspace": (
+        ("hand_error_integral_mpc", 1.0, "m s"),
+        ("hand_error_integral_taskspace", 1.0, "m s"),
+        ("torque_squared_ratio", 1.0, "1"),
+        ("falls_taskspace", 1.0, "1"),
+    ),
+    "rezero-door": (
+        ("force_error_ratio_low", 100.0, "%"),
+        ("force_error_ratio_high", 100.0, "%"),
+        ("touch_peak", 1.0, "N"),
+        ("fell", 1.0, "1"),
+    ),
+    "rezero-frequency": (
+        ("torque_error_ratio", 1.0, "1"),
+        ("rise_time_plain", 1.0, "s"),
+        ("rise_time_shaped", 1.0, "s"),
+        ("fell_shaped", 1.0, "1"),
+    ),
     "rezero-circle": (("hand_error_rms", 1e3, "mm"), ("ball_error_rms", 1e3, "mm"), ("fell", 1.0, "1")),
     "swerve-drive": (
         ("base_position_error_rms", 1e3, "mm"),
@@ -123,7 +144,7 @@ class Cell:
             known = np.array([np.inf if v is None else float(v) for v in values])
             # in order, not between values: a mean with infinity is not a figure
             low, middle, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.5, 0.95))
-            goal = having[0]["targets"].get(name, {}).get("goal")
+            target = having[0]["targets"].get(name, {})
             unit = having[0]["metrics"][name]["unit"]
             out[name] = {
                 "unit": unit,
@@ -131,7 +152,9 @@ class Cell:
                 "p5": low,
                 "p95": high,
                 "worst": float(known.max()),
-                "goal": goal,
+                "goal": target.get("goal"),
+                "least": target.get("least"),
+                "paper": target.get("paper"),
             }
         return out
 
@@ -176,13 +199,16 @@ def _order(item: tuple[tuple[str, str], Any]) -> tuple[str, int]:
     return name, list(CONDITIONS).index(condition)
 
 
-def _text(value: float, factor: float = 1.0) -> str:
-    return "∞" if not np.isfinite(value) else f"{factor * value:.3g}"
+def under_protocol(found: list[Cell]) -> list[dict[str, Any]]:
+    """The overview's rows of every experiment."""
+    cells = [c for c in found if c.condition == "protocol"]
+    shown = lambda name: [metric for metric, _, _ in SHOWN.get(name, ())]
+    return [r for c in cells for r in overview.rows(c.experiment, len(c.runs), c.statistics(), shown(c.experiment))]
 
 
 def markdown(found: list[Cell]) -> str:
-    """A table for each experiment: conditions down, figures across; then all figures with goals under the protocol."""
-    parts = []
+    """The overview; then for each experiment conditions down and figures across, and all its figures under the protocol."""
+    parts = [overview.markdown(under_protocol(found))]
     for name in dict.fromkeys(c.experiment for c in found):
         mine = [c for c in found if c.experiment == name]
         shown = SHOWN.get(name)
@@ -205,17 +231,17 @@ def _row(fields: Iterable[str]) -> str:
 
 
 def _figure(s: dict[str, Any], factor: float) -> str:
-    """Median (95 %, worst); bold where the 95 % value misses the goal."""
-    text = f"{_text(s['median'], factor)} ({_text(s['p95'], factor)}, {_text(s['worst'], factor)})"
-    return f"**{text}**" if s["goal"] is not None and s["p95"] > s["goal"] else text
+    """Median (95 %, worst); bold where the goal is missed."""
+    text = "{} ({}, {})".format(*(overview.number(s[k], factor) for k in ("median", "p95", "worst")))
+    return f"**{text}**" if overview.reached(s) is False else text
 
 
 def _protocol(cell: Cell) -> str:
     lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst", "goal", "reached"]), _row(["---"] * 8)]
     for name, s in cell.statistics().items():
-        reached = "" if s["goal"] is None else ("yes" if s["p95"] <= s["goal"] else "no")
+        reached = {True: "yes", False: "no", None: ""}[overview.reached(s)]
         goal = "" if s["goal"] is None else f"{s['goal']:.3g}"
-        figures = [_text(s[k]) for k in ("median", "p5", "p95", "worst")]
+        figures = [overview.number(s[k]) for k in ("median", "p5", "p95", "worst")]
         lines.append(_row([name, s["unit"], *figures, goal, reached]))
     return "\n".join(lines)
 
@@ -236,9 +262,8 @@ def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
         for c in found
     ]
     lost = [{"run": str(j.directory.relative_to(out)), "reason": reason} for j, reason in failed.items()]
-    data = json.loads(
-        json.dumps({"cells": rows, "failed": lost, "versions": versions()}), parse_constant=lambda _: None
-    )
+    data = {"overview": under_protocol(found), "cells": rows, "failed": lost, "versions": versions()}
+    data = json.loads(json.dumps(data), parse_constant=lambda _: None)
     (out / "table.json").write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
     (out / "table.md").write_text(markdown(found))
     try:
@@ -292,6 +317,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
+    parser.add_argument("--docs", type=Path, help="a document with the marks <!-- NAME --> and <!-- end of NAME -->")
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -303,6 +329,9 @@ def main() -> None:
     if not given.report:
         failed = run_all(list(found), given.workers, lambda _, note: print(note, flush=True), make)
     write(cells(found), failed, given.out)
+    if given.docs is not None:
+        table = overview.markdown(under_protocol(cells(found)))
+        given.docs.write_text(overview.put(given.docs.read_text(), given.out.name, table))
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
     print((given.out / "table.md").read_text())

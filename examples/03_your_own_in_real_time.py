@@ -71,7 +71,7 @@ class Agent:
         return wb.Observation(until, x)
 
     def command(self, t, plans):
-        return np.clip(plans.current(t, self.x), -LIMIT, LIMIT)
+        return plans.current(t, self.x)  # holds the hard limits of the inputs
 
 
 clock, model = wb.WallClock(), make_mpc()

@@ -282,10 +282,19 @@ def test_a_failed_run_leaves_a_given_directory_alone(tmp_path: Path) -> None:
     assert (tmp_path / "mine").is_dir()
 
 
-def test_a_reader_who_leaves_causes_no_traceback() -> None:
-    code = "import os; r, w = os.pipe(); os.close(r); os.dup2(w, 1); " + FAKE_MAIN
-    out = shell("run", "fake", code=code)
-    assert "Traceback" not in out.stderr and "BrokenPipe" not in out.stderr
+@pytest.mark.parametrize(
+    "arguments, status", [(("list",), 0), (("run", "fake"), 0), (("run", "fake", "--set", "fall_at=2"), 1)]
+)
+@pytest.mark.parametrize("stream", [1, 2])
+def test_a_reader_who_leaves_changes_nothing(
+    stream: int, arguments: tuple[str, ...], status: int, tmp_path: Path
+) -> None:
+    """As ``| head`` does: the status is the command's own, its files are there, and nothing is said."""
+    code = f"import os; r, w = os.pipe(); os.close(r); os.dup2(w, {stream}); " + FAKE_MAIN
+    out = shell("--verbose", *arguments, code=code)
+    assert out.returncode == status
+    assert "Traceback" not in out.stderr + out.stdout and "BrokenPipe" not in out.stderr + out.stdout
+    assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == (0 if "list" in arguments else 3)
 
 
 def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
-from wbmpc.compare import overlay, wheels
+from wbmpc.compare import Run, overlay, wheels
+from wbmpc.recording.writer import McapFile
 
 
 @pytest.fixture
@@ -52,10 +53,60 @@ def test_quiet_says_nothing(runs: list[dict], capsys: pytest.CaptureFixture[str]
 
 def test_what_is_no_run_is_said(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["compare", "a", "nowhere"]) == 2
-    assert capsys.readouterr().err == "wbmpc: nowhere: is not the directory of a run: there is no metrics.json\n"
+    assert (
+        capsys.readouterr().err
+        == "wbmpc: nowhere: is not the directory of a run: there is no metrics.json and no run.mcap\n"
+    )
     Path("b/metrics.json").write_text("{")
     assert main(["compare", "a", "b"]) == 2
     assert "metrics.json or log.npz cannot be read" in capsys.readouterr().err
+
+
+@pytest.fixture
+def killed(tmp_path: Path) -> Path:
+    """A run of which only the recording is left, without its end."""
+    (tmp_path / "killed").mkdir()
+    file = McapFile(tmp_path / "killed" / "run.mcap")
+    file.metadata("run", {"experiment": "fake", "seed": 3, "settings": json.dumps({"mpc": {"rate": 25.0}})})
+    for k in range(300):
+        file.put("/mpc/solve_time", "std_msgs/Float64", 0.01 * k, [0.001 * k])
+        file.put("/measured/leg", "std_msgs/Float64", 0.01 * k, [0.001 * k])
+    file.close()
+    whole = file.path.read_bytes()
+    file.path.write_bytes(whole[: whole.rindex(b"/mpc/solve_time") - 2000])  # in the middle of the index
+    return file.path.parent
+
+
+def test_of_a_killed_run_what_there_is(runs: list[dict], killed: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    """Beside a whole run: its metrics alone, the settings, and what is missing."""
+    assert main(["compare", "a", "killed", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert {row["metric"]: row["values"] for row in data["metrics"]} == {
+        name: [m["value"], None] for name, m in runs[0]["metrics"].items()
+    }
+    assert data["settings"]["seed"] == [1, 3] and data["settings"]["mpc.rate"] == [50.0, 25.0]
+    assert data["notes"] == ["killed left no metrics; its recording ends at 2.99 s"]
+    assert main(["compare", "a", "killed"]) == 0
+    out = capsys.readouterr().out
+    assert "killed left no metrics" in out and "the runs share no signals; compare-2.html is without plots" in out
+
+
+def test_two_killed_runs_are_compared_by_their_recordings(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = killed.parent / "both.html"
+    assert main(["compare", str(killed), str(killed), "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert text.count("left no metrics") == 2 and "the signals are in" in text
+    body = out.read_text().partition("<body>")[2]
+    assert "<h3>mpc/solve_time</h3>" in body and body.count("Plotly.newPlot") == 1
+
+
+def test_a_run_that_ended_early_is_compared_and_said_to_be(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for folder, setting in (("a", "fall_at=2.0"), ("b", "abort=true")):
+        assert main(["run", "fake", "--out", str(tmp_path / folder), "--set", setting, "--quiet"], REGISTRY) == 1
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "c.html"), "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert notes[0].endswith("a did not complete: the robot fell at 2.00 s")
+    assert notes[1].endswith("b did not complete: the solver gave up at 0.10 s")
 
 
 def test_curves_have_names_and_the_runs_the_same_colours() -> None:
@@ -64,7 +115,7 @@ def test_curves_have_names_and_the_runs_the_same_colours() -> None:
     for channel, width in (("tour.base_odometry", 3), ("hand", 3), ("leg", 4), ("other", 2)):
         log |= {channel: rng.normal(size=(5, width)), f"{channel}.time": np.arange(5.0)}
     modules = wheels({"settings": {"robot": "swerve-ur10"}})
-    plots = {p.title: p.series for p in overlay([log, log], ["a", "b"], modules)}
+    plots = {p.title: p.series for p in overlay([Run(Path(), {}, log)] * 2, ["a", "b"], modules)}
     names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
     assert names["tour.base_odometry"] == ["a x", "a y", "a yaw"] and names["hand"] == ["a x", "a y", "a z"]
     assert names["leg"] == [f"a {wheel}" for wheel in ("LF", "RF", "LB", "RB")] and names["other"] == ["a [0]", "a [1]"]

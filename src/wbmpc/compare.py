@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.recording.reader import read
+from wbmpc.report import RECORDING
 from wbmpc.result import Plot, Series
 from wbmpc.robots import SwerveBaseDescription, load_description
 
@@ -17,19 +21,79 @@ MOST_LINES = 6
 #: What the components of channels are called, by the first word of their names; those of wheels are the robot's.
 _PLACES = {"base": ("x", "y", "yaw"), "hand": ("x", "y", "z", "qw", "qx", "qy", "qz"), "force": ("x", "y", "z")}
 _WHEELS = ("leg", "brake", "steer", "wheel")
+#: Topics whose numbers are compared where a run left no log.
+_SIGNALS = ("/hand/", "/odom", "/command/", "/joint_states", "/mpc/")
 
 
-def load(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """metrics.json and log.npz of a run. Raises :class:`InputError` if they are not there."""
-    for name in ("metrics.json", "log.npz"):
-        if not (directory / name).is_file():
-            raise InputError(f"{directory}: is not the directory of a run: there is no {name}")
+@dataclass(frozen=True)
+class Run:
+    """What there is of a run: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
+
+    ``labels``: names of a channel's components, where the recording has told them.
+    """
+
+    directory: Path
+    figures: dict[str, Any]
+    log: dict[str, np.ndarray]
+    note: str = ""
+    labels: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def load_both(first: Path, second: Path) -> tuple[Run, Run]:
+    """Two runs with signals that can be laid over each other: logs, or recordings where one of them left no log."""
+    runs = (load(first), load(second))
+    if all(run.log for run in runs):
+        return runs
+    a, b = (_from_recording(run) for run in runs)
+    return a, b
+
+
+def load(directory: Path) -> Run:
+    """metrics.json and log.npz of a run; of one that was killed what its recording says (no signals yet).
+
+    Raises :class:`InputError` if there is neither.
+    """
+    missing = [name for name in ("metrics.json", "log.npz") if not (directory / name).is_file()]
+    if missing and (directory / RECORDING).is_file():
+        return _killed(directory)
+    if missing:
+        raise InputError(f"{directory}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
+    figures, log = _files(directory)
+    reason = "" if figures.get("completed", True) else f"did not complete: {figures.get('reason', 'unknown')}"
+    return Run(directory, figures, log, reason)
+
+
+def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         metrics = json.loads((directory / "metrics.json").read_text())
         with np.load(directory / "log.npz") as log:
             return metrics, {name: log[name] for name in log.files}
     except (ValueError, OSError) as error:
         raise InputError(f"{directory}: metrics.json or log.npz cannot be read: {error}") from error
+
+
+def _killed(directory: Path) -> Run:
+    recording = read(directory)
+    about = recording.metadata.get("run", {})
+    seed = int(about["seed"]) if str(about.get("seed", "")).isdigit() else None
+    settings = json.loads(about.get("settings", "{}"))
+    figures = {"experiment": about.get("experiment"), "seed": seed, "settings": settings, "metrics": {}}
+    return Run(directory, figures, {}, f"left no metrics; its recording ends at {recording.duration:.2f} s")
+
+
+def _from_recording(run: Run) -> Run:
+    """The same with the signals of its recording, if it has one: numbers of a topic are a channel."""
+    if not (run.directory / RECORDING).is_file():
+        return run
+    recording, log, labels = read(run.directory), {}, {}
+    for topic in [t for t in recording.topics if t.startswith(_SIGNALS)]:
+        found = recording.table(topic)
+        columns = {name: values for name, values in found.columns.items() if values.dtype.kind == "f"}
+        if columns:
+            channel = topic.strip("/")
+            log[channel], log[f"{channel}.time"] = np.stack([*columns.values()], axis=1), found.times
+            labels[channel] = tuple(columns)
+    return replace(run, log=log, labels=labels)
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -50,8 +114,8 @@ def differences(runs: list[dict[str, Any]]) -> dict[str, list[Any]]:
     flat = [_flat(run.get("settings", {})) for run in runs]
     keys = dict.fromkeys(key for settings in flat for key in settings)
     both = {key: [settings.get(key) for settings in flat] for key in keys}
-    if runs[0]["seed"] != runs[1]["seed"]:
-        both = {"seed": [run["seed"] for run in runs], **both}
+    if runs[0].get("seed") != runs[1].get("seed"):
+        both = {"seed": [run.get("seed") for run in runs], **both}
     return {key: values for key, values in both.items() if values[0] != values[1]}
 
 
@@ -82,17 +146,19 @@ def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str
     return names[:count] if known else tuple(f"[{i}]" for i in range(count))
 
 
-def overlay(logs: list[dict[str, np.ndarray]], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
+def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
     """A plot for each channel that both runs have; the second run has the same colours, dashed. ``modules``: :func:`wheels`."""
+    logs = [run.log for run in runs]
     channels = [c for c in logs[0] if f"{c}.time" in logs[0] and f"{c}.time" in logs[1]]
-    return [Plot(channel, "time [s]", channel, _lines(channel, logs, names, modules)) for channel in channels]
+    return [Plot(channel, "time [s]", channel, _lines(channel, runs, names, modules)) for channel in channels]
 
 
-def _lines(channel: str, logs: list[dict[str, np.ndarray]], names: list[str], modules: tuple[str, ...]) -> list[Series]:
+def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[str, ...]) -> list[Series]:
     lines = []
-    for k, (log, name) in enumerate(zip(logs, names, strict=True)):
+    for k, (run, name) in enumerate(zip(runs, names, strict=True)):
+        log = run.log
         rows = np.atleast_2d(log[channel].T)
-        parts = _components(channel, len(rows), modules)
+        parts = run.labels.get(channel) or _components(channel, len(rows), modules)
         for i, row in enumerate(rows[:MOST_LINES]):
             label = f"{name} {parts[i]}" if len(rows) > 1 else name
             lines.append(Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i))

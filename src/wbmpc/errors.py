@@ -22,6 +22,10 @@ class RunAborted(WbmpcError):
     """A run was stopped on purpose (the robot fell, the solver failed). The command line exits with 1."""
 
 
+class EndedByUser(RunAborted):
+    """The user ended a run: with Ctrl-C, or in a view. Nothing more of it follows. The command line exits with 130."""
+
+
 class FallForeseen(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 

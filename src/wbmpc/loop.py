@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import FallForeseen, InputError, NotFinite, RunAborted
+from wbmpc.errors import EndedByUser, FallForeseen, InputError, NotFinite, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
 Progress = Callable[[float, str], None]
@@ -24,7 +24,8 @@ _MOST = 1_000_000
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended: an empty ``reason`` when it completed; ``fell`` and ``interrupted`` say what kind of end it was."""
+    """How a run ended: an empty ``reason`` when it completed; ``fell`` and ``interrupted`` (by the user: Ctrl-C, a view) say what
+    kind of end it was."""
 
     reason: str = ""
     fell: bool = False
@@ -67,9 +68,9 @@ def _whole(key: str, length: float, unit: float, name: str, least: int = 1, rate
 
 @dataclass(frozen=True)
 class Running:
-    """What runs: the loop's parts (``mpc`` None: there is none) and its ``duration`` [s].
+    """What runs: the loop's parts (``agent``, ``mpc`` None: there is none) and its ``duration`` [s].
 
-    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end).
+    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` tells loops of one run apart.
     """
 
     plant: Any
@@ -78,11 +79,13 @@ class Running:
     timing: Timing
     duration: float
     interrupted: Callable[[], bool] = lambda: False
+    name: str = ""
 
 
 class Watcher(Protocol):
     """Sees a run as it goes: recordings, live views. ``tick`` is called once per controller period, with the plant as it is
-    before the command acts; it may wait, since time is virtual, and end the run by raising :class:`RunAborted`."""
+    before the command acts; it may wait, since time is virtual, and end the run by raising :class:`RunAborted`, or
+    :class:`EndedByUser` where no other loop of the same run shall follow."""
 
     def begin(self, running: Running) -> None: ...
     def tick(self, t: float, command: Any, plans: Plans) -> None: ...
@@ -91,14 +94,27 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Watch:
-    """A progress function that brings watchers along: what experiments hand on to the loop unseen."""
+    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
 
     progress: Progress | None
     watchers: tuple[Watcher, ...] = ()
+    name: str = ""
 
     def __call__(self, fraction: float, note: str) -> None:
         if self.progress is not None:
             self.progress(fraction, note)
+
+
+def part(progress: Progress | None, k: int, count: int, name: str = "") -> Progress | None:
+    """The progress of the ``k``-th of ``count`` parts of a run, its notes after ``name``; watchers come along."""
+    if progress is None:
+        return None
+    told = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
+    return Watch(told, progress.watchers, name) if isinstance(progress, Watch) else told
+
+
+def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
+    return (progress.watchers, progress.name) if isinstance(progress, Watch) else ((), "")
 
 
 @contextmanager
@@ -129,6 +145,41 @@ def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+@contextmanager
+def watched(
+    plant: Any, period: float, duration: float, progress: Progress | None, agent: Any = None
+) -> Iterator[Callable[[float, Any], None]]:
+    """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
+
+    Gives ``tick(t, command)``, to be called every ``period`` [s], ``t`` [s] after the loop's start, before the plant steps. It
+    raises :class:`EndedByUser` once Ctrl-C was pressed, so that a run ends between two steps.
+    """
+    watchers, name = _watchers(progress)
+    plans, ending = Plans(), Ending("an error of the program")
+    with _interrupt_between_ticks() as interrupted:
+        timing = Timing(period, round(period / plant.timestep), 1, 0)
+        for watcher in watchers:
+            watcher.begin(Running(plant, agent, None, timing, duration, interrupted, name))
+
+        def tick(t: float, command: Any) -> None:
+            if interrupted():
+                raise EndedByUser(f"interrupted at {t:.2f} s")
+            for watcher in watchers:
+                watcher.tick(t, command, plans)
+            if progress is not None and round(t / period) % 40 == 0:
+                progress(min(t / duration, 1.0), f"{t:.1f} of {duration:.1f} s")
+
+        try:
+            yield tick
+            ending = Ending("the robot fell", fell=True) if plant.fell else Ending()
+        except RunAborted as error:
+            ending = Ending(str(error), interrupted=isinstance(error, EndedByUser))
+            raise
+        finally:
+            for watcher in watchers:
+                watcher.end(ending)
+
+
 def run_lockstep(
     plant: Any,
     agent: Agent,
@@ -145,11 +196,11 @@ def run_lockstep(
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
     """
     plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
-    watchers = progress.watchers if isinstance(progress, Watch) else ()
+    watchers, name = _watchers(progress)
     # what is not finite is found by its value; NumPy's warnings would only repeat it
     with _interrupt_between_ticks() as interrupted, np.errstate(over="ignore", invalid="ignore"):
         for watcher in watchers:
-            watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted))
+            watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted, name))
         for i in range(ticks):
             t = i * timing.period
             if interrupted():
@@ -197,7 +248,7 @@ def _tick(
     except FallForeseen as error:
         return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
     except RunAborted as error:
-        return Ending(f"aborted at {t:.2f} s: {error}")
+        return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
     except NotFinite as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
     if plant.diverged:

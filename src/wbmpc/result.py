@@ -130,6 +130,9 @@ class RunResult:
         return met if met is None else met and self.completed
 
     @classmethod
-    def aborted(cls, experiment: str, seed: int, reason: str, settings: dict[str, Any]) -> RunResult:
+    def aborted(
+        cls, experiment: str, seed: int, reason: str, settings: dict[str, Any], interrupted: bool = False
+    ) -> RunResult:
         """A run that ended before it had anything to show."""
-        return cls(experiment, seed, False, reason, {}, MpcStatistics.of(1.0, []), Log(), settings=settings)
+        mpc = MpcStatistics.of(1.0, [])
+        return cls(experiment, seed, False, reason, {}, mpc, Log(), settings=settings, interrupted=interrupted)

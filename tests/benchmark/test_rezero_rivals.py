@@ -23,13 +23,13 @@ def test_the_search_gives_every_controller_as_many_runs_and_the_best_of_them(
 ) -> None:
     tried: dict[str, list[dict[str, float]]] = {}
 
-    def distance(store: Any, controller: str, gains: dict[str, float], seed: int) -> float:
+    def distance(store: Any, task: str, controller: str, gains: dict[str, float], seed: int) -> float:
         tried.setdefault(controller, []).append(gains)
         return float(sum(np.log(v / 2.0) ** 2 for v in gains.values()))
 
     monkeypatch.setattr(rivals, "loss", distance)
     for controller in rivals.SPACE:
-        best = rivals.search(rivals.Store(tmp_path / "runs"), controller, [0], 6)
+        best = rivals.search(rivals.Store(tmp_path / "runs"), "pushes", controller, [0], 6)
         own = tried[controller]
         assert len(own) == 13
         far = lambda gains: sum(np.log(v / 2.0) ** 2 for v in gains.values())
@@ -51,6 +51,28 @@ def test_every_gain_and_run_is_a_setting() -> None:
         for given_controller in rivals.CONTROLLERS.values():
             configure(REGISTRY[name].config_type, [*given_controller, *given_run], name)
         assert shown
+
+
+def test_losses_count_what_is_missed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    figures = {
+        "rezero-steps": {"fell": 0.0, "rise_time_max": 1.5, "steady_position_error_max": 0.1},
+        "rezero-push-hand": {"fell": 1.0, "not_recovered": 2.0, "hand_error_max": None},
+        "rezero-wholebody": {"fell": 0.0, "ball_error_rms_wholebody": 0.04, "hand_error_rms": None},
+    }
+    asked: list[list[str]] = []
+
+    class Written(rivals.Store):
+        def run(self, name: str, seed: int, settings: Any) -> dict[str, Any]:
+            configure(REGISTRY[name].config_type, settings, name)
+            asked.append(list(settings))
+            return {"metrics": figures[name]}
+
+    store, gains = Written(tmp_path / "runs"), {"hand": 0.3}
+    # a fall 4, rise 1.5 s, two powers of ten over 1 mm, two pushes, 2 m at most
+    assert rivals.loss(store, "pushes", "lqr", gains, 0) == pytest.approx(4.0 + 1.5 + 2.0 + 2.0 + 2.0)
+    # 40 mm are two units, an infinite error the most there is
+    assert rivals.loss(store, "square", "lqr", gains, 0) == pytest.approx(2.0 + 20.0)
+    assert all({"controller=lqr", "rival.lqr.hand=0.3"} <= set(given) for given in asked)
 
 
 def test_finished_runs_are_not_done_again_and_make_the_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
+import overview
 import robustness
 
 from wbmpc.configuration import configure
@@ -65,6 +66,39 @@ def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: P
     assert data["cells"][1]["reasons"] == ["the robot fell at 3.00 s"]
     if importlib.util.find_spec("matplotlib"):
         assert (tmp_path / "robustness.png").stat().st_size > 1000
+
+
+def test_the_overview_judges_by_the_95_percent_value(study: dict[robustness.Job, str], tmp_path: Path) -> None:
+    found = robustness.cells(study)
+    (row,) = robustness.under_protocol(found)
+    assert (row["experiment"], row["metric"], row["seeds"], row["reached"]) == ("swerve-unified", METRIC, 20, True)
+    text = robustness.markdown(found).splitlines()
+    assert text[2].startswith("| `swerve-unified` | `hand_error_rms` [mm] | ≤ 5 | – | 1") and text[2].endswith(
+        "(1.9, 2) | 20 | yes |"
+    )
+
+
+@pytest.mark.parametrize(
+    ("goal", "least", "reached", "text"),
+    [(0.03, None, True, "≤ 30"), (0.02, None, False, "≤ 20"), (None, 0.01, True, "≥ 10"), (None, 0.02, False, "≥ 20"),
+     (0.03, 0.02, False, "20 to 30"), (None, None, None, "–")],
+)  # fmt: skip
+def test_goals_are_largest_and_smallest_values(
+    goal: float | None, least: float | None, reached: bool | None, text: str
+) -> None:
+    figures = {"unit": "m", "median": 0.02, "p5": 0.015, "p95": 0.025, "worst": 9.0, "paper": 0.0167}
+    (row,) = overview.rows("rezero-steps", 3, {"error": {**figures, "goal": goal, "least": least}}, ["error"])
+    assert row["reached"] is reached
+    assert overview.markdown([row]).splitlines()[-1].split(" | ")[2:5] == [text, "16.7", "20 (25, 9000)"]
+
+
+def test_a_document_gets_the_table_between_its_marks() -> None:
+    text = "above\n<!-- ball -->\n| old |\n<!-- end of ball -->\nbelow\n"
+    once = overview.put(text, "ball", "| new |")
+    assert once == "above\n<!-- ball -->\n| new |\n<!-- end of ball -->\nbelow\n"
+    assert overview.put(once, "ball", "| new |") == once
+    with pytest.raises(SystemExit, match="'<!-- swerve -->'"):
+        overview.put(text, "swerve", "| new |")
 
 
 @pytest.mark.parametrize("name", robustness.SHOWN)

@@ -274,17 +274,22 @@ def feedback_policy(seed: int) -> Policy:
     return Policy(times, rng.normal(size=(51, 2 * N)) * 0.1, rng.normal(size=(50, TORQUES)), gain)
 
 
-def ball_agent(lag: float = 0.0, observer: bool = False) -> RezeroAgent:
-    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer)  # type: ignore[arg-type]
+def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> RezeroAgent:
+    more = {"dead_time": dead * PERIOD}
+    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer, **more)  # type: ignore[arg-type]
 
 
-def run_ball(agent: RezeroAgent, late: int, lag: float, ticks: int = 40) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
-    """A plant with drives of a first-order lag (held over a tick) under the agent: its states, and what was predicted.
+def run_ball(
+    agent: RezeroAgent, late: int, lag: float, ticks: int = 40, dead: int = 0
+) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
+    """A plant with drives of a first-order lag (held over a tick), and ``dead`` ticks before it, under the agent: its states, and
+    what was predicted.
 
     Predictions are (tick they are for, state); a new policy comes into force every tenth tick, four ticks late.
     """
     x, torque, states, predictions, plans = 0.1 * np.ones(2 * N), np.zeros(TORQUES), [], [], Plans()
     blend = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
+    way = [np.zeros(TORQUES)] * dead
     for k in range(ticks):
         states.append(x)
         age = min(late, k)
@@ -297,20 +302,22 @@ def run_ball(agent: RezeroAgent, late: int, lag: float, ticks: int = 40) -> tupl
             plans.add(t + 4 * PERIOD, feedback_policy(k))
         np.testing.assert_allclose(agent.state(), x, atol=1e-10)
         command = agent.command(t, plans).torque
-        torque = torque + blend * (command - torque)
+        way.append(command)
+        torque = torque + blend * (way.pop(0) - torque)
         x = linear_step(x, torque, PERIOD)
     return states, predictions
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.02])
-@pytest.mark.parametrize("late", [0, 2, 5])
-def test_ball_robot_prediction_is_what_happens(late: int, lag: float) -> None:
-    """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true."""
-    states, predictions = run_ball(ball_agent(lag), late, lag)
+@pytest.mark.parametrize(("late", "dead"), [(0, 0), (2, 0), (5, 0), (2, 3)])
+def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float) -> None:
+    """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true: with a dead
+    time, that in which the plan's first torques will act."""
+    states, predictions = run_ball(ball_agent(lag, dead=dead), late, lag, dead=dead)
     assert len(predictions) == 3
     for tick, observation in predictions:
-        assert observation.t == pytest.approx(tick * PERIOD)
-        np.testing.assert_allclose(observation.x, states[tick], atol=1e-10)
+        assert observation.t == pytest.approx((tick + dead) * PERIOD)
+        np.testing.assert_allclose(observation.x, states[tick + dead], atol=1e-10)
         assert np.abs(states[tick] - states[tick - 4]).max() > 1e-3  # the delay mattered
 
 

@@ -20,9 +20,9 @@ def rotations(quaternions: np.ndarray) -> Rotation:
 
 
 # ---------------------------------------------------------------------- rezero-steps
-def stepping(settings: RezeroStepsSettings, constants, offsets, turns) -> dict[str, float]:  # type: ignore[no-untyped-def]
+def stepping(settings: RezeroStepsSettings, constants, offsets, turns, heading=None) -> dict[str, float]:  # type: ignore[no-untyped-def]
     """Metrics of a hand that goes to pose i exponentially with ``constants[i]`` [s], and comes to rest ``offsets[i]`` [m]
-    beside it, turned by the vector ``turns[i]`` [rad]."""
+    beside it, turned by the vector ``turns[i]`` [rad]; an estimator, if there is one, believes all turned by ``heading`` [rad]."""
     schedule, log, lead = rezero_steps.Schedule.of(settings, BALL), Log(), settings.lead
     times = np.arange(0.0, schedule.duration, 0.005)
     index = np.maximum(np.searchsorted(schedule.times - lead, times + 1e-9, side="right") - 1, 0)
@@ -39,6 +39,9 @@ def stepping(settings: RezeroStepsSettings, constants, offsets, turns) -> dict[s
         for t, place, spin in zip(now, places, spins, strict=True):
             log.add("hand", t, place)
             log.add("hand_quaternion", t, spin)
+            if heading is not None:
+                believed = Rotation.from_rotvec([0.0, 0.0, heading]) * rotations(spin)[0]
+                log.add("hand_quaternion_estimated", t, np.roll(believed.as_quat(), 1))
     for t in times:
         log.add("tilt", t, 0.1 * np.sin(t))
         log.add("torque", t, [1.0, -2.5 if t > 3.0 else 0.0, 0.5, 9.0, 9.0, 9.0])
@@ -62,6 +65,26 @@ def test_metrics_of_steps_with_known_errors(preview: bool) -> None:
     assert m["tilt_max"] == pytest.approx(0.1, rel=1e-4)
     assert m["wheel_torque_max"] == 2.5  # of the wheels, not of the arm
     assert m["fell"] == 0.0
+
+
+def test_a_wrong_heading_turns_the_hand_in_the_world_not_in_the_estimated_frame() -> None:
+    poses = len(STEPS) + 3
+    turns = np.tile([0.0, 0.0, 0.03], (poses, 1))
+    m = stepping(RezeroStepsSettings(), np.full(poses, 0.1), np.zeros((poses, 3)), turns, heading=-0.03)
+    assert m["steady_orientation_error_max"] < 1e-6
+    assert m["steady_orientation_error_world_max"] == pytest.approx(0.03)
+
+
+def test_the_roll_about_the_forearm_is_told_apart() -> None:
+    """The hand's z axis is the forearm; at home, where the first pose is, it points where the arm's chain puts it."""
+    poses = len(STEPS) + 3
+    settings = RezeroStepsSettings()
+    schedule = rezero_steps.Schedule.of(settings, BALL)
+    axes = [rotations(q)[0].as_matrix() for q in schedule.quaternions]
+    turns = np.array([0.03 * a[:, 2] + 0.004 * a[:, 0] for a in axes])
+    m = stepping(settings, np.full(poses, 0.1), np.zeros((poses, 3)), turns)
+    assert m["steady_orientation_error_max"] == pytest.approx(np.hypot(0.03, 0.004), rel=1e-3)
+    assert m["steady_orientation_error_arm_max"] == pytest.approx(0.004, rel=1e-2)
 
 
 def test_a_step_that_stays_short_has_no_rise_time() -> None:

@@ -11,6 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.experiments.rezero_problem import HandCost, RezeroCost, rezero_problem
 from wbmpc.experiments.settings import MpcSettings
+from wbmpc.model import load_robot
 from wbmpc.model.balance import Balance
 from wbmpc.model.balance import load_offset as offset_of
 from wbmpc.ocp import Reference
@@ -45,7 +46,7 @@ def load_offset(state: np.ndarray) -> np.ndarray:
 
 
 def evaluated(residual, state: np.ndarray, u: np.ndarray, w: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
-    x, v, p = (ca.SX.sym(n, size) for n, size in (("x", 16), ("u", 6), ("w", ROBOT.parameters.size)))
+    x, v, p = (ca.SX.sym(n, size) for n, size in (("x", 16), ("u", 6), ("w", w.size)))
     none = ca.SX(0, 1)
     value = residual(Symbols(x, v, p, none, none, x, v))
     return np.array(ca.Function("r", [x, v, p], [value])(state, u, w)).ravel()
@@ -94,6 +95,24 @@ def test_capture_point_is_the_offset_and_its_rate() -> None:
         found = evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
         along = np.array([want[0], (want[0] + want[1]) / np.sqrt(2), want[1], (want[1] - want[0]) / np.sqrt(2)])
         np.testing.assert_allclose(found, along, atol=1e-8)
+
+
+def test_a_payload_counts_in_lean_and_effort() -> None:
+    """Truth: the same robot in MuJoCo with a body of 2 kg at its tool."""
+    loaded, rng, mass = load_robot("rezero", payload=True), np.random.default_rng(5), 2.0
+    w = loaded.parameters.vector({"payload": [mass]})
+    x = np.concatenate([rng.uniform(-0.5, 0.5, 8), np.zeros(8)])
+    model, data = in_mujoco(x)
+    tool, joints = data.site("tool").xpos - data.body("ball").xipos, loaded.state.groups["arm"]
+    all_but_ball = model.body("base").subtreemass - BALL_MASS
+    want = (all_but_ball * load_offset(x) + mass * tool) / (all_but_ball + mass)
+    along = evaluated(CapturePoint(loaded, 4.7, directions=2), x, np.zeros(6), w)
+    np.testing.assert_allclose(along, want[:2], atol=1e-9)
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site("tool").id)
+    dofs = [model.joint(n).dofadr[0] for n in joints]
+    hold = data.qfrc_bias[dofs] + 9.81 * mass * jacobian[2, dofs]
+    np.testing.assert_allclose(evaluated(JointEffort(loaded), x, np.array([0, 0, 0, *hold]), w), 0.0, atol=1e-8)
 
 
 def test_effort_is_what_exceeds_the_holding_torque() -> None:

@@ -62,8 +62,12 @@ def contact_map() -> np.ndarray:
 class FloatingRobot:
     """MuJoCo with a free base and a ball joint; rolling without slip and without spin as an exact constraint."""
 
-    def __init__(self) -> None:
+    def __init__(self, payload: float = 0.0) -> None:
         spec = load_spec(load_description("rezero"))
+        if payload > 0.0:  # a small ball of iron at the tool
+            tool = next(s for s in spec.sites if s.name == "tool")
+            held = tool.parent.add_body(name="payload", pos=tool.pos)
+            held.mass, held.ipos, held.inertia, held.explicitinertial = payload, [0, 0, 0], [1e-9] * 3, True
         spec.body("base").add_freejoint(name="root")
         self.m = spec.compile()
         self.d = mujoco.MjData(self.m)
@@ -166,6 +170,29 @@ def test_equations_of_motion_equal_mujoco_with_exact_rolling(seed: int) -> None:
         (f,) = derivative(*arguments)
         np.testing.assert_allclose(f.ravel()[:N], x[N:], atol=0)
         np.testing.assert_allclose(f.ravel()[N:], truth, atol=1e-8 * (1 + np.abs(truth).max()))
+
+
+@pytest.mark.parametrize("mass", [0.0, 1.7])
+def test_payload_is_a_mass_at_the_tool(mass: float) -> None:
+    """Truth: MuJoCo's robot with a body of that mass there."""
+    loaded, truth = load_robot("rezero", payload=True), FloatingRobot(mass)
+    names = symbols(loaded)
+    f, slope = loaded.dynamics().jacobian(*names)
+    evaluate = numeric([f, slope, ca.jacobian(f, ca.vertcat(*names[:2]))], *names)
+    rng = np.random.default_rng(8)
+    for seed in range(5):
+        x, u = random_state(rng), rng.uniform(-8, 8, 6)
+        want = truth.accelerations(x, u, np.zeros(3), seed)
+        value, given_slope, automatic = evaluate(x, u, loaded.parameters.vector({"payload": [mass]}), [])
+        np.testing.assert_allclose(value.ravel()[N:], want, atol=1e-6 * (1 + np.abs(want).max()))
+        np.testing.assert_allclose(given_slope, automatic, atol=1e-8 * np.abs(automatic).max())
+        weight = np.array([0.0, 0.0, -9.81 * mass])
+        same = loaded.dynamics().parameters.vector({"force": weight})
+        still = np.concatenate([x[:N], np.zeros(N)])  # at rest it is its weight, moved or not
+        forces = [
+            numeric([loaded.base.generalised_force(*names[:3])], *names)(still, u, w, [])[0] for w in (same, 0 * same)
+        ]
+        np.testing.assert_allclose((forces[0] - forces[1]).ravel(), mass * loaded.tool_weight(x[:N]), atol=1e-9)
 
 
 @settings(max_examples=20, deadline=None)

@@ -25,7 +25,7 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import SQP, Solver
-from wbmpc.solver.reference_solver import barrier
+from wbmpc.solver.reference_direction import barrier
 from wbmpc.solver.workspace import box_table
 from wbmpc.trajectory import geometric_grid
 

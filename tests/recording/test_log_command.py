@@ -74,6 +74,30 @@ def test_csv_has_every_digit(run: Path) -> None:
         assert next(csv.reader(file)) == ["time", "velocity.a", "velocity.b"]
 
 
+def test_nothing_is_overwritten(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the program names gets a number; what the user names is refused, unless it is forced. Truth: the files' bytes."""
+    for k in (1, 2):
+        assert main(["log", "plot", "."]) == 0 and main(["log", "export", ".", "/mode"]) == 0, k
+    assert sorted(p.name for p in run.iterdir()) == ["export", "export-2", "plots-2.html", "plots.html", "run.mcap"]
+    capsys.readouterr()
+    page, table = run / "page.html", run / "tables" / "mode.csv"
+    commands = {
+        page: ["log", "plot", ".", "--out", "page.html"],
+        table: ["log", "export", ".", "/mode", "--out", "tables"],
+    }
+    for file, command in commands.items():
+        assert main(command) == 0
+        file.write_text("mine")
+        capsys.readouterr()
+        assert main(command) == 2 and file.read_text() == "mine"
+        name = file.relative_to(run)
+        said = f"wbmpc: --out: '{name}' is there already; give another name, or --force to replace it\n"
+        assert capsys.readouterr().err == said
+        assert main([*command, "--force"]) == 0 and file.read_text() != "mine"
+    assert main(["log", "plot", ".", "--out", "nowhere/page.html"]) == 2
+    assert "there is no directory 'nowhere'" in capsys.readouterr().err
+
+
 def test_numpy(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "export", ".", "/joint_states", "/tf", "--to", "npz", "--json"]) == 0
     (path,) = json.loads(capsys.readouterr().out)["files"]

@@ -23,10 +23,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from wbmpc import lie
 from wbmpc.cli import main
-from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
+from wbmpc.errors import EndedByUser, InputError
+from wbmpc.experiments import REGISTRY, swerve_stability
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
-from wbmpc.loop import Ending, Running, Timing
+from wbmpc.loop import Ending, Running, Timing, Watch, watched
 from wbmpc.mpc import Plans
 from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.plant import RezeroPlant, SwerveCommand, SwervePlant
@@ -34,6 +34,7 @@ from wbmpc.plant.scene import Scene, SceneReader
 from wbmpc.recording.reader import read
 from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.robots import load_description
+from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1"]
 BALL = ["--set", "hold=1.5", "--set", "settle=0.5", "--set", "rest=0", "--set", "preview=false"]
@@ -214,6 +215,8 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
         "swerve-track",
         "--set",
         "rest=0",
+        "--set",
+        "calibration=none",
         "--out",
         str(tmp_path),
         "--json",
@@ -285,6 +288,74 @@ def test_a_run_without_an_mpc_is_recorded(tmp_path: Path) -> None:
     topics = read(tmp_path).topics
     assert {"/joint_states", "/hand/pose", "/tf"} <= set(topics)
     assert not any(name.startswith(("/mpc", "/plan", "/hand/reference")) for name in topics)
+
+
+class _Seen(Exception):
+    """A watcher has seen the loop."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["swerve-fixed", "swerve-calibrate", "swerve-brakes", "swerve-wobble", "rezero-frequency", "rezero-taskspace"],
+)
+def test_experiments_of_parts_hand_their_watchers_on(name: str) -> None:
+    def seen(running: Running) -> None:
+        raise _Seen
+
+    watcher = SimpleNamespace(begin=seen, end=lambda ending: None)
+    experiment = REGISTRY[name]
+    with pytest.raises(_Seen):
+        experiment.run(experiment.config_type(), 200, Watch(None, (watcher,)))
+
+
+def test_a_run_without_physics_of_its_own_is_recorded_too(tmp_path: Path) -> None:
+    """`swerve-stability`: the feet, where the physics finds them, span the area of the paper's Table I."""
+    assert main(["run", "swerve-stability", "--out", str(tmp_path), "--quiet"]) == 0
+    recording = read(tmp_path)
+    said = [m["data"] for _, m in recording["/mode"].messages()]
+    assert said == [line for name in "HXA" for line in (f"begins: {name}", "ended: completed")]
+    film = Film(recording)
+    for k, name in enumerate("HXA"):
+        feet = film.snapshot(k * (swerve_stability.STANDING + PAUSE) + 0.5)["support"][:4, :2]
+        x, y = feet.T
+        area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+        assert area == pytest.approx(swerve_stability.TABLE[name][0], abs=0.02)
+
+
+def test_every_part_is_drawn_in_its_own_world(tmp_path: Path) -> None:
+    """A block that stands in the second of two worlds is far away while the first one is shown, and where it stands then."""
+
+    def block(spec: mujoco.MjSpec) -> None:
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1], pos=[1.5, 0.0, 0.1])
+
+    recorder, description = Recorder(tmp_path / "run.mcap", {}), load_description("swerve-ur10")
+    for edit in (None, block):
+        plant = SwervePlant(description, edit=edit)
+        with watched(plant, 0.01, 0.1, Watch(None, (recorder,))) as tick:
+            for k in range(10):
+                tick(0.01 * k, SwerveCommand.stop())
+    recorder.close({})
+    film = Film(read(tmp_path))
+    (shape,) = [s for s in film.scene.shapes if s.kind == "box" and s.pose[0] == 1.5]
+    place = [b.name for b in film.scene.bodies].index(shape.body)
+    at = lambda t: film.snapshot(t)["poses"][place]
+    assert at(0.05)[2] < -50.0 and at(0.05 + 0.09)[2] < -50.0
+    np.testing.assert_array_equal(at(0.09 + PAUSE + 0.05), [0, 0, 0, 1, 0, 0, 0])
+
+
+def test_ctrl_c_ends_a_loop_that_an_experiment_runs_itself(tmp_path: Path) -> None:
+    """Between two steps, with its recording closed and said to be interrupted."""
+    recorder, plant = Recorder(tmp_path / "run.mcap", {}), SwervePlant(load_description("swerve-ur10"))
+    with (
+        pytest.raises(EndedByUser, match=r"interrupted at 0.03 s"),
+        watched(plant, 0.01, 1.0, Watch(None, (recorder,))) as tick,
+    ):
+        for k in range(100):
+            if k == 3:
+                os.kill(os.getpid(), signal.SIGINT)
+            tick(0.01 * k, SwerveCommand.stop())
+    recorder.close({})
+    assert read(tmp_path)["/mode"].last()["data"] == "ended: interrupted at 0.03 s"
 
 
 class _Part:

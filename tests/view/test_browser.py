@@ -22,8 +22,8 @@ from wbmpc.recording.reader import read
 from wbmpc.report import plots_page, write_run
 from wbmpc.reproduce import Job, write_site
 from wbmpc.result import Plot
+from wbmpc.view.camera import camera_offset
 from wbmpc.view.replay import Film
-from wbmpc.view.stage import camera_offset
 
 pytest.importorskip("viser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
@@ -53,10 +53,10 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     try:
         with browser() as page:
             page.open(url, 10.0)
-            assert page.errors == [] and page.outside == []
+            assert page.errors == [] and page.outside == [] and page.page.title() == "rezero-steps, seed 200"
             assert len(np.unique(page.picture().reshape(-1, 3), axis=0)) > 50  # a robot, not one colour
             film = Film(_partly(tmp_path))
-            eye = camera_offset(film.snapshot(0.0)["poses"], film.scene.index)
+            eye = camera_offset(film.snapshot(0.0)["poses"], film.scene)
             page.uncheck("Camera follows")  # from here on its place is known
             before = page.picture()
             page.click("Push")
@@ -73,7 +73,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             assert page.until(lambda: _hand_error(tmp_path) < 0.02, 60.0)
             page.click("End the run")
             out, _ = process.communicate(timeout=60)
-        assert process.returncode == 1 and "ended in the view" in out
+        assert process.returncode == 130 and "ended in the view" in out
     finally:
         process.kill()
     recording = read(tmp_path)
@@ -100,7 +100,7 @@ def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
             poses = film.snapshot(0.0)["poses"]
             place = poses[film.scene.index, :3]
             page.uncheck("Camera follows")
-            eye, box = place + camera_offset(poses, film.scene.index), (676.0, 700.0)
+            eye, box = place + camera_offset(poses, film.scene), (676.0, 700.0)
             pixel = lambda along: project(np.array([along, 0.0, 0.02]), eye, place, box, FIELD)
             along = next(a for a in (0.45, 0.4, 0.5, 0.35, 0.45, 0.5) if page.grasp(pixel(a)))
             page.pull(pixel(along), pixel(along + 0.3))

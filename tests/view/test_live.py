@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -14,17 +15,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wbmpc.cli import main
+from wbmpc.cli import STEERED, main
 from wbmpc.errors import InputError
-from wbmpc.loop import Ending, Running, Watch, run_lockstep
+from wbmpc.loop import Ending, Running, Watch, run_lockstep, watched
 from wbmpc.model import load_robot
 from wbmpc.mpc import Plans
 from wbmpc.mpc.buffer import Mailbox
+from wbmpc.plant import SwerveCommand, SwervePlant
+from wbmpc.plant.scene import SceneReader
+from wbmpc.recording.reader import read
+from wbmpc.robots import load_description
 from wbmpc.view.session import _swerve, run_session
 from wbmpc.view.steering import ORDERS, no_orders
 
 pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")
+
+
+SHORT = [text for key in ("forces=[10]", "settle=0.5", "pause=2.0") for text in ("--set", key)]
 
 
 def free_port() -> int:
@@ -182,8 +190,77 @@ def test_pause_step_speed_and_end() -> None:
         view.close()
 
 
+def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first one ends where the button was pressed, with all its files; the next one is the run as it is without a view."""
+    make, begun = live.View.begin, []
+
+    def begin(view: Any, running: Running) -> None:
+        make(view, running)
+        begun.append(running)
+        if len(begun) == 1:
+            orders, writer = no_orders(), panel_of(view)
+            orders["resets"][...] = 1
+            threading.Timer(0.3, lambda: writer.write(**orders)).start()
+
+    arguments = ["run", "rezero-push-ball", *SHORT, "--json", "--out"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live.View, "begin", begin)
+        port = str(free_port())
+        assert main([*arguments, str(tmp_path / "seen"), "--view", "--port", port]) == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    assert len(begun) == 2 and f"begun anew; the run until then is in {tmp_path / 'seen'}\n" in captured.err
+    first, second = read(tmp_path / "seen"), read(tmp_path / "seen-2")
+    assert first.metadata["result"]["reason"].endswith("begun anew in the view")
+    assert 0.0 < first.duration < second.duration and second.metadata["result"]["completed"] == "true"
+    assert main([*arguments, str(tmp_path / "alone")]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"] == result["metrics"]
+    np.testing.assert_array_equal(*(read(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
+
+
+def test_a_steered_run_says_so(tmp_path: Path) -> None:
+    make = live.View.begin
+
+    def begin(view: Any, running: Running) -> None:
+        make(view, running)
+        orders, writer = no_orders(), panel_of(view)
+        orders["pushes"][...], orders["push"][...], orders["push_time"][...] = 1, [1.0, 0.0, 0.0], 0.1
+        writer.write(**orders)
+        orders["ends"][...] = 1
+        threading.Timer(0.5, lambda: writer.write(**orders)).start()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live.View, "begin", begin)
+        command = ["run", "rezero-push-ball", *SHORT, "--quiet", "--out", str(tmp_path), "--view", "--port"]
+        assert main([*command, str(free_port())]) == 130
+    result = json.loads((tmp_path / "metrics.json").read_text())
+    assert result["reason"].endswith("ended in the view") and result["idealisations"][-1] == STEERED
+
+
+def test_a_run_without_an_mpc_is_shown() -> None:
+    """Every part in its own world; there are no goals and no weights."""
+    view = live.View("test", port=free_port())
+    shown: list[dict[str, Any]] = []
+
+    def block(spec: Any) -> None:
+        spec.worldbody.add_geom(type=6, size=[0.1, 0.1, 0.1], pos=[1.5, 0.0, 0.1])
+
+    try:
+        for edit in (None, block):
+            plant = SwervePlant(load_description("swerve-ur10"), edit=edit)
+            with watched(plant, 0.01, 0.2, Watch(None, (view,))) as tick:
+                for k in range(20):
+                    tick(0.01 * k, SwerveCommand.stop())
+                    plant.step(SwerveCommand.stop(), 20)
+            shown.append(view.shown.read().values)
+        assert [len(view.scene.shapes)] == [len(SceneReader(plant.model, "body").scene.shapes)]
+        assert all(np.isfinite(s["poses"]).all() and np.isnan(s["goal"]).all() for s in shown)
+    finally:
+        view.close()
+
+
 def test_a_session_begins_anew_on_reset() -> None:
-    view = live.View("test", port=free_port(), reset=True)
+    view = live.View("test", port=free_port())
     begun: list[float] = []
     original = view.begin
 

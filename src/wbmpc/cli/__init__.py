@@ -34,17 +34,24 @@ from wbmpc.cli.terminal import (
     progress_bar,
     silent,
     terminable,
+    unread_allowed,
 )
 from wbmpc.cli.terminal import table as plain_table
 from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
-from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
+from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from wbmpc.experiments import Experiment
     from wbmpc.result import MpcStatistics, RunResult
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
+#: What is said of a run that somebody has steered.
+STEERED = (
+    "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
+)
 
 app = typer.Typer(
     name="wbmpc", pretty_exceptions_enable=False,
@@ -107,30 +114,58 @@ def _execute(
     show: bool,
     view: View | None = None,
 ) -> tuple[RunResult, dict[str, str]]:
+    """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
-    from wbmpc.loop import Watch
-    from wbmpc.recording.recorder import Recorder
-    from wbmpc.report import RECORDING, about_run, outcome, write_run
-    from wbmpc.result import RunResult
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.find(name)
     settings = configure(experiment.config_type, assignments, name)
+    try:
+        while True:
+            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view)
+            if view is None or not view.wants_reset:
+                return result, files
+            view.anew()
+            typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
+    finally:
+        if view is not None:
+            view.close()
+
+
+def _attempt(
+    name: str,
+    experiment: Experiment,
+    settings: BaseModel,
+    seed: int,
+    out: Path | None,
+    show: bool,
+    view: View | None,
+) -> tuple[RunResult, dict[str, str]]:
+    from wbmpc.loop import Watch
+    from wbmpc.recording.recorder import Recorder
+    from wbmpc.report import RECORDING, about_run, outcome, write_run
+    from wbmpc.result import RunResult
+
+    plain = settings.model_dump(mode="json")
     existed = out is not None and out.exists()
     directory = run_directory(out, name, seed)
     ours = not existed or directory != out
     _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
-    _LOG.info("settings: %s", json.dumps(settings.model_dump(mode="json")))
-    recorder = Recorder(directory / RECORDING, about_run(name, seed, settings.model_dump(mode="json")))
+    _LOG.info("settings: %s", json.dumps(plain))
+    recorder = Recorder(directory / RECORDING, about_run(name, seed, plain))
     # the view first: if it cannot open, nothing has been written
     watchers = (recorder,) if view is None else (view, recorder)
     try:
-        with progress_bar(name, show and not session.quiet) as progress:
+        with progress_bar(name, show) as progress:
             try:
                 result = experiment.run(settings, seed, Watch(progress, watchers))
+            except (EndedByUser, KeyboardInterrupt) as error:
+                result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
             except RunAborted as error:
-                result = RunResult.aborted(name, seed, str(error), settings.model_dump(mode="json"))
+                result = RunResult.aborted(name, seed, str(error), plain)
+        if view is not None and view.steered:
+            result.idealisations = [*result.idealisations, STEERED]
         recorder.close(outcome(result))
         files = write_run(result, directory)
         for kind, path in files.items():
@@ -138,8 +173,6 @@ def _execute(
         return result, files
     finally:
         recorder.close({"completed": "false", "reason": "an error of the program"})
-        if view is not None:
-            view.close()
         if ours:
             with suppress(OSError):
                 directory.rmdir()  # succeeds only if nothing was written
@@ -311,7 +344,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     given = sys.argv[1:] if arguments is None else arguments
     debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
     given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
-    with terminable() as termination:
+    with unread_allowed(), terminable() as termination:
         status = _run(given, debug, quiet, verbose, registry)
     return TERMINATED if termination.came and status == INTERRUPTED else status
 
@@ -322,9 +355,6 @@ def _run(given: list[str], debug: bool, quiet: bool, verbose: bool, registry: Ma
         with logged(verbose), silent(quiet and "--json" not in given):
             status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader has gone: let Python flush into nothing
-        return ABORTED
     except RunAborted as error:
         _complain(error, debug)
         return ABORTED

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
 
 
@@ -42,10 +43,13 @@ def calibrate(
     run_log: Annotated[
         Path, typer.Argument(metavar="RUN_LOG", help="A run's folder or its log.npz, with global poses.")
     ],
-    out: Annotated[Path | None, typer.Option(help="File to write (default: calibration.yaml beside the log).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write (default: a new calibration.yaml beside the log).")
+    ] = None,
     robot: Annotated[
         str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
     ] = None,
+    force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses."""
@@ -53,10 +57,10 @@ def calibrate(
     from wbmpc.experiments.swerve_calibrate import steer_joints, swerve_robot
 
     channels, file = _channels(run_log)
+    target = new_file("--out", out, file.with_name("calibration.yaml"), force)
     model = swerve_robot(_robot_of(file, robot))
     record = estimation.WheelRecord.of(channels, str(file))
     found, names = estimation.calibrate(model.base.geometry, record), steer_joints(model)
-    target = out or file.with_name("calibration.yaml")
     found.save(target, names)
     std = found.std
     if as_json:

@@ -1,12 +1,56 @@
-"""Where files of a run go: a run never overwrites another one."""
+"""Where files go, so that nothing is overwritten: the one place that decides.
+
+A name that the program chooses gets the next free number (``runs/NAME-seed200-2``, ``plots-2.html``), and so does the directory of
+a run. A file that the user names is refused when it is there, unless ``--force`` is given.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from wbmpc.errors import InputError
+
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
+
+
+def new_file(option: str, given: Path | None, default: Path, force: bool) -> Path:
+    """The file that ``option`` names, or else one beside ``default`` that is not there yet.
+
+    Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
+    """
+    if given is not None:
+        refuse_existing(option, [given], force)
+        if not given.parent.is_dir():
+            raise InputError(f"{option}: '{given}': there is no directory '{given.parent}'")
+    return given or (default if force else _free(default))
+
+
+def new_directory(option: str, given: Path | None, default: Path, force: bool) -> Path:
+    """A directory for files that :func:`refuse_existing` then looks at; a chosen one is not there yet."""
+    if given is not None and given.exists() and not given.is_dir():
+        raise InputError(f"{option}: '{given}' is a file; give a directory")
+    return given or (default if force else _free(default))
+
+
+def refuse_existing(option: str, paths: Iterable[Path], force: bool) -> None:
+    """Raise :class:`InputError` naming the first file that is there, unless ``force`` is given."""
+    for path in paths:
+        if path.is_dir():
+            raise InputError(f"{option}: '{path}' is a directory; give a file")
+        if path.exists() and not force:
+            raise InputError(f"{option}: '{path}' is there already; give another name, or --force to replace it")
+
+
+def _free(path: Path) -> Path:
+    """``path``, or the first of ``path``-2, -3 … (before the ending) that is not there."""
+    names = (path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(1))
+    return next(p for p in names if not p.exists())
 
 
 def _reserve(base: Path) -> Path:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from wbmpc.cli.directories import Force, new_directory, new_file, refuse_existing
 
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
@@ -56,7 +56,8 @@ def info(file: File, as_json: AsJson = False) -> None:
 def plot(
     file: File,
     topics: Topics = None,
-    out: Annotated[Path | None, typer.Option(help="The page (default: plots.html beside the recording).")] = None,
+    out: Annotated[Path | None, typer.Option(help="The page (default: a new plots.html beside the recording).")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw topics, or an overview, into one HTML page."""
@@ -65,8 +66,8 @@ def plot(
     from wbmpc.report import plots_page
 
     recording = read(file)
+    path = new_file("--out", out, recording.path.with_name("plots.html"), force)
     plots = of_topics(recording, topics) if topics else overview(recording)
-    path = out or recording.path.with_name("plots.html")
     path.write_text(plots_page(recording.title, str(recording.path), plots))
     typer.echo(json.dumps({"page": str(path)}) if as_json else f"the plots are in {path}")
 
@@ -76,7 +77,8 @@ def export(
     file: File,
     topics: Topics = None,
     to: Annotated[str, typer.Option("--to", help="csv, npz or parquet.")] = "csv",
-    out: Annotated[Path | None, typer.Option(help="Directory (default: export beside the recording).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory (default: a new export beside the recording).")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Write topics as tables for other tools."""
@@ -84,7 +86,8 @@ def export(
     from wbmpc.recording.reader import read
 
     recording = read(file)
-    paths = write(recording, to, out or recording.path.with_name("export"), topics or ())
+    directory = new_directory("--out", out, recording.path.with_name("export"), force)
+    paths = write(recording, to, directory, topics or (), lambda files: refuse_existing("--out", files, force))
     if as_json:
         typer.echo(json.dumps({"files": [str(p) for p in paths]}))
     else:
@@ -99,34 +102,35 @@ def compare(
     first: Annotated[Path, typer.Argument(help="Directory of a run.")],
     second: Annotated[Path, typer.Argument(help="Directory of another run.")],
     out: Annotated[
-        Path | None, typer.Option(help="The page with both runs' signals (default: a fresh compare.html).")
+        Path | None, typer.Option(help="The page with both runs' signals (default: a new compare.html).")
     ] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare two runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, load, overlay, table, wheels
+    from wbmpc.compare import differences, load_both, overlay, table, wheels
     from wbmpc.report import plots_page
 
-    runs, logs = zip(*(load(d) for d in (first, second)), strict=True)
-    rows, changed = table(list(runs)), differences(list(runs))
+    out = new_file("--out", out, Path("compare.html"), force)
+    runs = load_both(first, second)
+    figures = [run.figures for run in runs]
+    rows, changed = table(figures), differences(figures)
     names = [first.name or str(first), second.name or str(second)]
-    out = out or next(p for p in _fresh("compare", ".html") if not p.exists())
-    about = f"{first} (solid) and {second} (dashed)"
-    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, overlay(list(logs), names, wheels(runs[0]))))
+    notes = [f"{run.directory} {run.note}" for run in runs if run.note]
+    about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
+    plots = overlay(runs, names, wheels(figures[0]))
+    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, plots))
     if as_json:
-        typer.echo(
-            json.dumps({"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "page": str(out)})
-        )
+        said = {"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "notes": notes}
+        typer.echo(json.dumps({**said, "page": str(out)}))
         return
-    _compare_table(rows, names)
+    if rows:
+        _compare_table(rows, names)
+    for note in notes:
+        typer.echo(note)
     for key, (a, b) in changed.items():
         typer.echo(f"{key}: {a} and {b}")
-    typer.echo(f"the signals are in {out}")
-
-
-def _fresh(stem: str, ending: str) -> Iterator[Path]:
-    """stem, stem-2, stem-3 …"""
-    return (Path(f"{stem}{'' if k == 1 else f'-{k}'}{ending}") for k in count(1))
+    typer.echo(f"the signals are in {out}" if plots else f"the runs share no signals; {out} is without plots")
 
 
 def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
 
 
@@ -24,6 +25,7 @@ def stability(
     slope: Annotated[float, typer.Option(help="Slope of the ground (rad).")] = 0.0,
     uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead (rad).")] = 0.0,
     plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
+    force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Support polygon, support triangles and zero-moment point of a robot at rest."""
@@ -36,6 +38,8 @@ def stability(
         raise InputError(f"--uphill: must be finite, got {uphill:g}")
     if plot is not None and plot.suffix.lower() != ".svg":
         raise InputError(f"--plot: '{plot}' must end with .svg")
+    if plot is not None:
+        new_file("--plot", plot, plot, force)
     model = load_robot(robot)
     push = _numbers("--wrench", wrench, (3, 6))
     joints = None if arm is None else _numbers("--arm", arm, (len(model.state.groups["arm"]),))

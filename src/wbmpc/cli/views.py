@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.directories import run_directory
+from wbmpc.cli.directories import Force, new_file, run_directory
 from wbmpc.cli.recordings import AsJson
 from wbmpc.cli.terminal import ABORTED, robot_names
 from wbmpc.errors import InputError
@@ -38,11 +38,11 @@ def say_where(url: str, as_json: bool = False, what: str = "view") -> None:
     typer.echo(json.dumps({"url": url}) if as_json else f"the {what} is at {url}", err=not as_json)
 
 
-def open_view(title: str, host: str, port: int, *, reset: bool = False, as_json: bool = False) -> View:
+def open_view(title: str, host: str, port: int, *, as_json: bool = False) -> View:
     """A view that says where it is when it can be opened."""
     from wbmpc.view.live import View
 
-    shown = View(title, host, port, reset=reset, opened=partial(say_where, as_json=as_json))
+    shown = View(title, host, port, opened=partial(say_where, as_json=as_json))
     warn(host)
     return shown
 
@@ -71,7 +71,7 @@ def view(
     from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown, recorders, reason = open_view(robot, host, port, reset=True, as_json=as_json), [], "an error of the program"
+    shown, recorders, reason = open_view(robot, host, port, as_json=as_json), [], "an error of the program"
     wanted = False
     if out is not None:
         recorders = [Recorder(run_directory(out, robot, seed) / RECORDING, about_run(f"view {robot}", seed, {}))]
@@ -110,6 +110,7 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -
 def replay(
     file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no server, instead.")] = None,
+    force: Force = False,
     host: Host = LOCAL,
     port: Port = 8080,
     as_json: AsJson = False,
@@ -122,6 +123,8 @@ def replay(
 
     if find_spec("viser") is None:
         raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
+    if html is not None:
+        new_file("--html", html, html, force)
     film = Film(read(file))
     with redirect_stdout(io.StringIO()):  # the server's banner
         if html is not None:
@@ -147,6 +150,7 @@ def render(
     speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw a recording into a film, a GIF or a picture, without a display."""
@@ -160,6 +164,7 @@ def render(
     for path, kind in wanted:
         if path.suffix.lower() != kind:
             raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
+        new_file(f"--{kind[1:]}", path, path, force)
     if not start >= 0.0:
         raise InputError(f"--start: must not be negative, got {start:g}")
     film = Film(read(file))

@@ -1,4 +1,4 @@
-"""The fall that can be foreseen: plans that pass through a lean which the wheels cannot stop any more."""
+"""The fall that can be foreseen: plans, or a present state, with a lean which the wheels cannot stop any more."""
 
 from __future__ import annotations
 
@@ -12,33 +12,55 @@ from wbmpc.mpc import Policy
 
 
 class FallForecast:
-    """Looks at every new plan of a ball robot's MPC and raises :class:`FallForeseen` when falling is certain.
+    """Looks at every new plan of a ball robot's MPC, and at its state, and raises :class:`FallForeseen` when falling is certain.
 
     The lean is a hard limit of the problem, relaxed only where it cannot be held. A plan in which its divergent component goes
     beyond the wheels' reach (times ``share``) says that the optimiser, with all torques that there are, has found no other
-    way; ``plans`` such plans in a row are needed, for one solve may be far from converged.
+    way; ``plans`` such plans in a row are needed, for one solve may be far from converged. A state that has been beyond it for
+    ``seconds`` is lost whatever is planned: a ball that slides on the floor does not do what plans say.
     """
 
-    def __init__(self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 4) -> None:
+    def __init__(
+        self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 4, seconds: float = 0.05
+    ) -> None:
         balance = Balance.of(robot, arm)
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
+        self._seconds, self._within = seconds, -np.inf
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
-        offset = load_offset(robot.base, x[:n])
+        w = ca.SX.zeros(robot.parameters.size)
+        mass = ca.SX.sym("mass")
+        if "payload" in robot.parameters:
+            w[robot.parameters["payload"]] = mass
+        offset = load_offset(robot.base, x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole
-        self._component = ca.Function("component", [x], [component])
+        self._component = ca.Function("component", [x, mass], [component])
         self._seen: Policy | None = None
 
-    def look(self, policy: Policy) -> None:
-        """Take in the plan in force (the same one again changes nothing)."""
+    def look(self, policy: Policy, payload: float = 0.0) -> None:
+        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it."""
         if policy is self._seen:
             return
         self._seen = policy
-        most = float(
-            np.linalg.norm(np.array(self._component(policy.x[1:, : self._component.size1_in(0)].T)), axis=0).max()
-        )
+        most = self._most(policy.x[1:], payload)
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:
-            raise FallForeseen(
-                f"the robot will fall: {self._plans} plans in a row lean by {1e3 * most:.0f} mm at the centre of mass, and the "
-                f"wheels can stop {1e3 * self.reach:.0f} mm; motors off"
-            )
+            raise self._fall(f"{self._plans} plans in a row lean", most)
+
+    def feel(self, t: float, x: np.ndarray, payload: float = 0.0) -> None:
+        """Take in the state x (nx) that was measured at time t [s]."""
+        most = self._most(x[None], payload)
+        if most <= self.reach or not np.isfinite(self._within):
+            self._within = t
+        if t - self._within >= self._seconds:
+            raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
+
+    def _most(self, states: np.ndarray, payload: float) -> float:
+        """Largest divergent component [m] of states (n, nx)."""
+        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload))
+        return float(np.linalg.norm(found, axis=0).max())
+
+    def _fall(self, who: str, most: float) -> FallForeseen:
+        return FallForeseen(
+            f"the robot will fall: {who} by {1e3 * most:.0f} mm at the centre of mass, and the wheels can stop "
+            f"{1e3 * self.reach:.0f} mm; motors off"
+        )

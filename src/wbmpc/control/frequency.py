@@ -23,7 +23,7 @@ class FrequencyAwareAgent(RezeroAgent):
         return self.mpc.solver.simulate(*self.memory.dynamics.equilibrium(x, u), h)[: x.size]
 
     def _torques_of(self, policy: Policy, memory: FilterMemory, t: float, x: np.ndarray) -> np.ndarray:
-        return memory.input(policy(t, memory.state(x)))[: self.limit.size]
+        return memory.input(policy.law(t, memory.state(x)))[: self.limit.size]
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
         """State and filters at time ``until`` under the policies that will be in force, through the drives' lag."""

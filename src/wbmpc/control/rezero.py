@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.control.fall import FallForecast
 from wbmpc.errors import NotFinite
-from wbmpc.estimation import DisturbanceObserver, RezeroEstimator
+from wbmpc.estimation import DisturbanceObserver, PayloadEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
@@ -21,15 +21,18 @@ _ROUNDING = 1e-9
 class RezeroAgent:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
-    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated;
+    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated, and the mass at
+    the hand where the model has it as a parameter;
     ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
-    when the plans say that the robot will fall.
+    when the plans, or the lean that is felt, say that the robot will fall. ``dead_time`` [s] between command and drive that the
+    controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
+    one the margin of stability.
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
-        estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None,
+        estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None, dead_time: float = 0.0,
     ) -> None:  # fmt: skip
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
@@ -41,6 +44,8 @@ class RezeroAgent:
         if observer:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
+        self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
+        self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
@@ -57,13 +62,27 @@ class RezeroAgent:
             measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
         self.measured = measurement
         self._observe(measurement)
+        if self.forecast is not None:
+            self.forecast.feel(measurement.time, measurement.state, self._carried())
+
+    def _carried(self) -> float:
+        """The mass [kg] that the hand is believed to hold."""
+        return 0.0 if self.payload is None else self.payload.mass
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None:
             return
-        past = self._torques[-1 - self._late()]
-        self.disturbance = self._finite(self.observer.update(measurement.time, measurement.state, past, self.period))
+        self._learn(measurement.time, measurement.state, self.period)
         self.mpc.solver.set_parameters(self.parameters())
+
+    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
+        observer, n = self.observer, self.robot.base.nq
+        assert observer is not None
+        observer.update(t, x, self._torques[-1 - self._late() - self.dead], h)
+        if self.payload is not None:
+            observer.force = self.payload.update(x[:n], observer.force, observer.learning * h)
+        self.disturbance = self._finite(observer.force)
 
     @staticmethod
     def _finite(disturbance: np.ndarray) -> np.ndarray:
@@ -73,32 +92,40 @@ class RezeroAgent:
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
-        return {"disturbance": self.disturbance}
+        own = {"disturbance": self.disturbance}
+        return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return min(round(self.measured.age / self.period), len(self._torques) - 1)
+        return min(round(self.measured.age / self.period), len(self._torques) - 1 - self.dead)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
         assert self.measured is not None
         x, late = self.measured.state, self._late()
         for k in range(late):
-            x = self._step(x, self._torques[k - late], self.period)
+            x = self._step(x, self._torques[k - late - self.dead], self.period)
+        return x
+
+    def ahead(self) -> np.ndarray:
+        """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
+        x = self.state()
+        for k in range(self.dead):
+            x = self._step(x, self._torques[k - self.dead], self.period)
         return x
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
         """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
-        x, torque = self.state(), self._torques[-1]
+        x, torque, dead = self.ahead(), self._torques[-1], self.dead * self.period
         for k in range(round((until - t) / self.period)):
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            wanted = self._possible(self._law(t + k * self.period, x, policy)[1])
+            wanted = self._possible(self._law(t + dead + k * self.period, x, policy)[1])
             torque = torque + self._blend * (wanted - torque)
             x = self._step(x, torque, self.period)
-        return Observation(until, x)
+        return Observation(until + dead, x)
 
     def _possible(self, torque: np.ndarray) -> np.ndarray:
         """Torques within the drives' limits. Balance comes before yaw: wheels that are clipped one by one would spin the ball.
@@ -127,14 +154,14 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current)
-        self.feedforward, self.wanted = self._law(t, self.state(), plans.current, acts=True)
+            self.forecast.look(plans.current, self._carried())
+        self.feedforward, self.wanted = self._law(t + self.dead * self.period, self.ahead(), plans.current, acts=True)
         return self._drive(self._possible(self.wanted))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
         assert policy is not None
-        return policy.feedforward(t)[: self.limit.size], policy(t, x)[: self.limit.size]
+        return policy.feedforward(t)[: self.limit.size], policy.law(t, x)[: self.limit.size]
 
     def _drive(self, torque: np.ndarray) -> RezeroCommand:
         """The command for possible torques, which the drives follow with their lag."""

@@ -149,7 +149,7 @@ class SeparateAgent(RezeroAgent):
             self.robot.mass_matrix(x[:n])[5:, 5:], weight, self._goal - x[self._part], x[n + 5 :],
             self.period if acts else 0.0,
         )  # fmt: skip
-        return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy(t, believed), arm])
+        return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy.law(t, believed), arm])
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
         """What the base MPC is told at time ``until``; its references are those of the whole robot."""

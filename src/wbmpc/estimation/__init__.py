@@ -11,6 +11,7 @@ from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.offset import OffsetObserver
+from wbmpc.estimation.payload import PayloadEstimator
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
 
@@ -31,6 +32,7 @@ __all__ = [
     "MomentumObserver",
     "OdometryNoise",
     "OffsetObserver",
+    "PayloadEstimator",
     "ReleaseOdometry",
     "RezeroEstimator",
     "WheelCalibration",

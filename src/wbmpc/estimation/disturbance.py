@@ -36,6 +36,7 @@ class DisturbanceObserver:
         self.force = np.zeros(self.size)
         self._speed: np.ndarray | None = None
         self._held_until = -np.inf
+        self.learning = 1.0  # share of the gain at which the last update learnt: 0 while held
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s]."""
@@ -54,6 +55,6 @@ class DisturbanceObserver:
         self._speed = after[n:] + h * self.speed_gain * innovation
         acceleration = np.hypot(*(after[n : n + 2] - before[:2])) / h
         moving = (acceleration / self.calm[0]) ** 2 + (np.hypot(*v[3:5]) / self.calm[1]) ** 2
-        gain = self.force_gain / (1.0 + moving)
-        self.force = self.force + h * gain * (self.mass(q) @ innovation)
+        self.learning = 1.0 / (1.0 + moving) if t >= self._held_until else 0.0
+        self.force = self.force + h * self.learning * self.force_gain * (self.mass(q) @ innovation)
         return self.force

@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import DoorGeometry, RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -227,7 +227,7 @@ def run(settings: RezeroDoorSettings, seed: int, progress: Progress | None = Non
     """A run for each force, weakest first; a fall ends it."""
     trials: list[Trial] = []
     for k, force in enumerate(sorted(settings.forces)):
-        trials.append(push_door(settings, force, seed, share(progress, k, len(settings.forces))))
+        trials.append(push_door(settings, force, seed, part(progress, k, len(settings.forces), f"{force:g} N")))
         if trials[-1].ending.reason:
             break
     names = LABELS[-len(settings.forces) :]
@@ -240,14 +240,6 @@ def run(settings: RezeroDoorSettings, seed: int, progress: Progress | None = Non
         plots=lambda: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         idealisations=[*HERE, *IDEALISATIONS],
     )  # fmt: skip
-
-
-def share(progress: Progress | None, k: int, n: int) -> Progress | None:
-    """The progress of the k-th of n parts; watchers come along."""
-    if progress is None:
-        return None
-    part = lambda fraction, note: progress((k + fraction) / n, note)
-    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
 
 
 def merged(trials: list[Trial], names: Sequence[str]) -> Log:

@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.experiments.settings import Settings, Weight, finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import InputFilter, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
@@ -145,7 +145,7 @@ def run(settings: RezeroFrequencySettings, seed: int, progress: Progress | None 
     """Both variants, one after the other, on the same plant."""
     log, endings, mpc = Log(), {}, None
     for k, name in enumerate(settings.variants):
-        endings[name], mpc = drive(name, settings, seed, log, _part(progress, settings.variants, k))
+        endings[name], mpc = drive(name, settings, seed, log, part(progress, k, len(settings.variants), name))
         if endings[name].interrupted:
             break
     stopped = [e for e in endings.values() if e.reason]
@@ -155,13 +155,6 @@ def run(settings: RezeroFrequencySettings, seed: int, progress: Progress | None 
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS[:2]],
     )  # fmt: skip
-
-
-def _part(progress: Progress | None, variants: tuple[str, ...], k: int) -> Progress | None:
-    if progress is None:
-        return None
-    part = lambda fraction, note: progress((k + fraction) / len(variants), f"{variants[k]}: {note}")
-    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
 
 
 def torque_error(log: Log, name: str) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, resting, run_task
+from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, hand_turn_felt, resting, run_task
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing
 from wbmpc.model import RobotModel, load_robot
@@ -48,6 +48,13 @@ EULER = ("yaw", "pitch", "roll")
 #: A roll about the forearm, which an arm with yaw and two pitch joints does not have: asked for last, then home again.
 IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=True)
 
+
+#: Goal of the steady orientation [rad], and why it is missed where the robot's masses are not those of its model.
+TURN_GOAL = float(np.deg2rad(0.5))
+ROLL = (
+    "the roll about the forearm is part of it, which an arm with yaw and two pitch joints cannot turn: a robot whose centre of "
+    "mass is beside its plane leans to balance; '_arm_' is without it"
+)
 
 #: The last second [s] of a step is judged as steady; a move takes at least half a second [s].
 STEADY, MOVING = 1.0, 0.5
@@ -158,11 +165,11 @@ def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.
     return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
 
 
-def _orientation_error(log: Log, schedule: Schedule, pose: int, use: np.ndarray) -> float:
-    """Length [rad] of the mean rotation vector from a pose of the schedule to the hand."""
-    wanted = lie.quaternion_conjugate(schedule.quaternions[pose])
-    errors = [lie.quaternion_log(lie.quaternion_multiply(q, wanted)) for q in log.array("hand_quaternion")[use]]
-    return float(np.linalg.norm(np.mean(errors, axis=0)))
+def _orientation_error(turns: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Mean rotation vector (3) [rad], hand axes, from a wanted quaternion (4) to those of the hand (n, 4)."""
+    inverse = lie.quaternion_conjugate(wanted)
+    errors = [lie.quaternion_log(lie.quaternion_multiply(inverse, q)) for q in turns]
+    return np.asarray(np.mean(errors, axis=0))
 
 
 def rise_time(t: np.ndarray, done: np.ndarray) -> float:
@@ -173,8 +180,9 @@ def rise_time(t: np.ndarray, done: np.ndarray) -> float:
 
 def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
     t, hand = log.times("hand"), log.array("hand")
-    felt = hand_felt(log)
-    rises, steady, world, turned = [], [], [], []
+    felt, true_turn, felt_turn = hand_felt(log), log.array("hand_quaternion"), hand_turn_felt(log)
+    rises, steady, world, turned, turned_world = [], [], [], [], []
+    norm = lambda vector: float(np.linalg.norm(vector))
     lead = settings.lead
     for k in range(len(STEPS)):
         start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
@@ -186,16 +194,20 @@ def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: 
         last = (t >= end - lead - STEADY) & (t < end - lead)
         steady.append(float(np.linalg.norm(felt[last] - schedule.positions[k + 1], axis=1).mean()))
         world.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
-        turned.append(_orientation_error(log, schedule, k + 1, last))
+        turned.append(_orientation_error(felt_turn[last], schedule.quaternions[k + 1]))
+        turned_world.append(_orientation_error(true_turn[last], schedule.quaternions[k + 1]))
     start = schedule.times[len(STEPS) + 1]
     roll = (t >= start + settings.hold - lead - STEADY) & (t < start + settings.hold - lead)
-    unreachable = _orientation_error(log, schedule, len(STEPS) + 1, roll) if roll.any() else float("inf")
+    impossible = schedule.quaternions[len(STEPS) + 1]
+    unreachable = norm(_orientation_error(true_turn[roll], impossible)) if roll.any() else float("inf")
     worst = lambda values: max(values) if values else float("inf")
     return {
         "rise_time_max": Metric(worst(rises), "s", goal=1.0),
-        "steady_position_error_max": Metric(worst(steady), "m", goal=0.005),
-        "steady_position_error_world_max": Metric(worst(world), "m"),
-        "steady_orientation_error_max": Metric(worst(turned), "rad"),
+        "steady_position_error_max": Metric(worst(steady), "m", goal=0.002),
+        "steady_position_error_world_max": Metric(worst(world), "m", goal=0.010),
+        "steady_orientation_error_max": Metric(worst([norm(v) for v in turned]), "rad", goal=TURN_GOAL, goal_note=ROLL),
+        "steady_orientation_error_arm_max": Metric(worst([norm(v[:2]) for v in turned]), "rad", goal=TURN_GOAL),
+        "steady_orientation_error_world_max": Metric(worst([norm(v) for v in turned_world]), "rad"),
         "unreachable_rotation_error": Metric(unreachable, "rad"),
         "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
         "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),

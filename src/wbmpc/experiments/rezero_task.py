@@ -14,7 +14,14 @@ from wbmpc import lie
 from wbmpc.control import RezeroAgent
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
-from wbmpc.experiments.rezero_rivals import Controller, Parts, RivalsSettings, TrackingSettings, make_controller
+from wbmpc.experiments.rezero_rivals import (
+    ACCURATE_RIVALS,
+    Controller,
+    Parts,
+    RivalsSettings,
+    TrackingSettings,
+    make_controller,
+)
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, run_lockstep
@@ -52,7 +59,8 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 
 class RezeroSettings(ExperimentSettings):
-    """``observer``: whether constant disturbances are estimated; ``drive_lag`` [s] that the controller assumes;
+    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
+    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
     with its gains (``rival``); ``tracking`` of the MPC's plans."""
@@ -60,7 +68,9 @@ class RezeroSettings(ExperimentSettings):
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
+    weigh: bool = True
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"
@@ -69,11 +79,13 @@ class RezeroSettings(ExperimentSettings):
 
 
 class AccurateSettings(RezeroSettings):
-    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly."""
+    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
+    the rivals."""
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
     )
+    rival: RivalsSettings = ACCURATE_RIVALS
 
 
 #: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
@@ -126,6 +138,11 @@ def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: n
     mpc.reference["torque"] = Reference.constant(torque)
 
 
+def robot_of(settings: RezeroSettings) -> RobotModel:
+    """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
+    return load_robot("rezero", payload=settings.weigh and settings.observer and settings.controller == "mpc")
+
+
 def run_task(
     name: str,
     settings: RezeroSettings,
@@ -138,7 +155,7 @@ def run_task(
     before: Callable[[MPC, Timing, float], None] | None = None,
 ) -> RunResult:
     """One run: the MPC of the settings, a perturbed plant, the estimator in the loop. ``before`` is called at every tick."""
-    robot = load_robot("rezero")
+    robot = robot_of(settings)
     home, torque = robot.equilibrium(task.arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
@@ -186,6 +203,8 @@ def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, to
     log.add("tilt", t, truth.tilt)
     log.add("torque", t, torque)
     log.add("disturbance", t, agent.disturbance)
+    if agent.payload is not None:
+        log.add("payload", t, agent.payload.mass)
     if agent.estimator is not None:
         _record_estimate(log, t, agent.state()[: truth.state.size], truth, agent.estimator.filter)
 
@@ -194,6 +213,8 @@ def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estima
     """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
     rotation = lie.euler_zyx_to_rotation(*state[2:5])
     log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
+    turned = lie.rotation_to_quaternion(rotation @ truth.tool_rotation_in_base)
+    log.add("hand_quaternion_estimated", t, turned)
     log.add("estimate", t, state)
     log.add("rolling_fault", t, float(bool(estimator.faults)))
 
@@ -203,21 +224,28 @@ def hand_felt(log: Log) -> np.ndarray:
     return log.array("hand_estimated") if "hand_estimated" in log.channels else log.array("hand")
 
 
+def hand_turn_felt(log: Log) -> np.ndarray:
+    """Quaternions (n, 4) of the hand in the estimated frame (the true ones in runs without an estimator)."""
+    return log.array("hand_quaternion_estimated" if "hand_quaternion_estimated" in log.channels else "hand_quaternion")
+
+
 def ball_felt(log: Log) -> np.ndarray:
     """Ball positions (n, 2) [m] in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("estimate" if "estimate" in log.channels else "state")[:, :2]
 
 
 def estimator_metrics(log: Log) -> dict[str, Metric]:
-    """Largest errors of the estimate, and the share of messages in which the ball was found not to roll."""
+    """Largest errors of the estimate, the share of messages in which the ball was found not to roll, the mass that was weighed."""
     if "estimate" not in log.channels:
         return {}
+    weighed = {"payload_estimated": Metric(float(log.array("payload")[-1]), "kg")} if "payload" in log.channels else {}
     error = np.abs(log.array("estimate") - log.array("state"))
     return {
         "estimated_position_error_max": Metric(float(np.hypot(error[:, 0], error[:, 1]).max()), "m"),
         "estimated_tilt_error_max": Metric(float(error[:, 3:5].max()), "rad"),
         "estimated_yaw_error_max": Metric(float(error[:, 2].max()), "rad"),
         "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
+        **weighed,
     }
 
 

@@ -18,12 +18,13 @@ from wbmpc.experiments.rezero_task import (
     hand_felt,
     record_rezero,
     resting,
+    robot_of,
     set_home_references,
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, Watch, run_lockstep
-from wbmpc.model import RobotModel, load_robot
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
+from wbmpc.model import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -53,7 +54,8 @@ def drive(
     name: str, settings: RezeroTaskspaceSettings, seed: int, log: Log, progress: Progress | None
 ) -> tuple[Ending, Any]:
     """One controller over all steps; channels are CHANNEL_NAME."""
-    robot = load_robot("rezero")
+    chosen = settings.model_copy(update={"controller": name})
+    robot = robot_of(chosen)
     arm = robot.home[robot.state["arm"]]
     home, torque = robot.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
@@ -70,7 +72,6 @@ def drive(
         mpc.reference["body"] = Reference.constant(stances[k])
 
     ask(0)
-    chosen = settings.model_copy(update={"controller": name})
     agent, planner = make_controller(chosen, Parts(robot, mpc, torque, timing.period, estimator, arm))
     mpc.reset(home, torque)
     single = Log()
@@ -112,8 +113,7 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
     """Both controllers, one after the other, on the same plant."""
     log, endings, mpc = Log(), {}, None
     for k, name in enumerate(CONTROLLERS):
-        part = _part(progress, k)
-        endings[name], made = drive(name, settings, seed, log, part)
+        endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
         mpc = made if name == "mpc" else mpc
         if endings[name].interrupted:
             break
@@ -124,13 +124,6 @@ def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None 
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS],
     )  # fmt: skip
-
-
-def _part(progress: Progress | None, k: int) -> Progress | None:
-    if progress is None:
-        return None
-    part = lambda fraction, note: progress((k + fraction) / len(CONTROLLERS), f"{CONTROLLERS[k]}: {note}")
-    return Watch(part, progress.watchers) if isinstance(progress, Watch) else part
 
 
 def _metrics(settings: RezeroTaskspaceSettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:

@@ -12,7 +12,7 @@ from wbmpc.control import RollingAgent
 from wbmpc.estimation import BrakeFault, BrakeMonitor
 from wbmpc.experiments.settings import ControlSettings, Settings
 from wbmpc.log import Log
-from wbmpc.loop import Progress
+from wbmpc.loop import Progress, part, watched
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import BRAKE_TORQUE, Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
@@ -48,19 +48,38 @@ class SwerveBrakesSettings(Settings):
     height: float = Field(0.03, gt=0.005, le=0.2)
 
 
+#: The tests in their order, by name.
+TESTS = (
+    *(f"push in {name}, brakes {state}" for name in CONFIGURATIONS for state in ("closed", "open")),
+    "slip of a brake",
+    *(f"sliding in {name}" for name in CONFIGURATIONS),
+    *(f"a brake that is {kind}" for kind in ("sound", "stuck closed", "stuck open")),
+)
+
+
 @dataclass(frozen=True)
 class _Bench:
-    """One robot on the test bench: settings, seed, where the log goes."""
+    """One robot on the test bench: settings, seed, where the log goes, who is told and who watches."""
 
     settings: SwerveBrakesSettings
     robot: RobotModel
     seed: int
     log: Log
+    progress: Progress | None = None
 
     @property
     def steps(self) -> int:
         """Physics steps of a controller period."""
         return round(1.0 / self.settings.control.rate / 5e-4)
+
+    @property
+    def period(self) -> float:
+        """A controller period [s]."""
+        return 1.0 / self.settings.control.rate
+
+    def part(self, name: str) -> Progress | None:
+        """The progress of one of the tests; watchers come along."""
+        return part(self.progress, TESTS.index(name), len(TESTS), name)
 
     def plant(self, configuration: str, **options: object) -> SwervePlant:
         """Standing in a configuration, as its encoders see it, wheels parallel to the body."""
@@ -72,22 +91,13 @@ class _Bench:
 
 def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All tests one after the other, each on its own plant of the same seed."""
-    bench = _Bench(settings, load_robot(settings.robot), seed, Log())
-    tell = progress or (lambda share, note: None)
-    moved: dict[tuple[str, bool], float] = {}
-    for k, name in enumerate(CONFIGURATIONS):
-        for is_open in (False, True):
-            tell((2 * k + is_open) / 12, f"push in {name}")
-            moved[name, is_open] = _push(bench, name, is_open)
-    tell(0.5, "slip of a brake")
+    bench = _Bench(settings, load_robot(settings.robot), seed, Log(), progress)
+    moved = {(name, is_open): _push(bench, name, is_open) for name in CONFIGURATIONS for is_open in (False, True)}
     slip = _slip_torque(bench)
-    slides = {}
-    for k, name in enumerate(CONFIGURATIONS):
-        tell(0.55 + 0.1 * k, f"sliding in {name}")
-        slides[name] = _slide_force(bench, name)
-    tell(0.85, "brakes that do not answer")
+    slides = {name: _slide_force(bench, name) for name in CONFIGURATIONS}
     faults = {kind: _fault(bench, kind) for kind in (None, "closed", "open")}
-    tell(1.0, "")
+    if progress is not None:
+        progress(1.0, "")
     return RunResult(
         NAME, seed, True, "", _metrics(moved, slip, slides, faults), None, bench.log, _plots(bench.log), IDEALISATIONS,
         settings.model_dump(mode="json"),
@@ -96,7 +106,8 @@ def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = N
 
 def _push(bench: _Bench, name: str, is_open: bool) -> float:
     """Largest displacement [m] of the body while it is pushed to the left at its centre of mass."""
-    plant, farthest, channel = bench.plant(name), 0.0, f"push_{name}_{'open' if is_open else 'closed'}"
+    state = "open" if is_open else "closed"
+    plant, farthest, channel = bench.plant(name), 0.0, f"push_{name}_{state}"
     modules = bench.robot.base.geometry.modules
     command = replace(
         SwerveCommand.stop(modules, len(bench.robot.input.groups["arm"])), brake=np.full(modules, float(is_open))
@@ -104,15 +115,18 @@ def _push(bench: _Bench, name: str, is_open: bool) -> float:
     _step(plant, command, 0.5, bench)
     start, begin = plant.truth().pose, plant.time
     plant.push([0.0, bench.settings.push, 0.0])
-    while plant.time < begin + PUSH_TIME:
-        plant.step(command, 4 * bench.steps)
-        truth = plant.truth()
-        farthest = max(farthest, float(np.hypot(*(truth.pose - start)[:2])))
-        bench.log.add(
-            channel,
-            plant.time - begin,
-            [*(truth.pose - start), *(truth.joints[n] for n in bench.robot.state.groups["leg"])],
-        )
+    own = bench.part(f"push in {name}, brakes {state}")
+    with watched(plant, 4 * bench.period, PUSH_TIME, own) as tick:
+        while plant.time < begin + PUSH_TIME:
+            tick(plant.time - begin, command)
+            plant.step(command, 4 * bench.steps)
+            truth = plant.truth()
+            farthest = max(farthest, float(np.hypot(*(truth.pose - start)[:2])))
+            bench.log.add(
+                channel,
+                plant.time - begin,
+                [*(truth.pose - start), *(truth.joints[n] for n in bench.robot.state.groups["leg"])],
+            )
     return farthest
 
 
@@ -144,13 +158,16 @@ def _slip_torque(bench: _Bench) -> float:
     start = float(plant.data.qpos[hinge.qposadr[0]])
     torque, step = 0.6 * BRAKE_TORQUE, TORQUE_RAMP / bench.settings.control.rate
     plant.external = lambda m, d: d.qfrc_applied.__setitem__(hinge.dofadr[0], torque)
-    while torque < 1.5 * BRAKE_TORQUE:
-        plant.step(stop, bench.steps)
-        angle = float(plant.data.qpos[hinge.qposadr[0]]) - start
-        bench.log.add("slip", plant.time, [torque, angle, plant.truth().wheel_force[0]])
-        if abs(angle) > SLIPPED:
-            return torque
-        torque += step
+    begin, longest = plant.time, (1.5 * BRAKE_TORQUE - torque) / TORQUE_RAMP
+    with watched(plant, bench.period, longest, bench.part("slip of a brake")) as tick:
+        while torque < 1.5 * BRAKE_TORQUE:
+            tick(plant.time - begin, stop)
+            plant.step(stop, bench.steps)
+            angle = float(plant.data.qpos[hinge.qposadr[0]]) - start
+            bench.log.add("slip", plant.time, [torque, angle, plant.truth().wheel_force[0]])
+            if abs(angle) > SLIPPED:
+                return torque
+            torque += step
     return float("inf")
 
 
@@ -159,15 +176,17 @@ def _slide_force(bench: _Bench, name: str) -> float:
     plant = bench.plant(name)
     stop = SwerveCommand.stop(bench.robot.base.geometry.modules, len(bench.robot.input.groups["arm"]))
     _step(plant, stop, 0.5, bench)
-    start, force = plant.truth().pose, 200.0
-    while force < 2000.0 and not plant.fell:
-        plant.push([0.0, force, 0.0])
-        plant.step(stop, bench.steps)
-        moved = float(np.hypot(*(plant.truth().pose - start)[:2]))
-        bench.log.add(f"slide_{name}", plant.time, [force, moved, force / (plant.draw.friction * plant.weight)])
-        if moved > SLID:
-            return force
-        force += FORCE_RAMP / bench.settings.control.rate
+    start, begin, force = plant.truth().pose, plant.time, 200.0
+    with watched(plant, bench.period, 1800.0 / FORCE_RAMP, bench.part(f"sliding in {name}")) as tick:
+        while force < 2000.0 and not plant.fell:
+            plant.push([0.0, force, 0.0])
+            tick(plant.time - begin, stop)
+            plant.step(stop, bench.steps)
+            moved = float(np.hypot(*(plant.truth().pose - start)[:2]))
+            bench.log.add(f"slide_{name}", plant.time, [force, moved, force / (plant.draw.friction * plant.weight)])
+            if moved > SLID:
+                return force
+            force += FORCE_RAMP / bench.settings.control.rate
     return float("inf")
 
 
@@ -191,22 +210,26 @@ def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
         )
 
     plant = bench.plant("X")
-    period = 1.0 / bench.settings.control.rate
+    period = bench.period
     monitor = BrakeMonitor(robot.state.groups["leg"])
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
     agent = RollingAgent(robot, np.zeros(3), period, goals, brakes=brakes, monitor=monitor)
     if kind == "closed":
         plant.brakes.fail(0, "closed")
     hinge = plant.model.joint(robot.state.groups["leg"][0]).dofadr[0]
-    for k in range(round((SWING_PERIOD + 3.0) / period)):
-        t = k * period
-        if kind == "open" and t > FAILS:
-            plant.brakes.fail(0, "open")
-        plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
-        agent.measure(plant.measure())
-        plant.step(agent.drive(t), bench.steps)
-        assert agent.measured is not None
-        bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
+    own = bench.part(f"a brake that is {f'stuck {kind}' if kind else 'sound'}")
+    with watched(plant, period, SWING_PERIOD + 3.0, own, agent) as tick:
+        for k in range(round((SWING_PERIOD + 3.0) / period)):
+            t = k * period
+            if kind == "open" and t > FAILS:
+                plant.brakes.fail(0, "open")
+            plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
+            agent.measure(plant.measure())
+            command = agent.drive(t)
+            tick(t, command)
+            plant.step(command, bench.steps)
+            assert agent.measured is not None
+            bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
     seen_from = OPENS if kind == "closed" else KNOCK_BEGINS
     right = [f for f in monitor.faults if f.leg == 0 and kind is not None]
     return (right[0].time - seen_from if right else float("inf")), monitor.faults

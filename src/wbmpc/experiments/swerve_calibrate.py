@@ -15,7 +15,7 @@ from wbmpc.errors import InputError, RunAborted
 from wbmpc.estimation import WheelCalibration, WheelRecord, calibrate
 from wbmpc.experiments.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.log import Log
-from wbmpc.loop import Progress
+from wbmpc.loop import Progress, watched
 from wbmpc.model import RobotModel, SwerveGeometry, load_robot, rolling_inverse_kinematics
 from wbmpc.plant import Perturbation, SwerveCommand, SwerveMeasurement, SwervePlant
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
@@ -144,27 +144,27 @@ def drive(
     period, geometry = steps * plant.timestep, robot.base.geometry
     agent = SwerveAgent(robot, plant.truth().pose, period, calibration=calibration)
     log, phases = Log(), _phases(robot, settings)
-    wheels, total, t0 = WheelLog(log), sum(p.length for p in phases), 0.0
+    wheels, total = WheelLog(log), sum(p.length for p in phases)
     arm, closed = np.zeros(len(robot.input.groups["arm"])), np.zeros(len(geometry.hinge))
     legs = robot.state.split(robot.home).get("leg", np.zeros(geometry.modules))
-    for phase in phases:
-        for k in range(round(phase.length / period)):
-            m = plant.measure()
-            agent.measure(m)
-            wheels.add(plant.time, m)
-            if len(log.channels) and round(plant.time / period) % 4 == 0:
-                log.add("base", plant.time, plant.truth().pose)
-                log.add("base_odometry", plant.time, agent.odometry.pose)
-                log.add("base_wheels", plant.time, agent.wheels_alone.pose)
-            twist = phase.twist * phase.share(k * period)
-            _, wheel = rolling_inverse_kinematics(geometry, legs, phase.steer, twist)
-            steer = np.clip(STEER_GAIN * (phase.steer - agent.steer), -STEER_SPEED, STEER_SPEED)
-            plant.step(SwerveCommand(wheel * agent.wheel_scale, steer, arm, closed), steps)
-            if plant.fell:
-                return log, agent, f"the robot fell at {plant.time:.2f} s"
-        t0 += phase.length
-        if progress is not None:
-            progress(t0 / total, f"{t0:.1f} of {total:.1f} s")
+    with watched(plant, period, total, progress, agent) as tick:
+        for phase in phases:
+            for k in range(round(phase.length / period)):
+                m = plant.measure()
+                agent.measure(m)
+                wheels.add(plant.time, m)
+                if len(log.channels) and round(plant.time / period) % 4 == 0:
+                    log.add("base", plant.time, plant.truth().pose)
+                    log.add("base_odometry", plant.time, agent.odometry.pose)
+                    log.add("base_wheels", plant.time, agent.wheels_alone.pose)
+                twist = phase.twist * phase.share(k * period)
+                _, wheel = rolling_inverse_kinematics(geometry, legs, phase.steer, twist)
+                steer = np.clip(STEER_GAIN * (phase.steer - agent.steer), -STEER_SPEED, STEER_SPEED)
+                command = SwerveCommand(wheel * agent.wheel_scale, steer, arm, closed)
+                tick(plant.time, command)
+                plant.step(command, steps)
+                if plant.fell:
+                    return log, agent, f"the robot fell at {plant.time:.2f} s"
     return log, agent, ""
 
 

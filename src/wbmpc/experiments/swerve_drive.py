@@ -21,7 +21,7 @@ from wbmpc.experiments.swerve_calibrate import swerve_robot
 from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep, watched
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, SteeringGuess
 from wbmpc.ocp import Reference
@@ -220,7 +220,7 @@ class _Run:
         assert agent.monitor is not None
         return ending, mpc, [str(f) for f in agent.monitor.faults], hit
 
-    def rival(self, mission: Mission, duration: float, edit: Any = None) -> None:
+    def rival(self, mission: Mission, duration: float, edit: Any, progress: Progress | None) -> None:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
@@ -237,15 +237,17 @@ class _Run:
             brakes=brakes.commanded, use_gyro=s.use_gyro,
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
-        for k in range(round(duration / timing.period)):
-            t = k * timing.period
-            agent.measure(plant.measure())
-            command = agent.drive(t)
-            if k % 4 == 0:
-                self.record(name, t, plant, agent, mission, command)
-            plant.step(command, timing.steps)
-            if plant.fell:
-                break
+        with watched(plant, timing.period, duration, progress, agent) as tick:
+            for k in range(round(duration / timing.period)):
+                t = k * timing.period
+                agent.measure(plant.measure())
+                command = agent.drive(t)
+                if k % 4 == 0:
+                    self.record(name, t, plant, agent, mission, command)
+                tick(t, command)
+                plant.step(command, timing.steps)
+                if plant.fell:
+                    break
 
 
 def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = None) -> RunResult:
@@ -255,17 +257,20 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     bench = _Run(settings, robot, seed, Log())
     mission, duration = tour(robot, settings.plant.brake_delay)
-    ending, mpc, faults, _ = bench.planned("tour", mission, duration, terrain, progress=progress)
+    names = ("tour", "rival", "knock", *(f"closed_{name}" for name in CONFIGURATIONS))
+    own = lambda name: part(progress, names.index(name), len(names), name)
+    ending, mpc, faults, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
     if not ending.reason:
-        bench.rival(mission, duration, terrain)
+        bench.rival(mission, duration, terrain, own("rival"))
     knock = None
     if not ending.reason:
         way, length = straight(robot, "X", True)
-        ending, _, more, knock = bench.planned("knock", way, length, knock=4.0)
+        ending, _, more, knock = bench.planned("knock", way, length, knock=4.0, progress=own("knock"))
         faults += more
     for name in CONFIGURATIONS:
         if not ending.reason:
-            ending, _, more, _ = bench.planned(f"closed_{name}", *straight(robot, name, False))
+            key = f"closed_{name}"
+            ending, _, more, _ = bench.planned(key, *straight(robot, name, False), progress=own(key))
             faults += more
     return finished(
         NAME, seed, settings, ending, mpc, bench.log,

@@ -17,7 +17,7 @@ from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twist
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC, SteeringGuess
 from wbmpc.ocp import Reference
@@ -145,8 +145,8 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     mpc.reset(robot.home)
     log, ending = Log(), Ending()
     for k, name in enumerate(CONTROLLERS):
-        share = None if progress is None else _share(progress, k, name)
-        ended = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, share)
+        own = part(progress, k, len(CONTROLLERS), name)
+        ended = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, own)
         ending = ended if ended.interrupted or not ending.reason else ending
         if ended.interrupted:
             break
@@ -154,10 +154,6 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(log, reference), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
     )  # fmt: skip
-
-
-def _share(progress: Progress, k: int, name: str) -> Progress:
-    return lambda done, text: progress((k + done) / len(CONTROLLERS), f"{name}: {text}")
 
 
 def drive(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from wbmpc.experiments.settings import Settings
 from wbmpc.log import Log
-from wbmpc.loop import Progress
-from wbmpc.model import load_robot
+from wbmpc.loop import Progress, part, watched
+from wbmpc.model import RobotModel, load_robot
+from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.result import Drawing, Metric, RunResult
 from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
 
@@ -14,12 +15,15 @@ SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Tab
 
 IDEALISATIONS = [
     "pure geometry, no physics: wheels touch the ground in points under the steer axes",
+    "the recording alone is of physics: the robot, as described, stands in each configuration with its brakes closed",
     "the paper gives no leg angles: 45 degrees for X, 0.498 rad inwards and 0.747 rad outwards for A reproduce its table",
 ]
 #: Table I of the paper [m²]: support polygon, largest region in which two support triangles overlap.
 TABLE = {"H": (1.16, 0.29), "X": (1.81, 0.45), "A": (1.17, 0.76)}
 #: Half a unit of the table's last digit [m²].
 ROUNDING = 0.005
+#: How long the robot stands in each configuration for the recording [s], and how often it is looked at [Hz].
+STANDING, RATE = 1.0, 100
 
 
 class SwerveStabilitySettings(Settings):
@@ -36,12 +40,24 @@ def run(settings: SwerveStabilitySettings, seed: int, progress: Progress | None 
         log.add("leg", float(k), a.x[robot.state["leg"]])
         log.add("feet", float(k), a.stance.feet.ravel())
         log.add("zero_moment_point", float(k), a.stance.zmp)
+    for k, (name, a) in enumerate(found.items()):
+        _stand(robot, a, part(progress, k, len(found), name))
     if progress is not None:
         progress(1.0, "")
     drawings = [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()]
     return RunResult(
         NAME, seed, True, "", _metrics(found), None, log, drawings, IDEALISATIONS, settings.model_dump(mode="json")
     )
+
+
+def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> None:
+    """For who watches: the robot at rest in a configuration."""
+    plant = SwervePlant(robot.description, robot.state.split(assessment.x), Perturbation.none())
+    stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
+    with watched(plant, 1.0 / RATE, STANDING, progress) as tick:
+        for k in range(round(STANDING * RATE)):
+            tick(k / RATE, stop)
+            plant.step(stop, round(1.0 / (RATE * plant.timestep)))
 
 
 def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:

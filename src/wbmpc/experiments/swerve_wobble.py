@@ -10,7 +10,7 @@ from pydantic import Field
 
 from wbmpc.experiments.settings import Settings
 from wbmpc.log import Log
-from wbmpc.loop import Progress
+from wbmpc.loop import Progress, part, watched
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
@@ -76,10 +76,9 @@ def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = N
     cases = [(name, height) for height in settings.heights for name in CONFIGURATIONS]
     predicted: dict[str, list[Switch]] = {}
     for k, (name, height) in enumerate(cases):
-        if progress is not None:
-            progress(k / len(cases), f"{name}, {1e3 * height:g} mm")
         motion = _Motion(len(robot.input.groups["arm"]), settings.turn, height / RAISE + REST)
-        _simulate(robot, settings, seed, name, height, motion, log)
+        own = part(progress, k, len(cases), f"{name}, {1e3 * height:g} mm")
+        _simulate(robot, settings, seed, name, height, motion, log, own)
         predicted[_key(name, height)] = predict(robot, name, height, motion)
     if progress is not None:
         progress(1.0, "")
@@ -94,8 +93,9 @@ def _key(name: str, height: float) -> str:
 
 
 def _simulate(
-    robot: RobotModel, settings: SwerveWobbleSettings, seed: int, name: str, height: float, motion: _Motion, log: Log
-) -> None:
+    robot: RobotModel, settings: SwerveWobbleSettings, seed: int, name: str, height: float, motion: _Motion, log: Log,
+    progress: Progress | None,
+) -> None:  # fmt: skip
     """Raise the block under the left front wheel, then turn the arm; channels rate, gyro, force, zmp of this case."""
     start = assess(robot, name, arm=motion.angles(np.zeros(1))[0])
     x, y = start.stance.feet[0]
@@ -110,18 +110,21 @@ def _simulate(
     plant = SwervePlant(robot.description, robot.state.split(start.x), settings.plant, seed, edit=block)
     modules, key = robot.base.geometry.modules, _key(name, height)
     steps = round(1.0 / RATE / plant.timestep)
-    for k in range(round(motion.end * RATE)):
-        t = k / RATE
-        plant.data.mocap_pos[0, 2] = min(RAISE * t, height) - 0.5 * height
-        measured = plant.measure()
-        if t >= motion.start - REST + 0.5:
-            truth = plant.truth()
-            log.add(f"rate_{key}", t - motion.start, plant.data.qvel[3:5])
-            log.add(f"gyro_{key}", t - motion.start, measured.gyro[:2])
-            log.add(f"force_{key}", t - motion.start, truth.wheel_force)
-        now, later = motion.angles(np.array([t, t + 1.0 / RATE]))
-        arm = (later - now) * RATE + 2.0 * (now - measured.arm)
-        plant.step(SwerveCommand(np.zeros(modules), np.zeros(modules), arm, np.zeros(modules)), steps)
+    with watched(plant, 1.0 / RATE, motion.end, progress) as tick:
+        for k in range(round(motion.end * RATE)):
+            t = k / RATE
+            plant.data.mocap_pos[0, 2] = min(RAISE * t, height) - 0.5 * height
+            measured = plant.measure()
+            if t >= motion.start - REST + 0.5:
+                truth = plant.truth()
+                log.add(f"rate_{key}", t - motion.start, plant.data.qvel[3:5])
+                log.add(f"gyro_{key}", t - motion.start, measured.gyro[:2])
+                log.add(f"force_{key}", t - motion.start, truth.wheel_force)
+            now, later = motion.angles(np.array([t, t + 1.0 / RATE]))
+            arm = (later - now) * RATE + 2.0 * (now - measured.arm)
+            command = SwerveCommand(np.zeros(modules), np.zeros(modules), arm, np.zeros(modules))
+            tick(t, command)
+            plant.step(command, steps)
 
 
 def predict(robot: RobotModel, name: str, height: float, motion: _Motion) -> list[Switch]:

@@ -23,7 +23,9 @@ class BallBase:
     """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) forces or wrenches of the world.
 
     ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
-    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``.
+    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``. Parameters w: ``disturbance`` (nq),
+    generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``payload`` [kg], a point mass at the tool,
+    where the description has it: left out, functions of w count none.
     """
 
     def __init__(self, description: RobotDescription, tree: Tree, ball: Link) -> None:
@@ -49,6 +51,8 @@ class BallBase:
         self.input = {"wheel": wheels, "arm": arm, **given}
         self.mode: dict[str, list[str]] = {}
         self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
+        if self.base.payload:
+            self.parameters["payload"] = ["mass"]
         self.unit_quaternions: tuple[int, ...] = ()
 
     def _contacts(self, tool: str) -> dict[str, dict[str, str]]:
@@ -75,9 +79,16 @@ class BallBase:
         return links, 4
 
     # ------------------------------------------------------------------ kinematics
-    def chain(self, x: ca.SX) -> Chain:
-        """The tree at a state (or at q alone)."""
-        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._moving)})
+    def chain(self, x: ca.SX, w: ca.SX | None = None) -> Chain:
+        """The tree at a state (or at q alone), with the payload of the parameters w."""
+        load = None if w is None else self.payload(w)
+        values = {link: x[k] for k, link in enumerate(self._moving)}
+        return Chain(self.tree.links, values, load=None if load is None else (self.tool, load))
+
+    def payload(self, w: ca.SX) -> ca.SX | None:
+        """The mass [kg] at the tool among the parameters w, if the model has it: the last of the base's own."""
+        last = sum(map(len, self.parameters.values()))
+        return w[last - 1] if "payload" in self.parameters else None
 
     def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link; the root does not move by itself."""
@@ -105,16 +116,18 @@ class BallBase:
         return ca.DM(self.wheel_torque_map().T) @ (rotation.T @ (spin - omega))
 
     # ------------------------------------------------------------------ dynamics
-    def mass_matrix(self, q: ca.SX) -> ca.SX:
-        """M(q), (nq, nq), with the ball's spin."""
-        return self.chain(q).mass_matrix() + ca.diag(ca.vertcat(self.spin_mass, self.spin_mass, ca.SX(self.nq - 2, 1)))
+    def mass_matrix(self, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
+        """M(q), (nq, nq), with the ball's spin and the payload of the parameters w."""
+        return self.chain(q, w).mass_matrix() + ca.diag(
+            ca.vertcat(self.spin_mass, self.spin_mass, ca.SX(self.nq - 2, 1))
+        )
 
-    def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
-        """M a + h: generalised forces (nq) for accelerations a."""
+    def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX, w: ca.SX | None = None) -> ca.SX:
+        """M a + h: generalised forces (nq) for accelerations a, with the payload of the parameters w."""
         rates = {link: v[k] for k, link in enumerate(self._moving)}
         accelerations = {link: a[k] for k, link in enumerate(self._moving)}
         spin = self.spin_mass * ca.vertcat(a[0], a[1], ca.SX(self.nq - 2, 1))
-        return self.chain(q).inverse_dynamics(rates, accelerations) + spin
+        return self.chain(q, w).inverse_dynamics(rates, accelerations) + spin
 
     def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
         """S(q)ᵀ τ + Jᵀ (F, M) + disturbance, by virtual power."""
@@ -150,15 +163,15 @@ class BallBase:
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ = (v, M⁻¹ (forces − h))."""
         q, v = x[: self.nq], x[self.nq :]
-        right = self.generalised_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1))
-        return ca.vertcat(v, solve_spd(self.mass_matrix(q), right))
+        right = self.generalised_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1), w)
+        return ca.vertcat(v, solve_spd(self.mass_matrix(q, w), right))
 
     def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
         """f and its Jacobian: the derivative of the Newton-Euler residual, solved with one factor of M."""
         q, v = x[: self.nq], x[self.nq :]
         f = self.derivative(x, u, w, m)
         a = ca.SX.sym("a", self.nq)
-        residual = self.inverse_dynamics(q, v, a) - self.generalised_force(q, u, w)
+        residual = self.inverse_dynamics(q, v, a, w) - self.generalised_force(q, u, w)
         slope = ca.substitute(ca.jacobian(residual, ca.vertcat(x, u)), a, f[self.nq :])
         kinematic = ca.horzcat(ca.SX(self.nq, self.nq), ca.SX.eye(self.nq), ca.SX(self.nq, u.shape[0]))
-        return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q), slope))
+        return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q, w), slope))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from wbmpc.errors import InputError
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.symbolic import solve_spd
@@ -22,6 +23,10 @@ class ServoedArm:
 
     def __init__(self, robot: RobotModel) -> None:
         base = robot._ball()
+        if base.base.payload:
+            raise InputError(
+                f"{robot.description.name}: a base whose arm others move has no mass at the hand (base.payload)"
+            )
         self._base, self._robot = base, robot
         self.state, self.mode = robot.state, Layout({})
         self.input = Layout({"wheel": robot.input.groups["wheel"]})

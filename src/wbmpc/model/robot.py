@@ -220,6 +220,16 @@ class RobotModel:
             self._functions["moment"] = ca.Function("moment", [s, m], [ca.densify(base.tool_moment(s, m))])
         return np.array(self._functions["moment"](np.asarray(q, float), np.asarray(moment, float))).ravel()
 
+    def tool_weight(self, q: ArrayLike) -> Array:
+        """Generalised forces (nq) [N, N m] of the weight of 1 kg at a ball robot's tool."""
+        base = self._ball()
+        if "weight" not in self._functions:
+            s = ca.SX.sym("q", base.nq)
+            self._functions["weight"] = ca.Function(
+                "weight", [s], [ca.densify(base.tool_force(s, ca.SX([0, 0, -9.81])))]
+            )
+        return np.array(self._functions["weight"](np.asarray(q, float))).ravel()
+
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """M a + h (nq): the generalised forces of a ball robot's motion."""
         base = self._ball()

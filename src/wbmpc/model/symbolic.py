@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -64,11 +65,15 @@ class Placement:
 
 
 class Chain:
-    """Links with their symbolic joint values (by link index); ``root``: pose of the root's outer frame in the world."""
+    """Links with their symbolic joint values (by link index); ``root``: pose of the root's outer frame in the world; ``load``:
+    a frame and the mass [kg] of a point there."""
 
-    def __init__(self, links: Sequence[Link], values: dict[int, SX], root: FramePose | None = None) -> None:
+    def __init__(
+        self, links: Sequence[Link], values: dict[int, SX], root: FramePose | None = None,
+        load: tuple[Frame, SX] | None = None,
+    ) -> None:  # fmt: skip
         self.links = tuple(links)
-        self.root = root
+        self.root, self.load = root, load
         self.moving = [i for i, link in enumerate(links) if i in values]
         self.values = values
         self.places = [self._place(i) for i in range(len(links))]
@@ -160,7 +165,16 @@ class Chain:
                 com, inertia = constant(link.com), constant(link.inertia)
                 force[i] = link.mass * (av[i] + cross(aw[i], com) + cross(w[i], cross(w[i], com)))
                 moment[i] = inertia @ aw[i] + cross(w[i], inertia @ w[i]) + cross(com, force[i])
+        if self.load is not None:
+            (i, place), mass = self._loaded(), self.load[1]
+            weight = mass * (av[i] + cross(aw[i], place) + cross(w[i], cross(w[i], place)))
+            force[i], moment[i] = force[i] + weight, moment[i] + cross(place, weight)
         return self._collect(force, moment)
+
+    def _loaded(self) -> tuple[int, SX]:
+        """The link that the load is fixed to, and where on it (3) [m]."""
+        assert self.load is not None
+        return self.load[0].link, constant(self.load[0].position)
 
     def _collect(self, force: list[SX], moment: list[SX]) -> SX:
         torques: dict[int, SX] = {}
@@ -177,12 +191,16 @@ class Chain:
     def mass_matrix(self) -> SX:
         """Joint-space inertia of the moving joints (composite rigid bodies)."""
         n = len(self.links)
-        mass = [link.mass for link in self.links]
+        mass: list[Any] = [link.mass for link in self.links]
         first = [constant(link.mass * link.com) for link in self.links]
         inertia = [
             constant(link.inertia + link.mass * (link.com @ link.com * np.eye(3) - np.outer(link.com, link.com)))
             for link in self.links
         ]
+        if self.load is not None:
+            (i, at), point = self._loaded(), self.load[1]
+            mass[i], first[i] = mass[i] + point, first[i] + point * at
+            inertia[i] = inertia[i] + point * (ca.dot(at, at) * SX(ca.DM.eye(3)) - at @ at.T)
         row = {link: k for k, link in enumerate(self.moving)}
         m = SX(len(self.moving), len(self.moving))
         for i in reversed(range(n)):

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import OptimalControlProblem
 
 SLOTS = 4
@@ -170,7 +170,11 @@ class Sizes:
         """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was."""
         n, nx, nu = self.n, self.nx, self.nu
         scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": ()}
-        return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx)}
+        return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
+
+    def limits(self) -> Fields:
+        """Hard bounds of the inputs, the same in every policy."""
+        return {"lower": (self.nu,), "upper": (self.nu,)}
 
 
 @dataclass(frozen=True)
@@ -192,7 +196,8 @@ class TimedPolicy(Policy):
         v = message.values
         start, seen, ready = (float(v[name]) for name in ("valid_from", "observed", "ready"))
         number = int(v["observation"])
-        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, ready, number, message.number)
+        limits = InputLimits(v["lower"], v["upper"])
+        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, ready, number, message.number, limits=limits)
 
 
 class Board:

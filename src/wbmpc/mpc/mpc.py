@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
@@ -93,6 +93,8 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
+        #: hard bounds of the inputs, which all policies hold
+        self.limits = InputLimits(*self.solver.problem.input_bounds())
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -160,7 +162,7 @@ class MPC:
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
-        self._policy = Policy.of(solution, observation.t)
+        self._policy = Policy.of(solution, observation.t, self.limits)
         return self._policy
 
     @property
@@ -199,7 +201,9 @@ class MPC:
             elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
-        self.fault = self._find_fault()
+        before, self.fault = self.fault, self._find_fault()
+        if self.fault and not before:  # the first of a row of them
+            _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 
     def _count_events(self, t: float) -> None:
@@ -235,8 +239,8 @@ class MPC:
         status, ws = self.solver.status(self._outcome[0]), self.solver.ws
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
-        if status is Status.LIMIT_MISSED:
-            return f"{status.value} ({self.solver.missed_limit()})"
+        if status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
+            return f"{status.value} ({self.solver.missed(status)})"
         parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
         bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
         return f"failed: the {bad[0]} is not finite" if bad else ""

@@ -228,6 +228,7 @@ class Runner:
         if not self._in_force(due):
             self._stop_robot()
             return
+        before = self._cuts()
         command = self.agent.command(due, self.plans)
         bad = not_finite("command", command)
         if bad is not None:
@@ -235,9 +236,15 @@ class Runner:
         if self._stopped.is_set():  # by the watchdog, while this tick hung
             return
         self.robot.write(command)
-        self.own.count("clamped", int(getattr(self.agent, "clamped", False)))
+        # agents that cut in their own way say so; else the policy knows
+        self.own.count("clamped", int(getattr(self.agent, "clamped", self._cuts() > before)))
         if self.watch is not None:
             self._show(due)
+
+    def _cuts(self) -> int:
+        """How often the policy in force has cut an input to its hard bounds."""
+        policy = self.plans.current
+        return 0 if policy is None or policy.limits is None else policy.limits.count
 
     def _show(self, due: float) -> None:
         """Let the watcher see this tick; what goes wrong there is told once, and the robot goes on."""
@@ -315,16 +322,19 @@ class Runner:
         policy, s = self.plans.current, self.settings
         if policy is None:
             if due > s.patience + _ROUNDING:
-                failed = int(self.board["failures"])
-                raise SafeStop(f"no policy within {s.patience:g} s ({failed} solves failed)")
+                raise SafeStop(f"no policy within {s.patience:g} s ({self._failed()})")
             return False
         assert isinstance(policy, TimedPolicy)
         limit = s.max_policy_age or policy.end - float(policy.times[0])
         age = due - policy.valid_from
         if age > limit + _ROUNDING:
-            failed = int(self.board["failures"])
-            self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({failed} solves failed)")
+            self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({self._failed()})")
         return True
+
+    def _failed(self) -> str:
+        """How many solves failed, and why the last one that did."""
+        why = self.board.text
+        return f"{int(self.board['failures'])} solves failed{', the last one: ' if why else ''}{why}"
 
     # ------------------------------------------------------------------ stop
     def halt(self, reason: str, error: BaseException | None = None) -> None:

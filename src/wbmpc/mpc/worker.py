@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import gc
+import multiprocessing
+import os
+import threading
 from collections.abc import Callable
+from multiprocessing.connection import wait
 
 import numpy as np
 
@@ -86,6 +90,8 @@ class Worker:
         self.board.sample("solve_time", self.mpc.solve_time)
         if not usable:
             self.board.count("failures")
+            if self.mpc.fault:
+                self.board.text = self.mpc.fault
             self._recover()
         return usable
 
@@ -102,6 +108,7 @@ class Worker:
         np.add(ws.grid, values["t"], out=slot["times"])
         slot["x"][...], slot["u"][...] = ws.x, ws.u
         slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
+        slot["lower"][...], slot["upper"][...] = self.mpc.limits.lower, self.mpc.limits.upper
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]
@@ -117,6 +124,29 @@ def report(board: Board, error: Exception) -> None:
     board["failed"] = 1.0
 
 
+#: How often [s] the MPC's process looks whether its parent is there.
+_LOOK = 0.25
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it has gone, however that ended, also by SIGKILL.
+
+    A thread waits for the pipe that the parent holds open, and looks at the parent's number as well, since a process that
+    the parent has forked may hold that pipe too. (Linux's parent-death signal comes when the parent's *thread* ends.)
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    number, pipe = parent.pid, parent.sentinel
+
+    def watch() -> None:
+        while os.getppid() == number and not wait([pipe], _LOOK):
+            pass
+        os._exit(1)  # nobody is there to be told
+
+    threading.Thread(target=watch, daemon=True, name="parent").start()
+
+
 def serve(
     make: Callable[[], MPC],
     observations: Mailbox,
@@ -126,7 +156,8 @@ def serve(
     offset: float,
     setup: Callable[[], None] | None,
 ) -> None:
-    """A worker in a process of its own, by the wall clock."""
+    """A worker in a process of its own, by the wall clock, as long as the process that started it is there."""
+    end_with_parent()
     clock = WallClock()
     try:
         if setup is not None:

@@ -21,6 +21,8 @@ from wbmpc.ocp.terms import Constraint
 
 #: Of the proximal multipliers of equality rows that cannot enter the Riccati recursion.
 EQUALITY_RHO = 1e4
+#: Where a row's gradient is looked at, to see how large it is.
+POINTS = 5
 
 
 class Kind(IntEnum):
@@ -257,22 +259,30 @@ def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
 
 
 def row_scales(r: ca.SX, z: ca.SX) -> np.ndarray:
-    """For every row the length of its gradient, where that is constant and far from 1 (a thousandth, a thousand); else 1.
+    """For every row the length of its gradient, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
 
-    Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute.
+    Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute. A gradient that is not constant
+    is looked at in a few points, and counts with its power of ten.
     """
     jacobian = ca.jacobian(r, z)
-    found, squares, constant = np.ones(r.shape[0]), np.zeros(r.shape[0]), np.ones(r.shape[0], bool)
-    for k, i in enumerate(jacobian.sparsity().row()):
-        entry = jacobian.nz[k]
-        if entry.is_constant():
-            squares[i] += float(entry) ** 2
-        else:
-            constant[i] = False
-    length = np.sqrt(squares)
-    far = constant & (length > 0.0) & np.isfinite(length) & ((length < 1e-3) | (length > 1e3))
-    found[far] = length[far]
-    return found
+    lengths = _gradient_lengths(jacobian)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        orders = np.log10(lengths)
+        tiny, huge = (orders < -3.0).all(axis=1), (orders > 3.0).all(axis=1)
+        middle = 10.0 ** np.round(orders.mean(axis=1))
+    constant = np.ptp(lengths, axis=1) == 0.0
+    found = np.where(constant, lengths[:, 0], middle)
+    return np.where((tiny | huge) & np.isfinite(found) & (found > 0.0), found, 1.0)
+
+
+def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
+    """Length of every row at POINTS fixed points, (rows, POINTS); NaN where it is not defined."""
+    symbols = ca.symvar(jacobian)
+    if not symbols:
+        return np.tile(np.linalg.norm(np.array(ca.DM(ca.densify(jacobian))), axis=1)[:, None], POINTS)
+    points = np.random.default_rng(0).normal(size=(len(symbols), POINTS))
+    square = ca.sum2(jacobian**2)
+    return np.sqrt(np.array(ca.Function("square", [ca.vertcat(*symbols)], [ca.densify(square)])(points)))
 
 
 def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
@@ -282,6 +292,30 @@ def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
         return False
     slopes = ca.jacobian(ca.vertcat(*hard), u)
     return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
+
+
+def bent_by_inputs(equality: ca.SX, place: Place, u: ca.SX) -> bool:
+    """Whether an equality, or a row with a multiplier, has second derivatives by the inputs."""
+    own = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is not Kind.HARD]
+    slopes = ca.jacobian(ca.vertcat(equality, *own), u)
+    return bool(ca.jacobian(ca.vec(slopes), u).nnz())
+
+
+def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+    """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
+    nx, z = x.shape[0], ca.vertcat(x, u)
+    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
+    for expression, row in zip(place.expressions, place.general, strict=True):
+        found = _selection(expression, z) if row.kind is Kind.HARD else None
+        hard += found or []
+    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
+    for index, slope, offset in hard:  # slope z + offset ≥ 0
+        i, bound = index - nx, -offset / slope
+        if i >= 0 and slope > 0.0:
+            lower[i] = max(lower[i], bound)
+        elif i >= 0:
+            upper[i] = min(upper[i], bound)
+    return lower, upper
 
 
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:

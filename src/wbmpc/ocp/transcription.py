@@ -17,10 +17,19 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ocp.norms import RelaxedBarrier
+from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.ocp.rows import BoxRow, Place, curved_in_inputs, depends, equality_rows, inequality_rows
+from wbmpc.ocp.rows import (
+    BoxRow,
+    Place,
+    bent_by_inputs,
+    curved_in_inputs,
+    depends,
+    equality_rows,
+    inequality_rows,
+    input_bounds,
+)
 from wbmpc.ocp.schedule import ModeSchedule
 from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
@@ -78,6 +87,8 @@ class Transcription:
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
         #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
         self.curved = curved_in_inputs(self.path, self.x, self.u)
+        #: whether equalities, or rows with multipliers, have second derivatives by the inputs
+        self.bent = not exact and bent_by_inputs(self.equality, self.path, self.u)
 
     # ------------------------------------------------------------------ parameters
     def default_weights(self) -> np.ndarray:
@@ -149,6 +160,10 @@ class Transcription:
     def terminal_boxes(self) -> list[BoxRow]:
         """Relaxed barriers on single states at the end."""
         return self.end.barriers
+
+    def input_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(lower, upper) (nu): bounds of single inputs by hard constraints of all modes; infinite where there is none."""
+        return input_bounds(self.path, self.x, self.u)
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""
@@ -287,7 +302,7 @@ class Transcription:
         """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
         ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
-        Without ``exact`` the first is h κᵀ rows by the inputs alone, where rows are curved in them.
+        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are curved in them.
         """
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
         nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
@@ -295,7 +310,7 @@ class Transcription:
         if not self.exact:
             nothing = [ca.SX(1, 1)]
             return {
-                "lagrangian": make("lagrangian", [*args, nu, kappa], self._curvature(kappa) or nothing),
+                "lagrangian": make("lagrangian", [*args, nu, kappa], self._curvature(nu, kappa) or nothing),
                 "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], nothing),
                 "end_lagrangian": make("end_lagrangian", [*at_end, last], nothing),
             }
@@ -311,9 +326,21 @@ class Transcription:
             "end_lagrangian": make("end_lagrangian", [*at_end, last], [end_more]),
         }
 
-    def _curvature(self, kappa: ca.SX) -> list[ca.SX]:
-        """[Hessian of h κᵀ rows by the inputs, upper triangle in the size of z]; empty where no row is curved."""
-        if not self.curved:
+    def bent_terms(self) -> set[str]:
+        """Names of the equalities, and of constraints with multipliers, that have second derivatives by the inputs."""
+        own = [t for t in self.ocp.terms.values() if isinstance(t, Constraint) and not t.hard]
+        own = [t for t in own if t.equality or isinstance(t.penalty, AugmentedLagrangian)]
+        return {t.name for t in own if bent_by_inputs(self.residual(t), Place(), self.u)}
+
+    @property
+    def second(self) -> bool:
+        """Whether there are second derivatives at all."""
+        return self.exact or self.curved or self.bent
+
+    def _curvature(self, nu: ca.SX, kappa: ca.SX) -> list[ca.SX]:
+        """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where none is curved."""
+        if not self.second:
             return []
-        second = ca.triu(ca.hessian(self.h * ca.dot(kappa, self.path.expression()), self.u)[0])
+        rows = self.h * ca.dot(kappa, self.path.expression()) + ca.dot(nu, self.equality)
+        second = ca.triu(ca.hessian(rows, self.u)[0])
         return [ca.diagcat(ca.SX(self.nx, self.nx), second)]

@@ -15,16 +15,29 @@ from wbmpc.recording.reader import Recording, Table
 _TEXTS = ("/robot_description",)
 
 
-def export(recording: Recording, form: str, directory: Path, topics: Sequence[str] = ()) -> list[Path]:
-    """Write ``topics`` (all when left out) as ``form``: csv or parquet, a file each; npz, one archive. Returns the files."""
+def export(
+    recording: Recording,
+    form: str,
+    directory: Path,
+    topics: Sequence[str] = (),
+    check: Callable[[list[Path]], None] = lambda paths: None,
+) -> list[Path]:
+    """Write ``topics`` (all when left out) as ``form``: csv or parquet, a file each; npz, one archive. Returns the files.
+
+    ``check`` is told the files before any is written, and may refuse.
+    """
     if form not in FORMS:
         raise unknown_name("format", form, FORMS)
     if form == "parquet":
         _parquet_module()  # before anything is written
-    names = list(topics) or [n for n in recording.topics if n not in _TEXTS]
+    names = list(dict.fromkeys(topics)) or [n for n in recording.topics if n not in _TEXTS]
+    stems = [recording.path.stem] if form == "npz" else [file_name(name) for name in names]
+    paths = [directory / f"{stem}.{form}" for stem in stems]
     tables = {name: recording.table(name) for name in names}
+    check(paths)
     directory.mkdir(parents=True, exist_ok=True)
-    return FORMS[form](tables, directory, recording.path.stem)
+    FORMS[form](tables, paths)
+    return paths
 
 
 def file_name(topic: str) -> str:
@@ -32,28 +45,22 @@ def file_name(topic: str) -> str:
     return topic.strip("/").replace("/", "_")
 
 
-def _csv(tables: dict[str, Table], directory: Path, stem: str) -> list[Path]:
-    paths = []
-    for name, table in tables.items():
-        path = directory / f"{file_name(name)}.csv"
+def _csv(tables: dict[str, Table], paths: list[Path]) -> None:
+    for path, table in zip(paths, tables.values(), strict=True):
         with path.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["time", *table.columns])
             # tolist() gives Python's numbers, whose text has all their digits
             writer.writerows(zip(table.times.tolist(), *(c.tolist() for c in table.columns.values()), strict=True))
-        paths.append(path)
-    return paths
 
 
-def _npz(tables: dict[str, Table], directory: Path, stem: str) -> list[Path]:
+def _npz(tables: dict[str, Table], paths: list[Path]) -> None:
     """Arrays TOPIC/COLUMN and TOPIC/time, as ``hand_pose/pose.position.x``."""
     arrays: dict[str, np.ndarray] = {}
     for name, table in tables.items():
         arrays[f"{file_name(name)}/time"] = table.times
         arrays |= {f"{file_name(name)}/{column}": values for column, values in table.columns.items()}
-    path = directory / f"{stem}.npz"
-    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
-    return [path]
+    np.savez_compressed(paths[0], **arrays)  # type: ignore[arg-type]
 
 
 def _parquet_module() -> tuple[object, object]:
@@ -67,20 +74,12 @@ def _parquet_module() -> tuple[object, object]:
     return pyarrow, pyarrow.parquet
 
 
-def _parquet(tables: dict[str, Table], directory: Path, stem: str) -> list[Path]:
+def _parquet(tables: dict[str, Table], paths: list[Path]) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    paths = []
-    for name, table in tables.items():
-        path = directory / f"{file_name(name)}.parquet"
+    for path, table in zip(paths, tables.values(), strict=True):
         pyarrow.parquet.write_table(pyarrow.table({"time": table.times, **table.columns}), path)
-        paths.append(path)
-    return paths
 
 
-FORMS: dict[str, Callable[[dict[str, Table], Path, str], list[Path]]] = {
-    "csv": _csv,
-    "npz": _npz,
-    "parquet": _parquet,
-}
+FORMS: dict[str, Callable[[dict[str, Table], list[Path]], None]] = {"csv": _csv, "npz": _npz, "parquet": _parquet}

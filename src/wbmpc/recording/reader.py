@@ -51,12 +51,15 @@ class Table:
 
 @dataclass
 class Recording:
-    """A whole file. ``complete``: whether the run closed it; else it was killed and the last moments are missing."""
+    """A whole file. ``complete``: whether the run closed it; else it was killed and the last moments are missing.
+
+    ``attachments``: for each name the time [s] from which it holds, and its bytes.
+    """
 
     path: Path
     topics: dict[str, Topic]
     metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
+    attachments: dict[str, tuple[float, bytes]]
     complete: bool
 
     def __getitem__(self, topic: str) -> Topic:
@@ -79,7 +82,13 @@ class Recording:
         """A JSON file inside the recording."""
         if name not in self.attachments:
             raise InputError(f"{self.path}: holds no '{name}': it was not written by wbmpc")
-        return json.loads(self.attachments[name])
+        return json.loads(self.attachments[name][1])
+
+    @property
+    def scenes(self) -> list[tuple[float, Any]]:
+        """From when on [s] the world looked how; empty if the file was written by another program."""
+        found = [(t, self.attachment(name)) for name, (t, _) in self.attachments.items() if name.startswith("scene")]
+        return sorted(found, key=lambda pair: pair[0])
 
     def table(self, topic: str) -> Table:
         """The numbers and texts of a topic; a list of messages gives columns for each."""
@@ -166,6 +175,6 @@ def _take(out: Recording, record: McapRecord, schemas: dict[int, Schema], channe
     elif isinstance(record, Metadata):
         out.metadata[record.name] = record.metadata
     elif isinstance(record, Attachment):
-        out.attachments[record.name] = record.data
+        out.attachments[record.name] = (record.log_time / 1e9, record.data)
     elif isinstance(record, Footer):
         out.complete = True

@@ -16,6 +16,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
+from wbmpc.plant.scene import Scene
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
@@ -44,6 +45,7 @@ class Recorder:
         self.file: McapFile | None = None
         self._start = self._last = 0.0
         self._templates: dict[Any, Template] = {}
+        self._scene: Scene | None = None
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
@@ -59,16 +61,28 @@ class Recorder:
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
         if self.file is not None:
-            self._start = self._last + PAUSE
+            self._start = self._last = self._last + PAUSE
+            self._begin_loop(scene)
             return
         self.file = McapFile(self.path)
         for name, table in self.about.items():
             self.file.metadata(name, table)
-        self.file.attach("scene.json", self._observer.scene.plain())
+        self._scene, self._scenes = None, 0
+        self._begin_loop(scene)
         self._put("/robot_description", "std_msgs/String", {"data": to_urdf(running.plant.description)}, latched=True)
         if running.mpc is not None:
             self._put("/mpc/period", "std_msgs/Float64", [running.mpc.period], latched=True)
         self._static_links()
+
+    def _begin_loop(self, scene: Scene) -> None:
+        """A world that looks otherwise than that of the loop before is attached anew, with the time from which it is there."""
+        assert self.file is not None
+        if scene != self._scene:
+            self._scene, self._scenes = scene, self._scenes + 1
+            name = "scene.json" if self._scenes == 1 else f"scene-{self._scenes}.json"
+            self.file.attach(name, scene.plain(), self._start)
+        if self.running.name:
+            self._put("/mode", "std_msgs/String", {"data": f"begins: {self.running.name}"}, latched=True)
 
     def tick(self, t: float, command: Any, plans: Plans) -> None:
         """Write what is due at time t [s]."""

@@ -70,9 +70,9 @@ class McapFile:
         self._writer.add_metadata(name, {k: str(v) for k, v in values.items()})
         self._file.flush()
 
-    def attach(self, name: str, value: Any) -> None:
-        """A JSON file inside the file."""
-        self._writer.add_attachment(0, 0, name, "application/json", json.dumps(value).encode())
+    def attach(self, name: str, value: Any, t: float = 0.0) -> None:
+        """A JSON file inside the file, as it is from time ``t`` [s] on."""
+        self._writer.add_attachment(0, nanoseconds(t), name, "application/json", json.dumps(value).encode())
         self._file.flush()
 
     def close(self) -> None:

@@ -52,6 +52,7 @@ class BallBaseDescription(_Model):
 
     ``contact``: what the world does to the robot as an input: a force, or a wrench (force and moment), at each frame of
     ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
+    ``payload``: whether a mass at the tool [kg] is a parameter (``payload``).
     """
 
     type: Literal["ball"]
@@ -61,6 +62,7 @@ class BallBaseDescription(_Model):
     wheels: OmniWheelsDescription
     contact: Literal["none", "force", "wrench"] = "none"
     contact_frame: tuple[str, ...] = ()
+    payload: bool = False
 
     @field_validator("contact_frame", mode="before")
     @classmethod

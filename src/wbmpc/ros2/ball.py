@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, RezeroAgent
-from wbmpc.errors import NotFinite
 from wbmpc.estimation import BallNoise, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import resting
@@ -72,10 +71,7 @@ class BusBallAgent(RezeroAgent):
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
         if self.observer is not None:
-            past = self._torques[-1 - self._late()]
-            self.disturbance = self.observer.update(message.now, state, past, interval or self.period)
-            if not np.isfinite(self.disturbance).all():
-                raise NotFinite("the estimated disturbance is not finite")
+            self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
 
     def parameters(self) -> dict[str, Array]:
@@ -84,7 +80,7 @@ class BusBallAgent(RezeroAgent):
         if moment.any():
             assert self.measured is not None
             disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
-        return {"disturbance": disturbance, "force": force}
+        return {**super().parameters(), "disturbance": disturbance, "force": force}
 
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques of the policy, or of the hold that it has become."""

@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.rows import Kind
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, compiled
-from wbmpc.solver.exact import clear_second, stage_with
+from wbmpc.solver.exact import clear_second, costate_node, stage_with
 from wbmpc.solver.lanes import load_block, stage_lanes, take_rows_of_lane, unpack
 from wbmpc.solver.places import (
     AB,
+    BENT,
     BEST,
     CHAINED,
-    COUNTS_FIRST,
-    GIVEN_WAY,
+    EPS,
     GRID,
     HOLD,
     LAGRANGIAN,
@@ -32,9 +31,8 @@ from wbmpc.solver.places import (
     LANE_X,
     LANES_ROWS_J,
     LZ,
-    MISSED,
-    MOST_AT,
     MU,
+    NG,
     NP,
     NU,
     NU_ROWS,
@@ -61,22 +59,16 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import collect_values, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.row_table import bounds_inputs, entry, node_rows, row_penalty, tell_outside
+from wbmpc.solver.rows import collect_values
 from wbmpc.solver.stages import row_index
 
-HARD = int(Kind.HARD)
 #: Corrections of a node's inputs at most. A circle takes five from three times its radius, rows at acute angles many.
 CORRECTIONS = 30
 #: Where corrections aim [units of the rows], so that they end inside.
 INSIDE = 1e-6
 #: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
 LEAST_SHARE = 0.1
-
-
-@compiled(BOOL, NUMS, INTS, INT)
-def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
-    """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
-    return kind_of(m, o, r) == HARD and m[entry(o, COUNTS_FIRST, r)] > 0.0
 
 
 @compiled(BOOL, NUMS, INTS, INT)
@@ -118,22 +110,103 @@ def semidefinite(m, o):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def add_curvature(m, o, k, matrix):  # type: ignore[no-untyped-def]
-    """−w l ∇²h by the inputs of node k's hard rows onto its Hessian, where that is positive semidefinite."""
+@compiled(NONE, NUMS, INTS, INT)
+def hard_multipliers(m, o, k):  # type: ignore[no-untyped-def]
+    """−l of node k's general hard rows of the inputs to ``signed``, 0 for the others and for equalities."""
     _, boxes, general = node_rows(o, k)
-    nx, nu, lz = o[NX], o[NU], o[LZ]
     for j in range(general):
         hard = bounds_inputs(m, o, boxes + j)
         m[o[SIGNED] + j] = -m[o[ROW_L] + k * o[ROWS] + boxes + j] if hard else 0.0
     m[o[SMALL] + 2] = m[o[GRID] + k + 1] - m[o[GRID] + k]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+    """Second derivatives by the inputs of node k's rows, times their multipliers, onto its Hessian, where the subproblem stays
+    convex. ``rows``: where its equality rows are."""
+    nx, nu, lz = o[NX], o[NU], o[LZ]
+    if o[BENT] > 0:
+        costate_node(m, o, k, rows)
+    else:
+        hard_multipliers(m, o, k)
     clear_second(m, o)
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
-    if semidefinite(m, o):
+    share, along = 1.0, 0.0
+    if not semidefinite(m, o):
+        along = steepness(m, o, rows) if o[BENT] > 0 else 0.0
+        share = largest_share(m, o, matrix, rows, along)
+    if share == 0.0:
+        return
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, nx + 1 + nu):
+            m[matrix + i * lz + j] += share * m[o[SECOND] + i * lz + j]
+    if along > 0.0:
+        add_along(m, o, matrix, rows, along)
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def steepness(m, o, rows):  # type: ignore[no-untyped-def]
+    """c for c Eᵀ E of the equality rows E: ten times the size of ``second`` across the least of the rows."""
+    nx, nu, lz, size, least = o[NX], o[NU], o[LZ], 0.0, np.inf
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, i + 1):
+            size += m[o[SECOND] + i * lz + j] ** 2
+    for q in range(o[NG]):
+        square = 0.0
         for i in range(nx + 1, nx + 1 + nu):
-            for j in range(nx + 1, nx + 1 + nu):
-                m[matrix + i * lz + j] += m[o[SECOND] + i * lz + j]
+            square += m[rows + q * lz + i] ** 2
+        if square > 1e-12 and m[o[EPS] + q] <= 1e-13:
+            least = min(least, square)
+    return 10.0 * np.sqrt(size) / least
+
+
+@compiled(NUM, NUMS, INTS, INT, INT, NUM)
+def largest_share(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """Largest share of ``second`` with which the node's Hessian by the inputs stays positive definite where equalities let them
+    move: with ``along`` Eᵀ E, which does not change the step, since E is zero along it."""
+    share = 1.0 if along > 0.0 else 0.0
+    while share > 0.01:
+        if definite(m, o, matrix, rows, share, along):
+            return share
+        share *= 0.5
+    return 0.0
+
+
+@compiled(BOOL, NUMS, INTS, INT, INT, NUM, NUM)
+def definite(m, o, matrix, rows, share, along):  # type: ignore[no-untyped-def]
+    """Whether the inputs' block of the Hessian + share second + along Eᵀ E is safely positive definite."""
+    nu, lz, first, chained = o[NU], o[LZ], o[NX] + 1, o[CHAINED]
+    for a in range(nu):
+        for b in range(a + 1):
+            i = (first + a) * lz + first + b
+            total = m[matrix + i] + share * m[o[SECOND] + i]
+            for q in range(o[NG]):
+                if m[o[EPS] + q] <= 1e-13:
+                    total += along * m[rows + q * lz + first + a] * m[rows + q * lz + first + b]
+            least = 0.1 * m[matrix + i] if a == b else 0.0
+            for c in range(b):
+                total -= m[chained + a * lz + c] * m[chained + b * lz + c]
+            if a == b:
+                if not total > least:
+                    return False
+                total = np.sqrt(total)
+            else:
+                total /= m[chained + b * lz + b]
+            m[chained + a * lz + b] = total
+    return True
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, NUM)
+def add_along(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """along [C e D]ᵀ [C e D] of the exact equality rows onto the matrix of the extended node vector."""
+    nz, lz = o[NX] + 1 + o[NU], o[LZ]
+    for q in range(o[NG]):
+        if m[o[EPS] + q] <= 1e-13:
+            row = rows + q * lz
+            for i in range(nz):
+                for j in range(nz):
+                    m[matrix + i * lz + j] += along * m[row + i] * m[row + j]
 
 
 # ---------------------------------------------------------------------- inputs within the true rows
@@ -192,18 +265,6 @@ def correct(m, o, k, share):  # type: ignore[no-untyped-def]
 
 
 @compiled(NONE, NUMS, INTS, INT)
-def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
-    """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
-    _, boxes, general = node_rows(o, k)
-    for j in range(boxes + general):
-        if bounds_inputs(m, o, j):
-            place, by = o[STATE] + (GIVEN_WAY if row_penalty(m, o, j) < np.inf else MISSED), -m[o[ROW_TRIAL] + j]
-            if by > max(m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY]):
-                m[o[STATE] + MOST_AT] = k * o[ROWS] + j
-            m[place] = max(m[place], by)
-
-
-@compiled(NONE, NUMS, INTS, INT)
 def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
     """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
     nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[BEST], np.inf, 1.0
@@ -254,9 +315,3 @@ def follow(m, o, k, alpha):  # type: ignore[no-untyped-def]
         for i in range(nu):
             total += m[row + nx + 1 + i] * (m[u + i] - m[last + i])
         m[x + nx + r] = total
-
-
-@compiled(NONE, NUMS, INTS)
-def forget_outside(m, o):  # type: ignore[no-untyped-def]
-    """Nothing is known to be outside."""
-    m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY] = 0.0, 0.0

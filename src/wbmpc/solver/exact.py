@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.rows import Kind
 from wbmpc.solver.compilation import INT, INTS, NONE, NUM, NUMS, call2, compiled
 from wbmpc.solver.places import (
     AB,
@@ -51,10 +50,8 @@ from wbmpc.solver.places import (
     W,
     X,
 )  # fmt: skip
-from wbmpc.solver.rows import counts, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.row_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
 from wbmpc.solver.stages import row_index
-
-HARD, MULTIPLIER = int(Kind.HARD), int(Kind.MULTIPLIER)
 
 
 @compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)
@@ -167,21 +164,48 @@ def add_chained(m, o, matrix, c):  # type: ignore[no-untyped-def]
                         m[matrix + i * lz + j] += factor * m[t + q * lz + j]
 
 
+@compiled(NONE, NUMS, INTS)
+def costate_end(m, o):  # type: ignore[no-untyped-def]
+    """The costate at the end of the horizon."""
+    n, one = o[N], o[SMALL] + 2
+    for i in range(o[NX]):
+        m[o[ADJOINT] + i] = m[o[G] + n * o[LZ] + i]
+    m[one] = 1.0
+    add_row_gradient(m, o, n, o[END_J], o[ADJOINT], one)
+
+
+@compiled(NONE, NUMS, INTS, INT, INT)
+def costate_node(m, o, k, rows):  # type: ignore[no-untyped-def]
+    """Multipliers of node k's equality rows, which are at ``rows``, to ``multiplier``, those of its other rows to ``signed``; the
+    costate moves from node k + 1 to node k."""
+    nx, nu, lz = o[NX], o[NU], o[LZ]
+    gradient, ab, costate = o[CHAINED], o[AB] + k * (nx + 1) * lz, o[ADJOINT]
+    m[o[SMALL] + 2] = m[o[GRID] + k + 1] - m[o[GRID] + k]
+    for i in range(lz):
+        m[gradient + i] = m[o[G] + k * lz + i]
+    for r in range(nx):
+        for i in range(nx + 1 + nu):
+            m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
+    add_row_gradient(m, o, k, o[ROW_J] + k * node_general(o, k) * lz, gradient, o[SMALL] + 2)
+    least_squares_multipliers(m, o, rows)
+    for i in range(nx):
+        total = m[gradient + i]
+        for q in range(o[NG]):
+            total += m[rows + q * lz + i] * m[o[NU_ROWS] + q]
+        m[costate + i] = total
+
+
 @compiled(NONE, NUMS, INTS, INT)
 def exact_end(m, o, end):  # type: ignore[no-untyped-def]
     """Second derivatives of the end of the horizon, and its costate."""
-    n, nx, lx, base = o[N], o[NX], o[LX], o[BASE]
-    gradient, one = o[G] + n * o[LZ], o[SMALL] + 2
-    for i in range(nx):
-        m[o[ADJOINT] + i] = m[gradient + i]
-    m[one] = 1.0
-    add_row_gradient(m, o, n, o[END_J], o[ADJOINT], one)
+    n, nx, base = o[N], o[NX], o[BASE]
+    costate_end(m, o)
     x, p = o[X] + n * nx, o[P] + n * o[NP]
     o[ARG], o[ARG + 1], o[ARG + 2], o[ARG + 3] = base + 8 * x, base + 8 * p, base + 8 * o[W], base + 8 * o[SIGNED]
     o[RES] = base + 8 * o[SECOND]
     clear_second(m, o)
     call2(o[END_LAGRANGIAN], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
-    add_second(m, o, end, lx)
+    add_second(m, o, end, o[LX])
 
 
 @compiled(NONE, NUMS, INTS)
@@ -213,19 +237,7 @@ def exact_node(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
     clear_second(m, o)
     stage_with(o, DYNAMICS_H, x, u, p, before, before, o[SECOND])
     add_second(m, o, matrix, lz)
-    gradient, ab = o[CHAINED], o[AB] + k * (nx + 1) * lz
-    for i in range(lz):
-        m[gradient + i] = m[o[G] + k * lz + i]
-    for r in range(nx):
-        for i in range(nx + 1 + nu):
-            m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
-    add_row_gradient(m, o, k, o[ROW_J] + k * node_general(o, k) * lz, gradient, o[SMALL] + 2)
-    least_squares_multipliers(m, o, rows)
-    for i in range(nx):
-        total = m[gradient + i]
-        for q in range(o[NG]):
-            total += m[rows + q * lz + i] * m[o[NU_ROWS] + q]
-        m[costate + i] = total
+    costate_node(m, o, k, rows)
     clear_second(m, o)
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
     add_second(m, o, matrix, lz)

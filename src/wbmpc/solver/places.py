@@ -10,7 +10,7 @@ from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
 (ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY, CURVED) = range(20, len(_w.DIMENSIONS))
+(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
@@ -41,11 +41,39 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts; last whether trial
 #: points are held within the true rows of the inputs, by how much they are outside all the same (rows of inputs alone, rows
 #: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
-#: last step length and the longest one to try (0: not known, 1), which outlives a solve.
+#: last step length and the longest one to try (0: not known, 1), which outlives a solve; whether rows of the inputs are watched at
+#: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
+WATCHED, UNEQUAL, UNEQUAL_ROW = range(20, 23)
 #: By how much planned inputs may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
+
+#: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.
+SETTINGS = (
+    "iterations",
+    "tolerance",
+    "feasibility",
+    "smallest_step",
+    "certify",
+    "force_step",
+    "single_shooting",
+    "use_filter",
+    "mu_start",
+    "mu_end",
+    "keep_multipliers",
+    "least_slack",
+    "tau",
+    "extra_when_cut",
+    "largest_shift",
+    "keep_slacks",
+    "mu_floor",
+    "equality_bound",
+)
+(
+    ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR, EQUALITY_BOUND,
+) = range(len(SETTINGS))  # fmt: skip
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
 DYNAMICS, END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("dynamics", "terminal", "end_rows", "jump"))

@@ -9,7 +9,8 @@ import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
 from wbmpc.solver.compilation import INT, INT2, INTS, NONE, NUM, NUMS, compiled
-from wbmpc.solver.driver import solve, take
+from wbmpc.solver.driver import solve
+from wbmpc.solver.line_search import take
 from wbmpc.solver.places import (
     ALIGN,
     GRID,

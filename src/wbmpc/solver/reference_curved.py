@@ -10,7 +10,7 @@ import numpy as np
 from wbmpc.ocp import Transcription
 
 if TYPE_CHECKING:
-    from wbmpc.solver.reference_solver import RowState
+    from wbmpc.solver.reference_rows import RowState
 
 CORRECTIONS, INSIDE, LEAST_SHARE = 30, 1e-6, 0.1
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wbmpc.solver.barriers import (
     BARRIER,
     INTERVAL,
@@ -11,9 +13,9 @@ from wbmpc.solver.barriers import (
     barrier_lanes,
     barrier_value,
 )
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
 from wbmpc.solver.curved import add_curvature
-from wbmpc.solver.exact import exact_end, exact_node
+from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.lanes import (
     linearise_dynamics,
     load_block,
@@ -25,6 +27,7 @@ from wbmpc.solver.lanes import (
 from wbmpc.solver.places import (
     AB,
     BASE,
+    BENT,
     CURVED,
     DU,
     DX,
@@ -42,6 +45,7 @@ from wbmpc.solver.places import (
     LANE_VALUES,
     LANE_X,
     LANES_COST_Q,
+    LANES_EQUALITY,
     LANES_EQUALITY_J,
     LANES_ROWS_J,
     LG,
@@ -62,6 +66,8 @@ from wbmpc.solver.places import (
     SMALL,
     STATE,
     TERMINAL,
+    UNEQUAL,
+    UNEQUAL_ROW,
     UNPACK_EQUALITIES,
     UNPACK_MATRIX,
     UNPACK_ROWS,
@@ -78,6 +84,9 @@ from wbmpc.solver.places import (
 from wbmpc.solver.rows import add_rows_product, linearise_rows
 from wbmpc.solver.stages import stage_end
 
+#: Compliance of equality rows up to which they count as exact, and the least slope by the inputs to divide by.
+NEARLY_EXACT, LEAST_SLOPE = 1e-5, 1e-3
+
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT)
 def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
@@ -88,7 +97,9 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
     linearise_dynamics(m, o, first, count)
-    if o[ROW_GENERAL] + o[EXACT] > 0:  # rows and second derivatives add where the cost's functions write nothing
+    if (
+        o[ROW_GENERAL] + o[EXACT] + o[BENT] > 0
+    ):  # rows and second derivatives add where the cost's functions write nothing
         for i in range(count * size):
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
@@ -140,8 +151,8 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
-    elif o[CURVED] > 0:
-        add_curvature(m, o, k, matrix)
+    elif o[CURVED] + o[BENT] > 0:
+        add_curvature(m, o, k, matrix, rows)
     m[o[STATE] + ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
@@ -163,6 +174,8 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
     m[o[STATE] + ROW_COST] = row_cost
     if o[EXACT] > 0:
         exact_end(m, o, end)
+    elif o[BENT] > 0:
+        costate_end(m, o)
     for i in range(nx):
         m[end + i * lx + i] += m[o[STATE] + SHIFT]
     for i in range((nx + 1) * lx):
@@ -208,6 +221,26 @@ def backward(m, o, keep):  # type: ignore[no-untyped-def]
             )
             symmetrise(m, o)
     return cost, gaps, violations, rows
+
+
+@compiled(NUM, NUMS, INTS)
+def first_equalities(m, o):  # type: ignore[no-untyped-def]
+    """The worst equality of the plan's first input, as a share of what its row [C e D] makes of inputs: |g| / (|D| + Σ |D_i u_i|).
+
+    Rows with a compliance to speak of are wishes. The buffer still has the first node's rows: they were eliminated last.
+    """
+    nu, lz, values, state = o[NU], o[LZ], o[LANE_VALUES], o[STATE]
+    load_block(m, o, 0, min(LANES, o[N]), o[X], o[U])
+    stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)
+    for q in range(o[NG]):
+        row, square, size = o[E] + q * lz + o[NX] + 1, 0.0, 0.0
+        for i in range(nu):
+            square += m[row + i] ** 2
+            size += abs(m[row + i] * m[o[U] + i])
+        by = abs(m[values + LANES * q]) / (max(np.sqrt(square), LEAST_SLOPE) + size)
+        if m[o[EPS] + q] <= NEARLY_EXACT and by > m[state + UNEQUAL]:
+            m[state + UNEQUAL], m[state + UNEQUAL_ROW] = by, q
+    return m[state + UNEQUAL]
 
 
 @compiled(NUM2, NUMS, INTS, NUMS)

@@ -17,15 +17,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.rows import Kind
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import (
     BOOL,
     INT,
-    INT3,
     INTS,
     LANES,
-    MASK,
     NONE,
     NUM,
     NUM2,
@@ -39,13 +36,10 @@ from wbmpc.solver.lanes import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.places import (
     ADD_ROWS,
     BASE,
-    COUNTS,
-    COUNTS_FIRST,
     DU,
     DUAL,
     DX,
     END_J,
-    END_ROW_BOXES,
     END_ROW_GENERAL,
     END_ROW_VALUES,
     END_ROWS_J,
@@ -60,19 +54,15 @@ from wbmpc.solver.places import (
     NU,
     NX,
     OFFSET,
-    PENALTY,
     PRIMAL,
     PRODUCT,
     PULLED,
     RESIDUAL,
-    RHO,
-    ROW_BOXES,
     ROW_C,
     ROW_D,
     ROW_DS,
     ROW_DT,
     ROW_E,
-    ROW_END,
     ROW_GENERAL,
     ROW_H,
     ROW_J,
@@ -82,68 +72,30 @@ from wbmpc.solver.places import (
     ROW_SCALED,
     ROW_SLOPE,
     ROW_T,
-    ROW_TABLE,
-    ROW_TOTAL,
     ROW_TRIAL,
     ROW_Y,
     ROWS,
     SIGN,
     SMALL,
     STATE,
+    WATCHED,
     N,
     P,
     U,
     X,
 )  # fmt: skip
+from wbmpc.solver.row_table import (
+    EQUAL,
+    HARD,
+    MULTIPLIER,
+    counts,
+    eight_rows,
+    entry,
+    kind_of,
+    look_outside,
+    node_rows,
+)
 from wbmpc.solver.stages import row_index, stage_end
-
-HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
-
-
-# ---------------------------------------------------------------------- tables
-@compiled(INT3, INTS, INT)
-def node_rows(o, k):  # type: ignore[no-untyped-def]
-    """(first row in the row table, rows of one variable, general rows) of node k."""
-    if k < o[N]:
-        return 0, o[ROW_BOXES], o[ROW_GENERAL]
-    return o[ROW_END], o[END_ROW_BOXES], o[END_ROW_GENERAL]
-
-
-@compiled(INT, INTS, INT, INT)
-def entry(o, column, r):  # type: ignore[no-untyped-def]
-    """Place of row r in a column of the row table."""
-    return o[ROW_TABLE] + column * o[ROW_TOTAL] + r
-
-
-@compiled(BOOL, NUMS, INTS, INT, INT)
-def counts(m, o, r, k):  # type: ignore[no-untyped-def]
-    """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
-    return m[entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)] > 0.0
-
-
-@compiled(INT, NUMS, INTS, INT)
-def kind_of(m, o, r):  # type: ignore[no-untyped-def]
-    """HARD, MULTIPLIER or EQUAL."""
-    return int(m[entry(o, KIND, r)])
-
-
-@compiled(NUM, NUMS, INTS, INT)
-def row_penalty(m, o, r):  # type: ignore[no-untyped-def]
-    """Weight of a hard row's L1 slack, or ρ of a multiplier row (which grows while its residual does not shrink)."""
-    penalty = m[entry(o, PENALTY, r)]
-    return penalty if kind_of(m, o, r) == HARD else penalty * m[o[STATE] + RHO]
-
-
-@compiled((VEC, VEC, MASK), NUMS, INTS, INT, INT)
-def eight_rows(m, o, r, k):  # type: ignore[no-untyped-def]
-    """(kinds, penalties, whether they count at node k) of the rows from r on."""
-    kind, penalty = (
-        m[entry(o, KIND, r) : entry(o, KIND, r) + LANES],
-        m[entry(o, PENALTY, r) : entry(o, PENALTY, r) + LANES],
-    )
-    column = entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
-    penalty = np.where(kind == HARD, penalty, penalty * m[o[STATE] + RHO])
-    return kind, penalty, m[column : column + LANES] > 0.0
 
 
 # ---------------------------------------------------------------------- eight rows
@@ -249,6 +201,8 @@ def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
         return 0.0, 0.0
     place, mu, values = k * o[ROWS], m[o[STATE] + MU], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
+    if m[o[STATE] + WATCHED] > 0.0:
+        look_outside(m, o, k)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
         q, at = place + j, values + j

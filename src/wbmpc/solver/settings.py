@@ -85,6 +85,8 @@ class SQP:
     ``force_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``largest_shift``: of the Hessian's diagonal
     (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
     derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only);
+    ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row
+    makes of inputs, |D| + Σ |D_i u_i|; those that contradict each other do so at every solve;
     ``backend``: machine code, or the interpreted twin.
     """
 
@@ -97,6 +99,7 @@ class SQP:
     line_search: Literal["merit", "filter"] = "merit"
     largest_shift: float = 1e6
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
+    equality_bound: float = 0.05
     interior_point: InteriorPoint = field(default_factory=InteriorPoint)
     backend: Literal["compiled", "interpreted"] = "compiled"
 
@@ -112,7 +115,7 @@ class SQP:
             raise unknown_name("line search", self.line_search, ("merit", "filter"))
         if self.hessian not in ("gauss_newton", "exact"):
             raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
-        for key in ("tolerance", "feasibility", "smallest_step"):
+        for key in ("tolerance", "feasibility", "smallest_step", "equality_bound"):
             if not getattr(self, key) > 0.0:
                 raise InputError(f"{name}: {key} must be positive, got {getattr(self, key)}")
         if not self.smallest_step <= 1.0:
@@ -136,17 +139,18 @@ class SQP:
     @property
     def most_iterations(self) -> int:
         """Rows that the iteration log needs."""
-        return self.iterations + max(int(self.interior_point.extra_when_cut), 0)
+        return self.iterations + max(int(self.interior_point.extra_when_cut), 0) + 1
 
     def numbers(self) -> np.ndarray:
-        """The settings in the order of :data:`wbmpc.solver.driver.SETTINGS`."""
-        from wbmpc.solver.driver import SETTINGS
+        """The settings in the order of :data:`wbmpc.solver.places.SETTINGS`."""
+        from wbmpc.solver.places import SETTINGS
 
         own = {
             "iterations": self.iterations, "tolerance": self.tolerance, "feasibility": self.feasibility,
             "smallest_step": self.smallest_step, "certify": self.certify, "force_step": self.force_step,
             "single_shooting": self.single_shooting, "use_filter": self.line_search == "filter",
-            "largest_shift": self.largest_shift, **self.interior_point.numbers(self.tolerance),
+            "largest_shift": self.largest_shift, "equality_bound": self.equality_bound,
+            **self.interior_point.numbers(self.tolerance),
         }  # fmt: skip
         return np.array([float(own[name]) for name in SETTINGS])
 

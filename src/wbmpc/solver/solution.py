@@ -23,6 +23,7 @@ class Status(Enum):
     NOT_FINITE = "failed: the cost, a constraint or the step is not finite"
     DIVERGED = "failed: the cost or the step grows without bound"
     LIMIT_MISSED = "failed: the planned inputs miss a hard limit"
+    EQUALITY_MISSED = "failed: the planned inputs miss an equality"
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Solution:
     @property
     def usable(self) -> bool:
         """Whether the trajectory is finite and was not refused."""
-        bad = (Status.NOT_FINITE, Status.DIVERGED, Status.LIMIT_MISSED)
+        bad = (Status.NOT_FINITE, Status.DIVERGED, Status.LIMIT_MISSED, Status.EQUALITY_MISSED)
         return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
 
     def __str__(self) -> str:

@@ -17,7 +17,17 @@ from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Tran
 from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
-from wbmpc.solver.places import COST, GIVEN_WAY, LIMIT_TOLERANCE, LONGEST, MISSED, MOST_AT, VIOLATION
+from wbmpc.solver.places import (
+    COST,
+    GIVEN_WAY,
+    LIMIT_TOLERANCE,
+    LONGEST,
+    MISSED,
+    MOST_AT,
+    UNEQUAL,
+    UNEQUAL_ROW,
+    VIOLATION,
+)
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.verdict import verdict
@@ -34,6 +44,7 @@ _STATUS = (
     Status.NOT_FINITE,
     Status.DIVERGED,
     Status.LIMIT_MISSED,
+    Status.EQUALITY_MISSED,
 )
 
 
@@ -298,13 +309,18 @@ class Solver:
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
-            detail=self.missed_limit(),
+            detail=self.missed(self.status(status)),
         )
 
-    def missed_limit(self) -> str:
-        """The hard row of the inputs that the last plan misses most, where plans are held within them (curved rows, roll-outs in
-        real time); empty where none is missed."""
+    def missed(self, status: Status) -> str:
+        """The equality of the first input, or the hard row of inputs, that the last plan misses most; empty where none is missed.
+
+        Equalities are looked at in real time, hard rows there and where inputs are held within them (curved rows).
+        """
         state = self.ws.state
+        if status is Status.EQUALITY_MISSED:
+            name = self.problem.equality_names()[int(state[UNEQUAL_ROW])]
+            return f"{name} by {100.0 * state[UNEQUAL]:.3g} % of the row's size, at the first input"
         if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
             return ""
         node, row = divmod(int(state[MOST_AT]), self.ws.rows_h.shape[1])

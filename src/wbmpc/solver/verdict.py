@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed.
 RELAXED = 1e-5
+#: An equality that is curved in the inputs and missed by less is on its way, not infeasible.
+NEARLY = 1e-2
 
 
 def verdict(solver: Solver, solution: Solution) -> Solution:
@@ -34,7 +36,7 @@ def verdict(solver: Solver, solution: Solution) -> Solution:
         solution = replace(
             solution, status=Status.INFEASIBLE
         )  # the iterate is finite, the step to the constraints is not
-    if solution.status is Status.LIMIT_MISSED:
+    if solution.status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
         return replace(solution, violations=violations)
     if solution.status is Status.CONVERGED:
         status, detail = _converged(solver, violations)
@@ -102,14 +104,28 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
     held_up = not missed and (problem.compliance > 0.0).any()  # by wishes: the merit has them among the violations
-    if not held_up and (solution.status is Status.NO_STEP or _stuck(unmet, feasibility)):
+    bent = _bent(solver, missed)
+    slow = bent != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
+    if not (held_up or slow) and (solution.status is Status.NO_STEP or _stuck(unmet, feasibility)):
         status = Status.INFEASIBLE
     if missed:
-        return status, f"largest violation: {missed}"
+        return status, f"largest violation: {missed}{bent}"
     if where.startswith("the start") and hasattr(ws, "x_trial"):
         there = certificate.largest_gap(problem, certificate.trial(ws), solver.x0)[1]
         where += f"; a step further: {there}" if not there.startswith("the start") else ""
     return status, where
+
+
+def _bent(solver: Solver, missed: Violation | None) -> str:
+    """What to do about an equality that is curved in the inputs, where that is what is missed; empty for others.
+
+    Steps on its linearisation are too long, which is no sign that it cannot be met.
+    """
+    terms = solver.problem.bent_terms()
+    if missed is None or missed.row.split(".")[0] not in terms:
+        return ""
+    hint = "more iterations or another guess" if solver.settings.hessian == "exact" else 'hessian="exact"'
+    return f", which is curved in the inputs: try {hint}"
 
 
 def _diverged(solver: Solver) -> str:

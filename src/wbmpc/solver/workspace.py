@@ -61,6 +61,7 @@ DIMENSIONS = (
     "exact",  # whether the Hessian is the exact one
     "policy",  # whether the gains belong to the present trajectory
     "curved",  # whether hard rows are curved in the inputs
+    "bent",  # whether equalities or rows with multipliers are
 )
 BLOCKS = (
     "grid",  # (N + 1,) s
@@ -277,8 +278,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
-        "second": (s.nz, s.lz) if problem.exact or problem.curved else (1,),
-        "chained": (s.nz, s.lz) if problem.exact or problem.curved else (1,),
+        "second": (s.nz, s.lz) if problem.second else (1,),
+        "chained": (s.nz, s.lz) if problem.second else (1,),
     }
     shapes |= _lane_shapes(s, shapes["p"][1])
     return shapes | {name: (n + 1, rows) for name in _ROWS}
@@ -334,7 +335,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
-        problem.curved,
+        problem.curved, problem.bent,
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import InputError, RunAborted
+from wbmpc.errors import EndedByUser
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.observer import Observer
@@ -33,7 +33,8 @@ _KEPT = 100_000
 class View(Window):
     """A :class:`~wbmpc.loop.Watcher` that shows a run at ``url`` and paces it to the clock.
 
-    ``reset``: whether the run can begin anew; ``wants_reset``: whether it ended for that; ``ended``: whether the user ended it.
+    ``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it; ``steered``: whether
+    its goals, weights, legs or forces were changed.
     ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
     """
 
@@ -43,11 +44,10 @@ class View(Window):
         host: str = "127.0.0.1",
         port: int = 8080,
         *,
-        reset: bool = False,
         opened: Callable[[str], None] = lambda url: None,
     ) -> None:
         super().__init__(title, host, port, opened)
-        self.reset, self.wants_reset, self.ended = reset, False, False
+        self.wants_reset = self.ended = self.steered = False
         self._orders = no_orders()
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
@@ -55,22 +55,26 @@ class View(Window):
 
     def open(self, running: Running) -> None:
         """Start the server's process for the world of a run; returns when it answers."""
-        scene = Observer(running).scene
+        self.scene = Observer(running).scene
         steering = Steering(running, np.zeros(3))
         names = tuple(cost.name for cost in steering.costs)
-        controls = Controls(self.title, names, steering.has_legs, "state" in running.mpc.reference, self.reset)
-        self.start(scene, controls, fields(scene))
+        base = running.mpc is not None and "state" in running.mpc.reference
+        self.start(self.scene, Controls(self.title, names, steering.has_legs, base), fields(self.scene))
+
+    def anew(self) -> None:
+        """What comes is another run."""
+        self.wants_reset = self.steered = False
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
-        """Show this run from now on. Raises :class:`InputError` if it has no MPC: there would be nothing to steer."""
-        if running.mpc is None:
-            raise InputError("view: this run has no MPC; watch its recording: wbmpc replay")
-        self.running, self.wants_reset = running, False
+        """Show this loop from now on; of one without MPC there are no goals and weights."""
+        self.running, self._observer = running, Observer(running)
+        self.say("")
+        if self.process is not None and self._observer.scene != self.scene:
+            self.close()  # another world: browsers find the new server at the same place
+            self._orders = no_orders()
         if self.process is None:
             self.open(running)
-        self.say("")
-        self._observer = Observer(running)
         velocity = running.plant.description.limits.velocity
         self._limits = np.array([velocity.get(n, np.inf) for n in self._observer.reader.joint_names])
         self._steering = Steering(running, self._observer.lift)
@@ -84,7 +88,7 @@ class View(Window):
         """Pictures and orders; then wait until it is time."""
         start = time.perf_counter()
         self._take_orders()
-        self._steering.apply(t, self._orders, self._drift)
+        self._steer(t)
         if start >= self._next:
             self._next = start + 1.0 / RATE
             self.shown.write(**self._snapshot(t, plans))
@@ -122,7 +126,7 @@ class View(Window):
                 return
             time.sleep(0.02)
             self._take_orders()
-            self._steering.apply(t, self._orders, self._drift)
+            self._steer(t)
             self.shown.write(**self._snapshot(t, plans))
         self._steps = int(self._orders["steps"])
 
@@ -133,21 +137,26 @@ class View(Window):
         self._orders = message.values
         if int(self._orders["ends"]) != self._ends:
             self.ended = True
-            raise RunAborted("ended in the view")
+            raise EndedByUser("ended in the view")
         if int(self._orders["resets"]) != self._resets:
             self.wants_reset = True
-            raise RunAborted("begun anew in the view")
+            raise EndedByUser("begun anew in the view")
+
+    def _steer(self, t: float) -> None:
+        self._steering.apply(t, self._orders, self._drift)
+        self.steered = self.steered or self._steering.used
 
     # ------------------------------------------------------------------ pictures
     def _snapshot(self, t: float, plans: Plans) -> dict[str, Array]:
-        running, reader, moment = self.running, self._observer.reader, self._observer.see()
+        running, reader, moment, mpc = self.running, self._observer.reader, self._observer.see(), self.running.mpc
         data, self._drift = running.plant.data, moment.drift
         goal = self._observer.hand_goal(t)
         shown_goal = np.full(7, np.nan) if goal is None else lie.pose_compose(self._drift, goal)
         on_floor = ground(reader.contacts(data))
+        solve, deadline = (np.nan, np.nan) if mpc is None else (mpc.solve_time, mpc.period)
         numbers = {
-            "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": running.mpc.solve_time,
-            "deadline": running.mpc.period, **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
+            "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": solve, "deadline": deadline,
+            **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0), "late": np.nan,
         }  # fmt: skip
         return {
@@ -156,14 +165,17 @@ class View(Window):
         }  # fmt: skip
 
     def _base_goal(self, t: float) -> Array:
-        reference, part = self.running.mpc.reference, self.running.mpc.ocp.dynamics.state["base"]
-        if "state" not in reference or part.stop - part.start != 3:
+        reference = {} if self.running.mpc is None else self.running.mpc.reference
+        if "state" not in reference:
+            return np.full(3, np.nan)
+        part = self.running.mpc.ocp.dynamics.state["base"]
+        if part.stop - part.start != 3:
             return np.full(3, np.nan)
         return planar(lie.pose_compose(self._drift, spatial(reference["state"].at(t)[part])))
 
     def _paths(self, plans: Plans) -> dict[str, Array]:
         """The hand's reference, and the predicted ways of hand and base."""
-        reference = self.running.mpc.reference
+        reference = {} if self.running.mpc is None else self.running.mpc.reference
         way = reference["hand"].values[:, :3] + self._observer.lift if "hand" in reference else np.zeros((0, 3))
         base, hand = self._observer.plan(plans)
         paths = {"reference": (way, REFERENCE), "hand_plan": (hand[:, :3], PLAN), "base_plan": (base[:, :3], PLAN)}

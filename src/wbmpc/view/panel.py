@@ -14,7 +14,7 @@ from viser import uplot
 
 from wbmpc.mpc.buffer import Mailbox
 from wbmpc.view.snapshot import NUMBERS, spoken
-from wbmpc.view.stage import add_follow, add_legend
+from wbmpc.view.stage import add_follow, add_legend, name_tab
 from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
 
 Array = np.ndarray
@@ -30,6 +30,7 @@ class Panel:
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
         self._dragged, self._about, self._said = False, "", ""
         server.gui.main_panel.dock_right()
+        name_tab(server.gui, controls.title)
         self._status = server.gui.add_markdown(f"**{controls.title}**")
         self._follow = add_follow(server)
         add_legend(server.gui)
@@ -69,8 +70,7 @@ class Panel:
                 self._button("Single step", "steps")
                 speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
                 speed.on_update(lambda _: self._send(speed=speed.value))
-            if self.controls.reset:
-                self._button("Reset", "resets")
+            self._button("Reset", "resets")
             self._button("End the run", "ends")
 
     def _robot(self) -> None:
@@ -106,7 +106,11 @@ class Panel:
 
     def _goals(self) -> None:
         scene = self.server.scene
-        self._goal = scene.add_transform_controls("/goal", scale=0.3, visible=False)
+        self._handles = self.server.gui.add_checkbox("Handles of the goals", True)
+        # thin, and seen through: the hand is behind it
+        self._goal = scene.add_transform_controls(
+            "/goal", scale=0.3, line_width=1.5, opacity=0.5, disable_sliders=True, visible=False
+        )
         self._goal.on_drag_start(lambda _: self._hold(True))
         self._goal.on_update(
             lambda _: self._click("goals", goal=np.concatenate([self._goal.position, self._goal.wxyz]))
@@ -181,9 +185,8 @@ class Panel:
         said = f"  \n**{self._said}**" if self._said else ""
         self._status.content = f"**{self.controls.title}**{self._about}{said}"
 
-    @staticmethod
-    def _place(handle: Any, pose: Array) -> None:
+    def _place(self, handle: Any, pose: Array) -> None:
         finite = bool(np.isfinite(pose).all())
-        handle.visible = finite
+        handle.visible = finite and bool(self._handles.value)
         if finite and not np.allclose(np.concatenate([handle.position, handle.wxyz]), pose, atol=1e-5):
             handle.position, handle.wxyz = pose[:3], pose[3:]

@@ -14,6 +14,8 @@ from wbmpc.plant.scene import Scene
 
 #: Pictures per second.
 RATE = 30.0
+#: What is drawn over the bodies comes with every so many pictures: plans are new at 10 to 50 Hz, and slow browsers fall behind.
+OVERLAYS = 3
 #: How long a page goes on saying why the run is over [s], if there is a browser.
 FAREWELL = 4.0
 #: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why) tell each other.
@@ -36,12 +38,14 @@ def serve(
     except Exception as error:
         board.text = f"{type(error).__name__}: {error}"
         return
+    pictures = 0
     board["port"], board["ready"] = stage.server.get_port(), 1.0
     while not board["end"] and os.getppid() == parent:
         message = shown.read()
         if message is not None:
             snapshot = message.values if draw is None else draw(message.values)
-            stage.show(snapshot)
+            stage.show(snapshot, overlays=pictures % OVERLAYS == 0)
+            pictures += 1
             panel.show(snapshot)
             stage.follow(snapshot["poses"], panel.follows)
         panel.say(board.text)

@@ -57,7 +57,7 @@ class RealtimeView(Window):
         """Start the process; returns when it answers."""
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
         legs, base = Steering.legs_of(mpc), "state" in mpc.reference
-        controls = Controls(self.title, names, legs, base, True, paced=False, pushes=seen is not None)
+        controls = Controls(self.title, names, legs, base, paced=False, pushes=seen is not None)
         nx = mpc.ocp.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,)})
         shown = {

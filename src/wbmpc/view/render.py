@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import numpy as np
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.plant.film import Puppet
 from wbmpc.plant.render import Camera, Renderer
+from wbmpc.plant.scene import Scene
+from wbmpc.view.camera import clearest
 from wbmpc.view.replay import Film
 
 #: Pictures per second of clips: of a film, of a GIF.
@@ -63,7 +66,7 @@ def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterato
         renderer = Renderer(puppet, *size)
     except WbmpcError as error:
         raise InputError(f"{NO_GRAPHICS} ({error})") from error
-    camera = _camera(film.snapshot(float(moments[0]))["poses"], film.scene.index)
+    camera = _camera(film.snapshot(float(moments[0]))["poses"], film.scene)
     with renderer:
         for t in moments:
             s = film.snapshot(float(t))
@@ -81,8 +84,22 @@ def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)
 
 
-def _camera(poses: np.ndarray, robot: int) -> Camera:
-    """A view of the whole robot from its front left, by the size that it has at the beginning."""
-    near = poses[np.linalg.norm(poses[:, :2] - poses[robot, :2], axis=1) < 2.0]
+def _camera(poses: np.ndarray, scene: Scene) -> Camera:
+    """A view of the whole robot by the size that it has at the beginning, from where nothing hides it."""
+    robot = poses[scene.index]
+    near = poses[np.linalg.norm(poses[:, :2] - robot[:2], axis=1) < 2.0]
     size = float(np.ptp(near[:, :3], axis=0).max())
-    return Camera(target=(0.0, 0.1, 0.4 * float(near[:, 2].max())), distance=1.2 + 2.4 * size)
+    camera = Camera(target=(0.0, 0.1, 0.4 * float(near[:, 2].max())), distance=1.2 + 2.4 * size)
+    around = [
+        replace(camera, azimuth=a)
+        for a in (camera.azimuth, np.pi - camera.azimuth, -camera.azimuth, camera.azimuth - np.pi)
+    ]
+    return around[clearest(scene, poses, [_eye(c, robot) for c in around])]
+
+
+def _eye(camera: Camera, robot: np.ndarray) -> np.ndarray:
+    """Where a camera stands (3) [m] that follows a robot at pose (7)."""
+    level = np.cos(camera.elevation)
+    looks = np.array([level * np.cos(camera.azimuth), level * np.sin(camera.azimuth), np.sin(camera.elevation)])
+    place: np.ndarray = robot[:3] * [1.0, 1.0, 0.0] + camera.target - camera.distance * looks
+    return place

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.plant.scene import Contact, Scene
+from wbmpc.plant.scene import Body, Contact, Scene
 from wbmpc.recording.plots import hand_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, spoken
@@ -20,6 +21,33 @@ Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
 RATE, PAGE_RATE = 30.0, 20.0
 _NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
+#: Where what is not there at the moment is put: far away, under the floor.
+_HIDDEN = np.array([1e3, 1e3, -100.0, 1, 0, 0, 0])
+
+
+class Stages:
+    """Worlds that follow each other in one recording as one scene: what not all of them have hides while it is not there."""
+
+    def __init__(self, times: tuple[float, ...], scenes: tuple[Scene, ...]) -> None:
+        self._times = np.array(times)
+        common = set(scenes[0].shapes).intersection(*(s.shapes for s in scenes))
+        bodies = {b.name: b for scene in scenes for b in scene.bodies}
+        #: By name in the united scene: the body that it goes with, and the worlds in which it is there.
+        self._with = {n: (n, {k for k, s in enumerate(scenes) if bodies[n] in s.bodies}) for n in bodies}
+        shapes = [s for s in scenes[0].shapes if s in common]
+        for k, scene in enumerate(scenes):
+            for shape in scene.shapes:
+                if shape not in common:
+                    name = f"{shape.body} of world {k + 1}"
+                    bodies[name] = Body(name, shape.body, True)
+                    self._with[name] = (shape.body, {k})
+                    shapes.append(replace(shape, body=name))
+        self.united = replace(scenes[0], bodies=tuple(bodies.values()), shapes=tuple(shapes))
+
+    def bodies(self, t: float) -> list[str | None]:
+        """For each body of the united scene the recorded one that it goes with at time t [s]; None: it is not there."""
+        k = latest(self._times, t)
+        return [body if k in there else None for body, there in self._with.values()]
 
 
 class Film:
@@ -30,9 +58,11 @@ class Film:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        if not recording.topics.get("/tf") or "scene.json" not in recording.attachments:
+        scenes = [(t, Scene.of_plain(plain)) for t, plain in recording.scenes]
+        if not recording.topics.get("/tf") or not scenes:
             raise InputError(f"{recording.path}: holds no frames (/tf) or no scene to draw")
-        self.scene = Scene.of_plain(recording.attachment("scene.json"))
+        self._stages = Stages(tuple(t for t, _ in scenes), tuple(scene for _, scene in scenes))
+        self.scene = self._stages.united
         self.times = np.array(recording["/tf"].times)
         self._frames = [self._transforms(m) for _, m in recording["/tf"].messages()]
         static = recording.topics.get("/tf_static")
@@ -74,7 +104,8 @@ class Film:
         """What there was at time t [s]."""
         k = latest(self.times, t)
         frames = {**self._static, **self._frames[k]}
-        poses = np.array([self._placed(frames, b.name) for b in self.scene.bodies])
+        shown = self._stages.bodies(t)
+        poses = np.array([_HIDDEN if body is None else self._placed(frames, body) for body in shown])
         drift = frames.get("odom", ("map", _NOWHERE))[1]
         in_map = lambda p: p @ lie.quaternion_to_rotation(drift[3:]).T + drift[:3]
         contacts = [
@@ -101,7 +132,7 @@ class Film:
     def _placed(self, frames: dict[str, tuple[str, Array]], name: str) -> Array:
         """A frame in ``map``."""
         pose, seen = _NOWHERE, 0
-        while name != "map":
+        while name not in ("map", "world"):
             if name not in frames or seen > len(frames):
                 raise InputError(f"{self.recording.path}: frame '{name}' is not connected to 'map'")
             name, step = frames[name]
@@ -134,13 +165,14 @@ class Player:
     def __init__(self, film: Film, host: str, port: int) -> None:
         import viser
 
-        from wbmpc.view.stage import Stage, add_follow, add_legend
+        from wbmpc.view.stage import Stage, add_follow, add_legend, name_tab
 
         self.film = film
         self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
         self.stage = Stage(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
         gui.main_panel.dock_right()
+        name_tab(gui, film.recording.title)
         self._text = gui.add_markdown(f"**{film.recording.title}**")
         self._playing = gui.add_checkbox("Play", True)
         self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)

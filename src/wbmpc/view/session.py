@@ -52,6 +52,7 @@ def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> End
     robot = load_robot(robot_name)
     make = kind_of(robot)
     while True:
+        view.anew()
         plant, agent, mpc, timing = make(robot, seed)
         watch = Watch(None, (view, *others))
         ending = run_lockstep(plant, agent, mpc, timing, LONGEST, lambda t, command, plans: None, watch)

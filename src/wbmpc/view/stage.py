@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import json
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +13,7 @@ import trimesh
 import viser
 
 from wbmpc.plant.scene import Scene, Shape
+from wbmpc.view.camera import camera_offset
 
 Array = np.ndarray
 #: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
@@ -23,8 +26,8 @@ LEGEND = {
     "reference of the hand": REFERENCE, "predicted hand": HAND, "predicted base": BASE, "support polygon": SUPPORT,
     "active triangle": TRIANGLE, "ZMP": PRESSURE, "contact forces (2 mm/N)": FORCE,
 }  # fmt: skip
-#: Where the camera stands from a robot of 1.4 m [m]; how far the robot goes before the camera follows [m].
-CAMERA, FOLLOW = np.array([1.9, 2.3, 1.5]), 0.02
+#: How far the robot goes before the camera follows [m].
+FOLLOW = 0.02
 #: How long a new browser's camera is left alone [s].
 _SETTLING = 1.5
 
@@ -82,7 +85,7 @@ class Stage:
         camera = self.server.initial_camera
         if self._followed is None:
             where = poses[self.scene.index, :3]
-            camera.position, camera.look_at = tuple(where + camera_offset(poses, self.scene.index)), tuple(where)
+            camera.position, camera.look_at = tuple(where + camera_offset(poses, self.scene)), tuple(where)
             self._followed = place
         if self._map is not None:
             self._map.position = tuple(self._followed - place)
@@ -107,12 +110,15 @@ class Stage:
                     client.camera.position, client.camera.look_at = position, target
                 self._cameras[i] = (place, ready)
 
-    def show(self, s: Mapping[str, Array]) -> None:
-        """Draw a snapshot; only what has changed is sent."""
+    def show(self, s: Mapping[str, Array], overlays: bool = True) -> None:
+        """Draw a snapshot; only what has changed is sent. ``overlays``: also what is drawn over the bodies, which costs a
+        browser much more than moving them."""
         with self.server.atomic():
             for i, (handle, pose) in enumerate(zip(self._bodies, s["poses"], strict=True)):
                 if self._changed(f"body {i}", pose):
                     handle.position, handle.wxyz = pose[:3], pose[3:]
+            if not overlays:
+                return
             self._path("reference", s["reference"], REFERENCE)
             self._path("hand_plan", s["hand_plan"], HAND)
             self._path("base_plan", s["base_plan"], BASE)
@@ -155,6 +161,12 @@ def _far(moved: Array) -> bool:
     return float(np.linalg.norm(moved)) >= FOLLOW
 
 
+def name_tab(gui: viser.GuiApi, title: str) -> None:
+    """Let the browser's tab show a title: the server's page has none but its maker's. An image that does not load sets it."""
+    script = f"document.title = {json.dumps(title)}"
+    gui.add_html(f'<img src="data:image/png," alt="" style="display:none" onerror="{html.escape(script)}">')
+
+
 def add_legend(gui: viser.GuiApi) -> None:
     """A folder that says what the colours mean."""
     mark = '<span style="color:rgb{};font-size:1.3em">■</span> {}'
@@ -167,12 +179,6 @@ def add_follow(server: viser.ViserServer) -> viser.GuiInputHandle[bool]:
     """Whether the camera follows the robot. Light or dark is in the panel's own settings."""
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server.gui.add_checkbox("Camera follows", True)
-
-
-def camera_offset(poses: Array, robot: int) -> Array:
-    """Where the camera stands at first, from the robot [m]: the farther away, the larger the robot is."""
-    near = poses[np.linalg.norm(poses[:, :2] - poses[robot, :2], axis=1) < 2.0]
-    return CAMERA * float(np.clip(np.ptp(near[:, :3], axis=0).max() / 1.4, 0.4, 1.5))
 
 
 def _mesh(shape: Shape) -> trimesh.Trimesh | None:

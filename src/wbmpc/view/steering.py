@@ -45,14 +45,13 @@ def no_orders() -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Controls:
-    """What there is to control: a title, names of weights, whether legs, a base goal, a reset; ``paced``: whether time can be
+    """What there is to control: a title, names of weights, whether legs, a base goal; ``paced``: whether time can be
     held, ``pushes``: whether somebody can push."""
 
     title: str
     weights: tuple[str, ...]
     legs: bool
     base: bool
-    reset: bool
     paced: bool = True
     pushes: bool = True
 
@@ -66,16 +65,22 @@ class Steering:
         self._weights = np.ones(MOST_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
+        #: Whether anything was done.
+        self.used = False
         self.costs, self.has_legs = self.costs_of(self.mpc), self.legs_of(self.mpc)
 
     @staticmethod
-    def costs_of(mpc: MPC) -> list[Cost]:
-        """The costs whose weights can be changed."""
+    def costs_of(mpc: MPC | None) -> list[Cost]:
+        """The costs whose weights can be changed; none without an MPC."""
+        if mpc is None:
+            return []
         return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
 
     @staticmethod
-    def legs_of(mpc: MPC) -> bool:
+    def legs_of(mpc: MPC | None) -> bool:
         """Whether there are four passive legs with brakes that the problem knows as modes."""
+        if mpc is None:
+            return False
         d = mpc.ocp.dynamics
         return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
 
@@ -86,6 +91,7 @@ class Steering:
     def _asked(self, orders: dict[str, Array], name: str) -> bool:
         new = int(orders[name]) != self._done[name]
         self._done[name] = int(orders[name])
+        self.used = self.used or new
         return new
 
     def apply(self, t: float, orders: dict[str, Array], drift: Array) -> None:
@@ -108,12 +114,13 @@ class Steering:
             self._legs = None
             self._brakes(False)
         if not np.array_equal(orders["weights"], self._weights):
+            self.used = True
             self._weigh(orders["weights"])
 
     # ------------------------------------------------------------------ goals
     def _hand_goal(self, t: float, goal: Array) -> None:
         """The hand's goal from now on; the base goes to where the hand is beside it as at home."""
-        if "hand" not in self.mpc.reference:
+        if self.mpc is None or "hand" not in self.mpc.reference:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
         self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
@@ -133,7 +140,7 @@ class Steering:
 
     def _base_goal(self, t: float, pose: Array) -> None:
         """The base's goal (x, y, yaw) from now on, at rest. A ball robot has none: it goes where its hand needs it."""
-        if "state" not in self.mpc.reference:
+        if self.mpc is None or "state" not in self.mpc.reference:
             return
         target, part = self._target(t), self.mpc.ocp.dynamics.state["base"]
         if part.stop - part.start == 3:

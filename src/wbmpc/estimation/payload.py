@@ -1,0 +1,42 @@
+"""A mass in the hand of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
+
+A disturbance observer finds the generalised forces d that hold the robot where the model says it should move. A constant d is
+right only where it was found: the weight of a mass at the tool turns with the robot and changes with the arm, and the mass has
+inertia. So the part of d that is the weight w(q) = Jᵀ(0, 0, −g) of a mass becomes that mass, which the model has as a
+parameter: m' = ``rate`` wᵀ W d / (wᵀ W w) and d' = −m' w. At the posture where that happens the model's forces stay as they
+are. W = 1 / ``spread``², by how much d is off where there is no mass: the model's own errors of mass and centre of mass, large in
+the base's lean, small in the arm's joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class PayloadEstimator:
+    """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m].
+
+    ``mass`` [kg]: the estimate, from zero to ``most``.
+    """
+
+    weight: Callable[[Array], Array]
+    rate: float = 2.0
+    spread: tuple[float, float] = (2.5, 0.6)
+    most: float = 3.0
+    mass: float = 0.0
+
+    def update(self, q: Array, force: Array, h: float) -> Array:
+        """Weigh for ``h`` [s] at joint positions q (nq); the disturbance ``force`` (nq) without what became mass."""
+        weight = self.weight(q)
+        scaled = weight / np.array([self.spread[0]] * 5 + [self.spread[1]] * (q.size - 5)) ** 2
+        before = self.mass
+        step = h * self.rate * float(scaled @ force) / max(float(scaled @ weight), 1e-9)
+        self.mass = min(max(before + step, 0.0), self.most)
+        return force - (self.mass - before) * weight

@@ -1,0 +1,38 @@
+"""What residuals are: expressions of the symbols of a problem, with named rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """What a residual may use: the robot's state x and input u, the model's parameters and mode values, its reference.
+
+    ``all_x`` and ``all_u`` are those of the problem, which may have more states and other inputs than the robot
+    (:class:`wbmpc.model.InputRate`, :class:`wbmpc.model.DriveLag`).
+    """
+
+    x: ca.SX
+    u: ca.SX
+    parameters: ca.SX
+    mode: ca.SX
+    reference: ca.SX
+    all_x: ca.SX
+    all_u: ca.SX
+
+
+class Residual(Protocol):
+    """``size`` rows in named ``groups``; ``reference`` numbers are compared with."""
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def groups(self) -> Mapping[str, slice]: ...
+    @property
+    def reference(self) -> int: ...
+    def __call__(self, s: Symbols) -> ca.SX: ...

@@ -1,0 +1,249 @@
+"""Compiled code of trial points and the line search. SQP and single shooting share everything."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.solver.barriers import barrier_value
+from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.curved import follow, hold_node
+from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
+from wbmpc.solver.places import (
+    COST,
+    DU,
+    DU_LAST,
+    DX,
+    END_BOXES,
+    END_COST,
+    FILTER,
+    FILTERED,
+    FORCE,
+    GRID,
+    HOLD,
+    LAST_ALPHA,
+    LONGEST,
+    LX,
+    NP,
+    NU,
+    NX,
+    PATH_BOXES,
+    POLICY,
+    PRIMAL,
+    QUATERNIONS,
+    SINGLE,
+    SMALL,
+    SMALLEST,
+    STATE,
+    USE_FILTER,
+    UT,
+    VIOLATION,
+    XT,
+    K,
+    N,
+    P,
+    U,
+    X,
+)
+from wbmpc.solver.riccati import backward
+from wbmpc.solver.row_table import forget_outside
+from wbmpc.solver.rows import end_values, rows_merit
+from wbmpc.solver.stages import interval, normalise, stage_end
+
+#: What overshooting directions shorten a step to at least.
+SHORTEST = 0.15
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
+    """Trial input of node k at the trial state: ū + α k + K (x − x̄)."""
+    nx, nu, lx = o[NX], o[NU], o[LX]
+    x, before = o[XT] + k * nx, o[X] + k * nx
+    for j in range(nu):
+        row = o[K] + (k * nu + j) * lx
+        total = m[o[U] + k * nu + j] + alpha * m[row + nx]
+        for i in range(nx):
+            total += m[row + i] * (m[x + i] - m[before + i])
+        m[o[UT] + k * nu + j] = total
+
+
+@compiled(NONE, NUMS, INTS, NUMS, NUM)
+def roll_out_policy(m, o, x0, alpha):  # type: ignore[no-untyped-def]
+    """The trial point of single shooting: the policy, feedback included, from ``x0`` on."""
+    nx, hold = o[NX], m[o[STATE] + HOLD] > 0.0
+    for i in range(nx):
+        m[o[XT] + i] = x0[i]
+    for k in range(o[N]):
+        policy_input(m, o, k, alpha)
+        if hold:
+            hold_node(m, o, k, alpha)
+        x = o[XT] + k * nx
+        interval(m, o, k, x, o[UT] + k * o[NU], x + nx)
+
+
+@compiled(NONE, NUMS, INTS, NUM)
+def move(m, o, alpha):  # type: ignore[no-untyped-def]
+    """The trial point of multiple shooting: a step of ``alpha``, in real time with inputs within the true rows."""
+    n, nx, nu = o[N], o[NX], o[NU]
+    for k in range(n + 1):
+        for i in range(nx):
+            m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * o[LX] + i]
+    for i in range(n * nu):
+        m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
+    if m[o[STATE] + HOLD] > 0.0:
+        for k in range(n):
+            policy_input(m, o, k, alpha)
+            hold_node(m, o, k, alpha)
+            follow(m, o, k, alpha)
+
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
+def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
+    """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
+
+    ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
+    """
+    n, nx, nu = o[N], o[NX], o[NU]
+    forget_outside(m, o)
+    if single:
+        roll_out_policy(m, o, x0, alpha)
+    else:
+        move(m, o, alpha)
+    cost, violation, of_rows = 0.0, 0.0, 0.0
+    for i in range(nx):
+        violation += abs(x0[i] - m[o[XT] + i])
+    for first in range(0, n, LANES):
+        count = min(LANES, n - first)
+        load_block(m, o, first, count, o[XT], o[UT])
+        if not single:
+            violation += gaps(m, o, first, count, o[XT], o[UT])
+        path_cost, equalities = cost_and_equalities(m, o)
+        cost, violation = cost + path_cost, violation + equalities
+        evaluate_rows(m, o)
+        for k in range(first, first + count):
+            h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
+            take_rows_of_lane(m, o, k - first)
+            row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
+            of_rows, violation = of_rows + h * row_cost, violation + h * row_violation
+    last, small = o[XT] + n * nx, o[SMALL]
+    stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
+    cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)
+    end_values(m, o, last)
+    row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
+    of_rows, violation = of_rows + row_cost, violation + row_violation
+    m[o[STATE] + COST], m[o[STATE] + VIOLATION] = cost, violation
+    return cost + of_rows, violation
+
+
+@compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
+def accept(cost, violation, base_cost, base_violation, slope, drop, penalty, alpha):  # type: ignore[no-untyped-def]
+    """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36).
+
+    ``slope``, ``drop``: how fast the cost rises and the violation falls along the step.
+    """
+    merit, base = cost + penalty * violation, base_cost + penalty * base_violation
+    rounding = 1e-9 * (1.0 + abs(base_cost) + penalty)  # of sums of many terms
+    return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * drop) + rounding
+
+
+@compiled(BOOL, NUMS, INTS, NUM4, NUM, NUM)
+def accept_by_filter(m, o, costs, slope, alpha):  # type: ignore[no-untyped-def]
+    """Filter: (cost, violation) of the trial point and of the iterate, in ``costs``; remembers the iterate when it helps.
+
+    Source: Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", section 2.3.
+    """
+    cost, violation, base_cost, base_violation = costs
+    rounding = 1e-9 * (1.0 + abs(base_cost))
+    count = int(m[o[STATE] + FILTERED])
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        return False
+    for i in range(min(count, 64)):
+        c, v = m[o[FILTER] + 2 * i], m[o[FILTER] + 2 * i + 1]
+        if cost >= c - 1e-5 * v + rounding and violation >= (1.0 - 1e-5) * v:
+            return False
+    if slope < 0.0 and alpha * (-slope) ** 2.3 > base_violation**1.1 and base_violation < 1e-4:
+        return cost <= base_cost + 1e-4 * alpha * slope + rounding
+    better = violation <= (1.0 - 1e-5) * base_violation or cost <= base_cost - 1e-5 * base_violation + rounding
+    if better and base_violation > 1e-10:
+        i = count % 64
+        m[o[FILTER] + 2 * i], m[o[FILTER] + 2 * i + 1] = base_cost, base_violation
+        m[o[STATE] + FILTERED] = count + 1.0
+    return better
+
+
+@compiled(NONE, NUMS, INTS)
+def take(m, o):  # type: ignore[no-untyped-def]
+    """The trial point becomes the iterate."""
+    n, nx = o[N], o[NX]
+    for i in range((n + 1) * nx):
+        m[o[X] + i] = m[o[XT] + i]
+    for i in range(n * o[NU]):
+        m[o[U] + i] = m[o[UT] + i]
+    if o[QUATERNIONS] > 0:
+        for k in range(n + 1):
+            normalise(m, o, o[X] + k * nx)
+
+
+@compiled(NONE, NUMS, INTS, NUMS)
+def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
+    """A motion from ``x0``, what single shooting starts from: by the last policy, or by feedback around the guess (without it
+    an unstable model would leave the guess at once), or open loop where that is not finite."""
+    if o[POLICY] == 0:
+        backward(m, o, False)
+    cost, violation = trial(m, o, x0, 0.0, True)
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        for i in range(o[N] * o[NU] * o[LX]):
+            m[o[K] + i] = 0.0
+        trial(m, o, x0, 0.0, True)
+    take(m, o)
+
+
+@compiled(NUM, NUM, NUM, NUM)
+def next_longest(longest, last, along):  # type: ignore[no-untyped-def]
+    """Longest step to try after a step of ``last``, when ``along`` of the direction before is in the new one.
+
+    Where the subproblem's curvature is too small by a factor c, a step α leaves 1 − c α of the direction: c = (1 − along) / α, and
+    1/c arrives (Aitken's Δ²; Nocedal and Wright 2006, section 3.5, has it as a secant of the slope).
+    """
+    longer = min(1.5 * longest, 1.0)
+    return min(max(last / (1.0 - along), SHORTEST), longer) if along < 0.5 else longer
+
+
+@compiled(NUM, NUMS, INTS, BOOL)
+def longest_step(m, o, first):  # type: ignore[no-untyped-def]
+    """Longest step to try, from how the direction has turned since the last iteration of the same solve; keeps the direction.
+
+    ``first``: this is the solve's first one. Between solves the measured state has changed too, so nothing can be told."""
+    state, along, size = o[STATE], 0.0, 0.0
+    for i in range(o[N] * o[NU]):
+        new, old = m[o[DU] + i], m[o[DU_LAST] + i]
+        along, size = along + new * old, size + old * old
+        m[o[DU_LAST] + i] = new
+    if m[state + LONGEST] == 0.0:
+        m[state + LONGEST] = 1.0
+    elif first:
+        m[state + LONGEST] = min(1.1 * m[state + LONGEST], 1.0)
+    elif size > 0.0:
+        m[state + LONGEST] = next_longest(m[state + LONGEST], m[state + LAST_ALPHA], along / size)
+    return m[state + LONGEST]
+
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUMS, NUM4, NUM, NUM)
+def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
+    """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
+    slope, drop. Returns (α, cost at the trial point)."""
+    cost, violation, slope, drop = base
+    reach, single, ratio = m[o[STATE] + PRIMAL], s[SINGLE] > 0.0, first
+    while ratio >= s[SMALLEST]:
+        alpha = ratio * reach
+        c, v = trial(m, o, x0, alpha, single)
+        if s[USE_FILTER] > 0.0:
+            if accept_by_filter(m, o, (c, v, cost, violation), slope, alpha):
+                return alpha, c
+        elif accept(c, v, cost, violation, slope, drop, penalty, alpha):
+            return alpha, c
+        ratio *= 0.5
+    if s[FORCE] > 0.0:
+        c, v = trial(m, o, x0, first * reach, single)
+        if np.isfinite(c) and np.isfinite(v):
+            return first * reach, c
+    return 0.0, np.inf

@@ -1,0 +1,62 @@
+"""Falls that are foreseen. Truth: leans of MuJoCo's robot against what the wheels can stop (tests/model/test_balance.py)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.control import FallForecast
+from wbmpc.errors import FallForeseen
+from wbmpc.mpc import Policy
+
+ROBOT = robot("rezero")
+ARM = ROBOT.home[ROBOT.state["arm"]]
+
+
+def leaning(pitch: float) -> np.ndarray:
+    x = ROBOT.home.copy()
+    x[3] += pitch
+    return x
+
+
+def plan(pitch: float) -> Policy:
+    times = np.linspace(0.0, 1.0, 3)
+    x = np.tile(leaning(0.0), (3, 1))
+    x[1] = leaning(pitch)
+    return Policy(times, x, np.zeros((2, 6)), np.zeros((2, 6, 16)))
+
+
+def test_four_plans_in_a_row_that_lean_too_far() -> None:
+    """The load's centre of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
+    forecast = FallForecast(ROBOT, ARM)
+    for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
+        policy = plan(pitch)
+        forecast.look(policy)
+        forecast.look(policy)  # the same one again
+    with pytest.raises(FallForeseen, match="4 plans in a row"):
+        forecast.look(plan(0.6))
+
+
+def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
+    forecast, t = FallForecast(ROBOT, ARM, seconds=0.05), 0.0
+    for pitch, seconds in ((0.2, 1.0), (0.6, 0.045), (0.2, 0.1), (-0.6, 0.045)):
+        for _ in range(round(seconds / 0.0025)):
+            t += 0.0025
+            forecast.feel(t, leaning(pitch))
+    with pytest.raises(FallForeseen, match=r"for 50 ms it has leant by \d+ mm .* can stop \d+ mm; motors off"):
+        for _ in range(4):
+            t += 0.0025
+            forecast.feel(t, leaning(-0.6))
+
+
+def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
+    """The pole is 4.7 /s: turning by 2 rad/s counts as a lean of 0.42 rad more."""
+    still, turning = FallForecast(ROBOT, ARM), FallForecast(ROBOT, ARM)
+    x = leaning(0.15)
+    for k in range(30):
+        still.feel(0.0025 * k, x)
+    x[ROBOT.base.nq + 3] = 2.0
+    with pytest.raises(FallForeseen):
+        for k in range(30):
+            turning.feel(0.0025 * k, x)

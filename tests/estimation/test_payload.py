@@ -1,0 +1,56 @@
+"""The mass in the hand. Truth: weights of known masses at the tool, and torques of a robot that has them in MuJoCo's place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.estimation import PayloadEstimator
+
+ROBOT = robot("rezero")
+N, H = ROBOT.base.nq, 0.0025
+HOME = ROBOT.home[:N]
+
+
+def weighed(force: np.ndarray, seconds: float = 4.0, **settings: float) -> tuple[PayloadEstimator, np.ndarray]:
+    """The estimator after ``seconds`` at home, and what is left of the disturbance."""
+    estimator = PayloadEstimator(ROBOT.tool_weight, **settings)
+    for _ in range(round(seconds / H)):
+        force = estimator.update(HOME, force, H)
+    return estimator, force
+
+
+def test_the_weight_of_a_mass_is_found_and_taken_over() -> None:
+    weight = ROBOT.tool_weight(HOME)
+    estimator, rest = weighed(1.3 * weight, seconds=8.0)
+    assert estimator.mass == pytest.approx(1.3, abs=1e-3)
+    np.testing.assert_allclose(rest, 0.0, atol=1e-3 * np.abs(weight).max())
+    slower, rest = weighed(1.3 * weight, seconds=0.5)
+    assert slower.mass == pytest.approx(1.3 * (1.0 - np.exp(-1.0)), rel=0.01)  # rate 2 /s
+    np.testing.assert_allclose(rest + slower.mass * weight, 1.3 * weight, atol=1e-9)  # no force appears or goes
+
+
+def test_a_displaced_centre_of_mass_is_no_payload() -> None:
+    """10 mm of 25 kg in the base turn the lean alone: of 2.5 N m, which 0.35 kg would give, little is taken for a mass."""
+    pitched = np.zeros(N)
+    pitched[3] = np.sign(ROBOT.tool_weight(HOME)[3]) * 2.5
+    assert abs(ROBOT.tool_weight(HOME)[3]) * 0.3 < 2.5
+    assert 0.0 < weighed(pitched)[0].mass < 0.1
+    assert weighed(pitched, spread=(0.6, 0.6))[0].mass > 0.15
+
+
+def test_no_mass_is_negative_and_none_is_beyond_what_can_be() -> None:
+    weight = ROBOT.tool_weight(HOME)
+    lifted, rest = weighed(-0.5 * weight)
+    assert lifted.mass == 0.0
+    np.testing.assert_array_equal(rest, -0.5 * weight)
+    heavy, rest = weighed(9.0 * weight, most=2.0)
+    assert heavy.mass == 2.0
+    np.testing.assert_allclose(rest, 7.0 * weight, atol=1e-9)
+
+
+def test_what_weighs_nothing_here_teaches_nothing() -> None:
+    estimator = PayloadEstimator(lambda q: np.zeros(N))
+    np.testing.assert_array_equal(estimator.update(HOME, np.ones(N), H), np.ones(N))
+    assert estimator.mass == 0.0

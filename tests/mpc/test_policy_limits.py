@@ -1,0 +1,147 @@
+"""Hard bounds of the inputs in policies. Truth: a trolley's bounds as they were typed in, an affine law written out."""
+
+from __future__ import annotations
+
+import logging
+import tracemalloc
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from realtime_toys import Force, Measured, ToyAgent, ToyRobot
+from toys import Rows, ToyDynamics
+from wbmpc.mpc import MPC, Mailbox, Observation, Plans, RealTime, Runner, Sizes, VirtualClock
+from wbmpc.mpc.buffer import TimedPolicy
+from wbmpc.mpc.policy import InputLimits
+from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
+from wbmpc.ocp.sets import Box, NonNegative
+
+PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
+#: From here the plan is far from its bounds: at them the gains of these inputs are nearly zero.
+START = np.array([0.05, 0.0])
+
+
+def trolley(*more: Constraint) -> OptimalControlProblem:
+    """ẍ = u0 + u1 to the origin, LOWER ≤ u0 ≤ UPPER."""
+    dynamics = ToyDynamics(2, 2, lambda x, u, w, m: ca.vertcat(x[1], u[0] + u[1]))
+    ocp = OptimalControlProblem(dynamics, 1.0, 20)
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
+    ocp.add(Constraint("bounds", Rows(1, lambda s: s.u[0]), Box(LOWER, UPPER), hard=True))
+    for constraint in more:
+        ocp.add(constraint)
+    return ocp
+
+
+@pytest.fixture(scope="module")
+def mpc() -> MPC:
+    found = MPC(trolley(), rate=50.0, first_iterations=10)
+    found.reset(START)
+    return found
+
+
+def test_after_a_push_the_policy_is_at_its_bound(mpc: MPC) -> None:
+    """Only what has a bound is cut; what feedback asks for can be had too."""
+    policy = mpc.update(Observation(0.0, START))
+    for push in ([2.0, 8.0], [-2.0, -8.0], [0.0, 1e-3]):
+        x = policy.x[0] + np.array(push)
+        asked = policy.u[0] + policy.gain[0] @ (x - policy.x[0])
+        before = mpc.limits.count
+        given = policy(0.0, x)
+        np.testing.assert_allclose(policy.law(0.0, x), asked, atol=1e-12)
+        np.testing.assert_allclose(given, [np.clip(asked[0], LOWER, UPPER), asked[1]], atol=1e-12)
+        assert mpc.limits.count - before == (not LOWER <= asked[0] <= UPPER) == (abs(push[1]) > 1.0)
+
+
+def test_bounds_in_any_spelling_but_not_wishes_or_modes() -> None:
+    """Beside rows of several variables, and scaled; soft ones, ranges of states and bounds of one mode do not count."""
+    mixed = Rows(3, lambda s: ca.vertcat(4.0 - 2.0 * s.u[1], 3.0 + s.u[0] - s.x[1], 0.5 * (s.u[1] + 3.0)))
+    problem = trolley(
+        Constraint("mixed", mixed, NonNegative(), hard=True),
+        Constraint("soft", Rows(1, lambda s: s.u[0]), Box(-0.1, 0.1)),
+        Constraint("range", Rows(1, lambda s: s.x[0]), Box(-5.0, 5.0), hard=True),
+        Constraint("mode", Rows(1, lambda s: s.u[0]), Box(-0.1, 0.1), hard=True, modes=("narrow",)),
+    )
+    mpc = MPC(problem)
+    mpc.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (9.0,)))
+    np.testing.assert_allclose(mpc.limits.lower, [LOWER, -3.0])
+    np.testing.assert_allclose(mpc.limits.upper, [UPPER, 2.0])
+
+
+def test_rounding_is_cut_but_not_counted() -> None:
+    limits = InputLimits(np.array([-2.0]), np.array([2.0]))
+    np.testing.assert_array_equal(limits.hold(np.array([2.0 + 1e-12])), [2.0])
+    assert limits.count == 0
+    np.testing.assert_array_equal(limits.hold(np.array([-2.001])), [-2.0])
+    assert limits.count == 1
+
+
+def test_holding_keeps_no_memory(mpc: MPC) -> None:
+    policy = mpc.update(Observation(1.0, START))
+    x = policy.x[0] + [2.0, 8.0]
+    tracemalloc.start()
+    try:
+        seen = []
+        for _ in range(2):
+            for _ in range(1000):
+                policy(1.0, x)
+            seen.append(tracemalloc.get_traced_memory()[0])
+        assert seen[1] - seen[0] < 500  # numbers of the counters
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
+    """As a message between processes does: the other side has no problem, only numbers."""
+    policy = mpc.update(Observation(2.0, START))
+    box = Mailbox(Sizes.of(mpc.ocp).policy())
+    box.write(
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, times=policy.times, x=policy.x, u=policy.u,
+        gain=policy.gain, lower=mpc.limits.lower, upper=mpc.limits.upper,
+    )  # fmt: skip
+    taken = TimedPolicy.take(box)
+    assert taken is not None and taken.limits is not None
+    x = policy.x[0] + [2.0, 8.0]
+    np.testing.assert_array_equal(taken(2.0, x), policy(2.0, x))
+    assert taken(2.0, x)[0] == LOWER and taken.limits.count == 2
+
+
+class Plain(ToyAgent):
+    """Sends what the policy says, and does not count anything."""
+
+    def __init__(self) -> None:
+        super().__init__(PERIOD)
+        del self.clamped
+        self.sent: list[np.ndarray] = []
+        self.asked: list[np.ndarray] = []
+
+    def command(self, t: float, plans: Plans) -> Force:
+        assert plans.current is not None
+        self.sent.append(plans.current(t, self.measured.x))
+        self.asked.append(plans.current.law(t, self.measured.x))
+        return Force(np.array([self.sent[-1].sum()]))
+
+    def _input(self, policy, t, x):  # type: ignore[no-untyped-def]
+        return 0.0 if policy is None else float(policy(t, x).sum())
+
+
+def test_the_runner_holds_the_bounds_and_counts(caplog: pytest.LogCaptureFixture) -> None:
+    """A plant that is knocked by 1 m/s: commands stay inside, and the ticks at which they were cut are counted."""
+    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+
+    def knock(robot: ToyRobot) -> None:
+        if robot.reads in (240, 305):
+            robot.x = robot.x + np.array([0.0, 1.0])
+            robot.frozen = Measured(robot.clock.now(), robot.x)
+        else:
+            robot.frozen = None
+
+    clock, agent = VirtualClock(0.004), Plain()
+    mpc = MPC(trolley(), rate=50.0, first_iterations=10)
+    mpc.reset(START)
+    report = Runner(ToyRobot(clock, knock), agent, mpc, RealTime(), clock).run(2.0)
+    asked, sent = np.array(agent.asked)[:, 0], np.array(agent.sent)[:, 0]
+    outside = (asked > UPPER + 1e-8) | (asked < LOWER - 1e-8)
+    assert sent.min() == LOWER and sent.max() <= UPPER
+    assert 0 < report.clamped == outside.sum() < 20

@@ -1,0 +1,67 @@
+"""Straight hard rows of several inputs in real time. Truth: the rows evaluated anew; rows that no number meets, by hand."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from toys import Rows, ToyDynamics
+from wbmpc.mpc import MPC, Observation
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
+from wbmpc.solver import SQP, Solver, Status
+
+#: What an input may be outside [range of the row].
+SHARE, PLANES = 1e-3, 6
+
+
+def planes(seed: int) -> tuple[OptimalControlProblem, np.ndarray]:
+    """Random bilinear dynamics, PLANES rows A u ≤ b with b among the parameters, around the origin; and A."""
+    r = np.random.default_rng(seed)
+    a, slopes = r.normal(size=(4, 4)), r.normal(size=(PLANES, 3))
+    b = r.normal(size=(4, 3))
+    f = lambda x, u, w, m: ca.DM(a) @ x + ca.DM(b) @ u + 0.3 * x * u[0]
+    ocp = OptimalControlProblem(ToyDynamics(4, 3, f, parameters=PLANES), 1.0, 12)
+    ocp.add(Cost("x", Rows(4, lambda s: s.x), 10.0, at="all"))
+    ocp.add(Cost("u", Rows(3, lambda s: s.u), 0.01))
+    rows = Rows(PLANES, lambda s: s.parameters - ca.DM(slopes) @ s.u)
+    ocp.add(Constraint("planes", rows, sets.NonNegative(), hard=True))
+    return ocp, slopes
+
+
+def test_plans_that_are_used_are_within_rows_that_jump() -> None:
+    """Every solve finds the planes elsewhere, and the state knocked."""
+    refused, solves = 0, 0
+    for seed in range(8):
+        ocp, slopes = planes(seed)
+        mpc, r = MPC(ocp, rate=20.0), np.random.default_rng(100 + seed)
+        mpc.solver.set_parameters(np.ones(PLANES))
+        mpc.reset(np.zeros(4))
+        for k in range(25):
+            bound = r.uniform(0.3, 1.0, PLANES)
+            mpc.solver.set_parameters(bound)
+            usable, solves = mpc.advance(Observation(0.05 * k, r.normal(size=4))), solves + 1
+            outside = (mpc.solver.ws.u @ slopes.T - bound).max()
+            assert outside <= SHARE or not usable, (seed, k, outside)
+            refused += not usable
+            if not usable:
+                mpc.reset(np.zeros(4))
+    assert refused < 0.1 * solves
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_rows_that_no_input_meets_are_told_by_name(backend: str) -> None:
+    """u0 + u1 ≥ 1 and u0 + u1 ≤ 0.4."""
+    ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 6)
+    ocp.add(Cost("all", Rows(4, lambda s: ca.vertcat(s.x, s.u)), 1.0))
+    ocp.add(Constraint("least", Rows(1, lambda s: s.u[0] + s.u[1] - 1.0), sets.NonNegative(), hard=True))
+    ocp.add(Constraint("most", Rows(1, lambda s: 0.4 - s.u[0] - s.u[1]), sets.NonNegative(), hard=True))
+    solver = Solver(ocp, SQP.real_time(backend=backend))
+    found = solver.solve(np.ones(2))
+    assert found.status in (Status.INFEASIBLE, Status.LIMIT_MISSED)
+    worst = max(found.violations.items(), key=lambda v: v[1].value)
+    assert f"{worst[0]}.all[0] by {worst[1].value:.3g} at node" in found.detail
+    assert worst[1].value >= 0.3
+    mpc = MPC(ocp, SQP.real_time(backend=backend))
+    mpc.reset(np.ones(2))
+    assert not mpc.advance(Observation(0.0, np.ones(2)))
