@@ -355,7 +355,8 @@ def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[st
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         (found,) = json.loads(file.read_text())
     return {
-        "state": found["state"], "load": os.getloadavg()[0], "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
+        "state": found["state"], "load": os.getloadavg()[0],
+        "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
         "tick begins late, median [ms]": 1e3 * found["jitter"]["median"],
         "tick begins late, 99 % [ms]": 1e3 * found["jitter"]["p99"],
         "tick takes, median [ms]": 1e3 * found["tick"]["median"],
