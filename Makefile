@@ -89,10 +89,12 @@ ball-rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --search all --file runs/ball-rivals.jsonl
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --file runs/ball-rivals.jsonl $(RIVALS_ARGS)
 
-# the swerve experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
+# the swerve experiments and their variants over the reporting seeds, against their goals: runs/swerve/goals.md (hours; goes on
+# where it stopped; SWERVE_ARGS="--seeds 200-204")
 swerve: $(VENV)/.installed
-	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --conditions protocol --out runs/swerve --only \
-	  swerve-fixed swerve-drive swerve-unified swerve-brakes swerve-wobble swerve-stability swerve-calibrate $(SWERVE_ARGS)
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/swerve --conditions protocol vertical peaks \
+	  "radii of each wheel" "calibrated arm" "odometry only" "ten minutes" --only swerve-track swerve-unified swerve-drive \
+	  swerve-fixed swerve-plaster swerve-brakes swerve-wobble swerve-stability swerve-calibrate $(SWERVE_ARGS)
 
 # gains of the rivals without MPC: a search on tuning seeds (an hour)
 rivals: $(VENV)/.installed

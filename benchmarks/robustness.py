@@ -1,11 +1,12 @@
 """Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
-Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR]
-       [--report] [--docs FILE]
+Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+       [--publish goals burdens]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
-was (seed by seed). DIR gets table.json, table.md and robustness.png; docs/robustness.md explains the figures. Left out, --only is
-all swerve experiments; conditions of the other kind of robot are passed over. --docs puts the overview into a document, between
-marks with DIR's name.
+was (seed by seed). DIR gets table.json, table.md, goals.md (experiments and their variants against their goals) and
+robustness.png; docs/robustness.md explains the figures. Left out, --only is all swerve experiments; conditions of other robots
+and variants of other experiments are passed over. --publish puts the table of goals into docs/experiments.md and that of the
+burdens into docs/robustness.md, between marks with the robot's name.
 """
 
 from __future__ import annotations
@@ -13,19 +14,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import overview
+from goals import goal_rows, goals_markdown, number, order_statistics, publish
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
 from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
 
+DOCS = Path(__file__).parents[1] / "docs"
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
 SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
@@ -49,12 +52,25 @@ BALL: dict[str, tuple[str, ...]] = {
     "late 8 ms": ("plant.dead_time=0.008",),
     "late 15 ms": ("plant.dead_time=0.015",),
 }
-CONDITIONS = {**SWERVE, **BALL}
+#: Variants of an experiment that the protocol asks for: (experiment, settings, goals other than those of the experiment).
+VARIANTS: dict[str, tuple[str, tuple[str, ...], dict[str, float]]] = {
+    "vertical": ("swerve-track", ("variant=vertical",), {}),
+    "peaks": ("swerve-track", ("variant=peaks",), {}),
+    "radii of each wheel": ("swerve-track", ("plant.wheel_radius_each=0.002",), {}),
+    "calibrated arm": ("swerve-track", ("plant.joint_offset=0",), {"hand_error_mean_odometry": 2e-4}),
+    "odometry only": ("swerve-plaster", ("sensors=false",), {}),
+    "ten minutes": ("swerve-fixed", ("random=600",), {}),
+}
+#: Variants that take so long that only the first of the seeds runs them.
+ONCE = ("ten minutes",)
+CONDITIONS = {**SWERVE, **BALL, **{n: settings for n, (_, settings, _) in VARIANTS.items()}}
 
 
 def conditions_of(name: str) -> dict[str, tuple[str, ...]]:
-    """The conditions of an experiment's robot."""
-    return BALL if name.startswith("rezero") else SWERVE
+    """Conditions of an experiment's robot, and variants of the experiment."""
+    own = {n: settings for n, (experiment, settings, _) in VARIANTS.items() if experiment == name}
+    more = BALL if name.startswith("rezero") else {} if name in PROTOCOL_ONLY else SWERVE
+    return {"protocol": (), **more, **own}
 
 
 #: Figures that are shown beside all with a goal: (metric, factor, unit).
@@ -120,7 +136,7 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
     ),
 }
 #: Those that have no MPC, or none whose delay could be set, run under the protocol only.
-PROTOCOL_ONLY = ("swerve-brakes", "swerve-wobble", "swerve-calibrate", "swerve-plaster")
+PROTOCOL_ONLY = ("swerve-stability", "swerve-brakes", "swerve-wobble", "swerve-calibrate", "swerve-plaster")
 
 
 @dataclass(frozen=True)
@@ -140,21 +156,16 @@ class Cell:
         out = {}
         for name in dict.fromkeys(n for r in self.runs for n in r["metrics"]):
             having = [r for r in self.runs if name in r["metrics"]]
-            values = [r["metrics"][name]["value"] for r in having]
-            known = np.array([np.inf if v is None else float(v) for v in values])
-            # in order, not between values: a mean with infinity is not a figure
-            low, middle, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.5, 0.95))
-            target = having[0]["targets"].get(name, {})
+            _, low, middle, high, worst = order_statistics(r["metrics"][name]["value"] for r in having)
+            goal = having[0]["targets"].get(name, {}).get("goal")
             unit = having[0]["metrics"][name]["unit"]
             out[name] = {
                 "unit": unit,
                 "median": middle,
                 "p5": low,
                 "p95": high,
-                "worst": float(known.max()),
-                "goal": target.get("goal"),
-                "least": target.get("least"),
-                "paper": target.get("paper"),
+                "worst": worst,
+                "goal": goal,
             }
         return out
 
@@ -166,13 +177,13 @@ def place(out: Path, condition: str, name: str, seed: int) -> Path:
 
 def jobs(out: Path, conditions: Iterable[str], names: Iterable[str], seeds: Iterable[int]) -> dict[Job, str]:
     """All runs with their conditions, seed by seed."""
-    names, conditions = list(names), list(conditions)
+    names, conditions, seeds = list(names), list(conditions), list(seeds)
     return {
         Job(name, seed, place(out, condition, name, seed)): condition
         for seed in seeds
         for condition in conditions
         for name in names
-        if condition == "protocol" or (name not in PROTOCOL_ONLY and condition in conditions_of(name))
+        if condition in conditions_of(name) and (condition not in ONCE or seed == seeds[0])
     }
 
 
@@ -182,6 +193,7 @@ def one(name: str, seed: int, directory: Path, settings: list[str]) -> int:
     result = experiment.run(configure(experiment.config_type, settings, name), seed, None)
     write_run(result, directory)
     (directory / "log.npz").unlink()
+    (directory / "cpu_seconds").write_text(f"{time.process_time():.0f}\n")
     return 0 if result.completed else 1
 
 
@@ -199,31 +211,28 @@ def _order(item: tuple[tuple[str, str], Any]) -> tuple[str, int]:
     return name, list(CONDITIONS).index(condition)
 
 
-def under_protocol(found: list[Cell]) -> list[dict[str, Any]]:
-    """The overview's rows of every experiment."""
-    cells = [c for c in found if c.condition == "protocol"]
-    shown = lambda name: [metric for metric, _, _ in SHOWN.get(name, ())]
-    return [r for c in cells for r in overview.rows(c.experiment, len(c.runs), c.statistics(), shown(c.experiment))]
+def burdens(found: list[Cell]) -> str:
+    """A table for each experiment that ran under more than one condition: conditions down, figures across."""
+    parts = []
+    for name, shown in SHOWN.items():
+        mine = [c for c in found if c.experiment == name and c.condition not in VARIANTS]
+        if len(mine) < 2:
+            continue
+        heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
+        lines = [_row(["condition", "seeds", "completed", *heads]), _row(["---"] * (3 + len(heads)))]
+        for cell in mine:
+            s = cell.statistics()
+            figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
+            lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
+        parts.append(f"### `{name}`\n" + "\n".join(lines))
+    return "\n\n".join(parts) + "\n"
 
 
 def markdown(found: list[Cell]) -> str:
-    """The overview; then for each experiment conditions down and figures across, and all its figures under the protocol."""
-    parts = [overview.markdown(under_protocol(found))]
-    for name in dict.fromkeys(c.experiment for c in found):
-        mine = [c for c in found if c.experiment == name]
-        shown = SHOWN.get(name)
-        if shown and len(mine) > 1:
-            heads = [f"{metric} [{unit}]" for metric, _, unit in shown]
-            lines = [_row(["condition", "seeds", "completed", *heads]), _row(["---"] * (3 + len(heads)))]
-            for cell in mine:
-                s = cell.statistics()
-                figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
-                lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
-            parts.append(f"### `{name}`\n" + "\n".join(lines))
-        protocol = next((c for c in mine if c.condition == "protocol"), None)
-        if protocol is not None:
-            parts.append(f"#### `{name}`, protocol, {len(protocol.runs)} seeds\n" + _protocol(protocol))
-    return "\n\n".join(parts) + "\n"
+    """The tables of :func:`burdens`; then all figures under the protocol."""
+    protocol = [c for c in found if c.condition == "protocol"]
+    parts = [f"#### `{c.experiment}`, protocol, {len(c.runs)} seeds\n" + _protocol(c) for c in protocol]
+    return "\n\n".join([burdens(found), *parts]) + "\n"
 
 
 def _row(fields: Iterable[str]) -> str:
@@ -231,24 +240,34 @@ def _row(fields: Iterable[str]) -> str:
 
 
 def _figure(s: dict[str, Any], factor: float) -> str:
-    """Median (95 %, worst); bold where the goal is missed."""
-    text = "{} ({}, {})".format(*(overview.number(s[k], factor) for k in ("median", "p95", "worst")))
-    return f"**{text}**" if overview.reached(s) is False else text
+    """Median (95 %, worst); bold where the 95 % value misses the goal."""
+    text = f"{number(s['median'], factor)} ({number(s['p95'], factor)}, {number(s['worst'], factor)})"
+    return f"**{text}**" if s["goal"] is not None and s["p95"] > s["goal"] else text
 
 
 def _protocol(cell: Cell) -> str:
-    lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst", "goal", "reached"]), _row(["---"] * 8)]
+    lines = [_row(["metric", "unit", "median", "5 %", "95 %", "worst"]), _row(["---"] * 6)]
     for name, s in cell.statistics().items():
-        reached = {True: "yes", False: "no", None: ""}[overview.reached(s)]
-        goal = "" if s["goal"] is None else f"{s['goal']:.3g}"
-        figures = [overview.number(s[k]) for k in ("median", "p5", "p95", "worst")]
-        lines.append(_row([name, s["unit"], *figures, goal, reached]))
+        lines.append(_row([name, s["unit"], *(number(s[k]) for k in ("median", "p5", "p95", "worst"))]))
     return "\n".join(lines)
 
 
+def against_goals(found: list[Cell]) -> list[dict[str, Any]]:
+    """Rows of the table of goals: the protocol and the variants, no burdens."""
+    rows = []
+    for cell in found:
+        if cell.condition == "protocol" or cell.condition in VARIANTS:
+            name = cell.experiment + ("" if cell.condition == "protocol" else f", {cell.condition}")
+            goals = VARIANTS[cell.condition][2] if cell.condition in VARIANTS else {}
+            shown = [metric for metric, _, _ in SHOWN.get(cell.experiment, ())]
+            rows += goal_rows(name, list(cell.runs), goals, shown)
+    return rows
+
+
 def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
-    """table.json, table.md and, where matplotlib is installed, robustness.png."""
+    """table.json, table.md, goals.md and, where matplotlib is installed, robustness.png."""
     out.mkdir(parents=True, exist_ok=True)
+    goals = against_goals(found)
     rows = [
         {
             "experiment": c.experiment,
@@ -262,10 +281,13 @@ def write(found: list[Cell], failed: dict[Job, str], out: Path) -> None:
         for c in found
     ]
     lost = [{"run": str(j.directory.relative_to(out)), "reason": reason} for j, reason in failed.items()]
-    data = {"overview": under_protocol(found), "cells": rows, "failed": lost, "versions": versions()}
-    data = json.loads(json.dumps(data), parse_constant=lambda _: None)
+    data = json.loads(
+        json.dumps({"goals": goals, "cells": rows, "failed": lost, "versions": versions()}),
+        parse_constant=lambda _: None,
+    )
     (out / "table.json").write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
     (out / "table.md").write_text(markdown(found))
+    (out / "goals.md").write_text(goals_markdown(goals))
     try:
         figure(found, out / "robustness.png")
     except ImportError:
@@ -310,14 +332,17 @@ def main() -> None:
         sys.exit(one(name, int(seed), Path(directory), settings))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
-    parser.add_argument("--conditions", nargs="*", default=list(CONDITIONS), choices=list(CONDITIONS), metavar="NAME")
+    usual = [c for c in CONDITIONS if c not in VARIANTS]
+    parser.add_argument("--conditions", nargs="*", default=usual, choices=list(CONDITIONS), metavar="NAME")
     parser.add_argument(
         "--only", nargs="*", default=[n for n in SHOWN if n.startswith("swerve")], choices=list(REGISTRY)
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
-    parser.add_argument("--docs", type=Path, help="a document with the marks <!-- NAME --> and <!-- end of NAME -->")
+    parser.add_argument(
+        "--publish", nargs="*", default=[], choices=["goals", "burdens"], help="tables that go into docs"
+    )
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -329,12 +354,15 @@ def main() -> None:
     if not given.report:
         failed = run_all(list(found), given.workers, lambda _, note: print(note, flush=True), make)
     write(cells(found), failed, given.out)
-    if given.docs is not None:
-        table = overview.markdown(under_protocol(cells(found)))
-        given.docs.write_text(overview.put(given.docs.read_text(), given.out.name, table))
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
-    print((given.out / "table.md").read_text())
+    robot = "ball" if given.only[0].startswith("rezero") else "swerve"
+    if "goals" in given.publish:
+        publish(DOCS / "experiments.md", f"{robot} goals", goals_markdown(against_goals(cells(found))))
+    if "burdens" in given.publish:
+        publish(DOCS / "robustness.md", f"{robot} burdens", burdens(cells(found)))
+    for name in ("goals.md", "table.md"):
+        print((given.out / name).read_text())
 
 
 if __name__ == "__main__":

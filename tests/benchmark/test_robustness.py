@@ -11,10 +11,11 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-import overview
 import robustness
+from goals import goal_rows, goals_markdown, publish
 
 from wbmpc.configuration import configure
+from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
 from wbmpc.experiments.swerve_unified import SwerveUnifiedSettings
 
@@ -68,43 +69,59 @@ def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: P
         assert (tmp_path / "robustness.png").stat().st_size > 1000
 
 
-def test_the_overview_judges_by_the_95_percent_value(study: dict[robustness.Job, str], tmp_path: Path) -> None:
-    found = robustness.cells(study)
-    (row,) = robustness.under_protocol(found)
-    assert (row["experiment"], row["metric"], row["seeds"], row["reached"]) == ("swerve-unified", METRIC, 20, True)
-    text = robustness.markdown(found).splitlines()
-    assert text[2].startswith("| `swerve-unified` | `hand_error_rms` [mm] | ≤ 5 | – | 1") and text[2].endswith(
-        "(1.9, 2) | 20 | yes |"
-    )
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_condition_changes_the_settings_of_its_experiment(name: str) -> None:
+    kind = REGISTRY[name].config_type
+    for condition, settings in robustness.conditions_of(name).items():
+        as_it_is = condition == "protocol" or (name, condition) == ("rezero-wholebody", "hand 1 kg")  # its own protocol
+        assert (configure(kind, settings, name) == kind()) == as_it_is, condition
+
+
+def test_variants_belong_to_one_experiment(tmp_path: Path) -> None:
+    names = ["swerve-track", "swerve-plaster", "swerve-fixed", "swerve-unified"]
+    found = robustness.jobs(tmp_path, robustness.VARIANTS, names, [200, 201])
+    ran = sorted((job.seed, job.name, condition) for job, condition in found.items())
+    several = [(s, n, c) for s in (200, 201) for c, (n, *_) in robustness.VARIANTS.items() if c != "ten minutes"]
+    assert ran == sorted([*several, (200, "swerve-fixed", "ten minutes")])
+
+
+def goals(values: list[float], completed: bool = True, **target: float) -> dict[str, object]:
+    runs = [
+        {"seed": 200 + k, "completed": completed, "metrics": {"a": {"value": v, "unit": "m"}}, "targets": {"a": target}}
+        for k, v in enumerate(values)
+    ]
+    (row,) = goal_rows("rezero-steps", runs, {}, ["a"])  # type: ignore[arg-type]
+    return row
+
+
+def test_goals_are_judged_by_the_bad_end_of_the_seeds() -> None:
+    values = [float(v) for v in range(1, 22)]  # 5 % and 95 % of 21 values are the second and the last but one
+    assert goals(values, goal=20.0)["reached"] and not goals(values, goal=19.9)["reached"]
+    assert goals(values, least=2.0)["reached"] and not goals(values, least=2.1)["reached"]
+    low, high = goals(values, least=0.0), goals(values, goal=30.0)
+    assert (low["p95"], low["worst"]) == (2.0, 1.0) and (high["p95"], high["worst"]) == (20.0, 21.0)
+    assert not goals(values, completed=False, goal=30.0)["reached"]
 
 
 @pytest.mark.parametrize(
-    ("goal", "least", "reached", "text"),
-    [(0.03, None, True, "≤ 30"), (0.02, None, False, "≤ 20"), (None, 0.01, True, "≥ 10"), (None, 0.02, False, "≥ 20"),
-     (0.03, 0.02, False, "20 to 30"), (None, None, None, "–")],
-)  # fmt: skip
-def test_goals_are_largest_and_smallest_values(
-    goal: float | None, least: float | None, reached: bool | None, text: str
-) -> None:
-    figures = {"unit": "m", "median": 0.02, "p5": 0.015, "p95": 0.025, "worst": 9.0, "paper": 0.0167}
-    (row,) = overview.rows("rezero-steps", 3, {"error": {**figures, "goal": goal, "least": least}}, ["error"])
-    assert row["reached"] is reached
-    assert overview.markdown([row]).splitlines()[-1].split(" | ")[2:5] == [text, "16.7", "20 (25, 9000)"]
+    ("target", "text"),
+    [({"goal": 0.03}, "≤ 30"), ({"least": 0.01}, "≥ 10"), ({"goal": 0.03, "least": 0.02}, "≥ 20 ≤ 30"), ({}, "–")],
+)
+def test_a_row_says_the_goal_and_what_the_paper_says(target: dict[str, float], text: str) -> None:
+    row = goals([0.02, 0.025, 1.0], **target)
+    worst = "25 (20, 20)" if set(target) == {"least"} else "25 (1000, 1000)"
+    expected = [text, "“acceptable”", worst]
+    assert goals_markdown([row]).splitlines()[-1].split(" | ")[2:5] == expected
+    assert row["reached"] is ({"least"} == set(target) if target else None)
+    assert goals_markdown([{**row, "paper": 0.0167}]).splitlines()[-1].split(" | ")[3] == "16.7"
 
 
-def test_a_document_gets_the_table_between_its_marks() -> None:
-    text = "above\n<!-- ball -->\n| old |\n<!-- end of ball -->\nbelow\n"
-    once = overview.put(text, "ball", "| new |")
-    assert once == "above\n<!-- ball -->\n| new |\n<!-- end of ball -->\nbelow\n"
-    assert overview.put(once, "ball", "| new |") == once
-    with pytest.raises(SystemExit, match="'<!-- swerve -->'"):
-        overview.put(text, "swerve", "| new |")
-
-
-@pytest.mark.parametrize("name", robustness.SHOWN)
-def test_every_condition_is_a_setting_of_every_experiment(name: str) -> None:
-    for settings in robustness.conditions_of(name).values():
-        configure(REGISTRY[name].config_type, settings, name)
+def test_table_of_goals(study: dict[robustness.Job, str], tmp_path: Path) -> None:
+    robustness.write(robustness.cells(study), {}, tmp_path)
+    head, _, row = (tmp_path / "goals.md").read_text().splitlines()
+    assert [f.strip() for f in row.split("|")][1:4] == ["`swerve-unified`", f"`{METRIC}` [mm]", "≤ 5"]
+    assert row.endswith("| 20 | yes |") and head.count("|") == row.count("|")
+    assert json.loads((tmp_path / "table.json").read_text())["goals"][0]["worst"] == pytest.approx(2e-3)
 
 
 def test_conditions_mean_what_they_are_called() -> None:
@@ -113,3 +130,23 @@ def test_conditions_mean_what_they_are_called() -> None:
     assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
     assert (given["delay 5 ms"].mpc.delay, given["delay 25 ms"].mpc.delay) == (0.005, 0.025)
     assert given["protocol"] == SwerveUnifiedSettings()
+
+
+def test_tables_are_put_between_their_marks(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- a -->\nold\n<!-- end of a -->\nafter\n")
+    for text in ("first\n", "second\n"):
+        publish(page, "a", text)
+    assert page.read_text() == "before\n<!-- a -->\nsecond\n<!-- end of a -->\nafter\n"
+    with pytest.raises(InputError, match="end of b"):
+        publish(page, "b", "text")
+
+
+def test_docs_have_their_marks() -> None:
+    for name, mark in (
+        ("experiments.md", "swerve goals"),
+        ("experiments.md", "ball goals"),
+        ("robustness.md", "swerve burdens"),
+    ):
+        text = (robustness.DOCS / name).read_text()
+        assert text.index(f"<!-- {mark} -->") < text.index(f"<!-- end of {mark} -->")

@@ -129,14 +129,14 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
     plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
     agent, steer, stood = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
     for k in range(800):
-        agent.measure(message(k * PERIOD, steer=steer.copy()))
+        agent.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
         command = agent.command(k * PERIOD, plans)
         if agent.aligning:
             stood += 1
             np.testing.assert_array_equal(command.wheel, 0.0)
             now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
             np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
-        np.testing.assert_array_equal(command.arm, 0.2)
+        np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
     # an exponential of 5 / s from 0.5 to 0.02 rad
     assert stood == pytest.approx(np.log(0.5 / 0.02) / 5.0 / PERIOD, abs=3)
@@ -173,12 +173,13 @@ def test_commands_change_by_what_accelerations_allow() -> None:
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
     agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
-    before, ticks = np.zeros(u.size), 0
+    before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
     agent.measure(message())
     ahead = agent.predict(0.0, 8 * PERIOD, plans).x
     for k in range(60):
-        agent.measure(message(k * PERIOD))
+        agent.measure(message(k * PERIOD, arm=arm.copy()))
         command = agent.command(k * PERIOD, plans)
+        arm += command.arm * PERIOD
         now = before.copy()
         now[given["wheel"]], now[given["steer"]], now[given["arm"]] = command.wheel, command.steer, command.arm
         assert np.all(np.abs(now - before) <= most * PERIOD * (1.0 + 1e-12))
@@ -216,6 +217,25 @@ def test_gyro_bias_is_found_at_rest() -> None:
     assert agent.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
     assert abs(agent.odometry.pose[2]) < 1e-6
     assert deaf.odometry.gyro_bias == 0.0 and deaf.odometry.pose[2] == 0.0
+
+
+def test_a_sagging_arm_is_learned_and_taken_off() -> None:
+    """Drives of first order, integrated here, and a load that turns the joints besides: they turn as planned after a while,
+    though the encoders' messages are up to 2 ms old."""
+    rng, sag = np.random.default_rng(0), np.array([0.0, 0.03, -0.02, 0.0, 0.01, 0.0])
+    u, given = 0.2 * swerve_input(1), SWERVE.input
+    u[[i for i in range(u.size) if i not in range(u.size)[given["arm"]]]] = 0.0
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=0.02)
+    arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), Plans()
+    plans.add(0.0, constant_policy(u))
+    for k in range(1, 2000):
+        t = k * PERIOD
+        old = rng.uniform(0.0, 0.8)
+        agent.measure(message(t, arm=old * arm[k - 2] + (1.0 - old) * arm[k - 1], steer=np.full(4, t)))
+        rate += (1.0 - np.exp(-PERIOD / 0.02)) * (agent.command(t, plans).arm - rate)
+        arm[k] = arm[k - 1] + PERIOD * (rate + sag)
+    np.testing.assert_allclose(agent.sag, sag, atol=2e-3)
+    np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
 
 
 def test_calibration_corrects_angles_and_wheel_speeds() -> None:

@@ -17,7 +17,8 @@ FOUR = ring(4)
 
 
 def calm(**changes: float) -> OdometryNoise:
-    return OdometryNoise(**{"along": 0.0, "across": 0.0, **changes})
+    """Of the bases on paper: their messages are of this moment."""
+    return OdometryNoise(**{"along": 0.0, "across": 0.0, "mean_age": 0.0, **changes})
 
 
 def filtered(
@@ -161,6 +162,25 @@ def test_age_of_the_encoders_does_not_bias_radii() -> None:
     radius = odometry.calibration.wheel_radius / FOUR.wheel_radius - 1.0
     assert np.abs(radius).max() < 3.0 * odometry.calibration.std[1].max()
     assert odometry.pose[2] == pytest.approx(4000 * period * rate, abs=5e-3)
+
+
+@pytest.mark.parametrize(("mean_age", "right"), [(1e-3, True), (0.0, False)])
+def test_a_turn_that_begins_does_not_look_like_wrong_radii(mean_age: float, right: bool) -> None:
+    """Encoders 0 to 2 ms old while the base takes a turn of 0.5 rad/s within a second, after a rest: the wheels' turn lags
+    behind the gyro's by half a milliradian, which is the mean age of the messages and not their radii."""
+    period, steer, middle = 0.0025, np.full(4, 0.5 * np.pi), []
+    turn = lambda t: 0.25 * np.clip(t - 2.0, 0.0, 1.0) ** 2 + 0.5 * max(t - 3.0, 0.0)
+    reach = np.abs(Drawn(FOUR, 0).velocities(np.zeros(4), np.zeros(4), np.array([0.0, 0.0, 1.0])))
+    for seed in range(4):
+        rng, learned = np.random.default_rng(seed), [0.0]
+        odometry = FusedOdometry(FOUR, noise=OdometryNoise(mean_age=mean_age))
+        for t in period * np.arange(1200):
+            wheel = reach * turn(t - rng.uniform(0.0, 0.002)) / FOUR.wheel_radius
+            gyro = (turn(t) - turn(t - period)) / period + 2e-4 / np.sqrt(period) * rng.normal()
+            odometry.update(t, np.zeros(4), steer, wheel, gyro)
+            learned.append(float(odometry.calibration.wheel_radius.mean()) / FOUR.wheel_radius - 1.0)
+        middle.append(0.5 * (min(learned) + max(learned)))
+    assert (abs(np.mean(middle)) < 5e-4) == right, middle
 
 
 # ---------------------------------------------------------------------- global poses

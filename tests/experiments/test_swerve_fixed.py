@@ -11,7 +11,7 @@ from wbmpc.log import Log
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0), 3)
+    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -21,7 +21,7 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
     assert 1e-5 < m["tracking_error_rms_ik"] < 0.03
     assert m["tracking_error_rms_four_wheel"] > 0.5  # it cannot move sideways
     assert m["tracking_error_rms_mpc_sideways"] == pytest.approx(
-        m["tracking_error_rms_mpc"], rel=0.1
+        m["tracking_error_rms_mpc"], rel=0.2
     )  # the only motion
     assert m["longest_standstill"] < 0.5
 

@@ -27,6 +27,8 @@ from wbmpc.plant import SwerveCommand, SwerveMeasurement
 CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.02
 #: The steering servo may turn faster than the planner by this share, or it could never catch up (5.0 of 5.76 rad/s).
 RESERVE = 0.15
+#: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
+SAG_TIME, SAG_MOST = 1.0, 0.15
 
 
 class SwerveAgent:
@@ -37,7 +39,9 @@ class SwerveAgent:
     ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
     While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
     slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
-    base stands until they do not. ``monitor``: of brakes that do not answer; ``faulty`` is called with each fault that it finds.
+    base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
+    load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called
+    with each fault that it finds.
     """
 
     def __init__(
@@ -72,6 +76,8 @@ class SwerveAgent:
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
+        # of the arm: what it turns by itself, commands, rates that lagging drives make of them now and over the last period
+        self.sag, self._arm, self._arm_rate, self._arm_mean = np.zeros((4, len(robot.input.groups["arm"])))
         hinges = len(robot.state.groups.get("leg", ()))
         self.brakes = brakes or (lambda t: np.zeros(hinges))
         self.measured: SwerveMeasurement | None = None
@@ -81,11 +87,20 @@ class SwerveAgent:
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the message of this tick."""
-        self.measured = m = measurement
+        before, self.measured = self.measured or measurement, measurement
+        m = measurement
+        turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
+        self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, float(m.gyro[2]) if self.use_gyro else None)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
+
+    def _learn_sag(self, turned: np.ndarray, h: float) -> None:
+        """From what the arm's joints ``turned`` (m) [rad] in h [s] and what lagging drives should have made of the commands."""
+        if h > 0.0:
+            share = 1.0 - np.exp(-h / SAG_TIME)
+            self.sag = np.clip(self.sag + share * (turned / h - self._arm_mean - self.sag), -SAG_MOST, SAG_MOST)
 
     def base_pose(self) -> np.ndarray:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
@@ -159,6 +174,7 @@ class SwerveAgent:
 
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed."""
+        self._drive_arm(np.zeros(self.sag.size))
         return SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
 
     def command(self, t: float, plans: Plans) -> SwerveCommand:
@@ -194,7 +210,16 @@ class SwerveAgent:
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
         if self.monitor is not None:
             self._watch(t, brake, sent[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
-        return SwerveCommand(wheel, sent[given["steer"]], sent[given["arm"]], brake)
+        limit, change = self.robot.limits.input_upper[given["arm"]], self.robot.limits.input_change[given["arm"]]
+        arm = np.clip(sent[given["arm"]] - self.sag, -limit, limit)
+        self._drive_arm(self._arm + np.clip(arm - self._arm, -change * self.period, change * self.period))
+        return SwerveCommand(wheel, sent[given["steer"]], self._arm, brake)
+
+    def _drive_arm(self, command: np.ndarray) -> None:
+        """What drives of first order make of a command (m) [rad/s] within a period."""
+        behind = self._arm_rate - command
+        self._arm, self._arm_mean = command, command + behind * self._blend * self.lag / self.period
+        self._arm_rate = command + behind * (1.0 - self._blend)
 
     def _reachable(self, sent: np.ndarray, u: np.ndarray, brake: np.ndarray) -> np.ndarray:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period.

@@ -36,8 +36,8 @@ class OdometryNoise:
 
     ``along``, ``across`` [m/√m]: each wheel's displacement over the way it rolls; ``slip_window`` [s]: over which the
     wheels' contradiction is averaged, longer than slip lasts; ``reading`` [m]: of where a wheel is (counts); ``age`` [s] of
-    a message's encoders; ``gyro`` [rad/s/√Hz], ``gyro_walk`` [rad/s/√s], ``gyro_bias`` [rad/s] at the start. Defaults:
-    2^14 counts on a radius of 0.1 m, messages up to 2 ms old, a gyro of the order of an ADIS16448.
+    a message's encoders, ``mean_age`` [s] before it; ``gyro`` [rad/s/√Hz], ``gyro_walk`` [rad/s/√s], ``gyro_bias`` [rad/s]
+    at the start. Defaults: 2^14 counts on a radius of 0.1 m, messages up to 2 ms old, a gyro of the order of an ADIS16448.
     """
 
     along: float = 3e-4
@@ -45,6 +45,7 @@ class OdometryNoise:
     slip_window: float = 0.2
     reading: float = 1.1e-5
     age: float = 6e-4
+    mean_age: float = 1e-3
     gyro: float = 2e-4
     gyro_walk: float = 2e-5
     gyro_bias: float = 0.01
@@ -206,7 +207,8 @@ class FusedOdometry:
 
     # ------------------------------------------------------------------ wheels and gyro
     def update(self, t: float, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, gyro: float | None = None) -> Array:
-        """The pose after a message of time ``t`` [s]: positions (n) [rad] and the yaw rate ``gyro`` [rad/s].
+        """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
+        message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong).
 
         The first message only starts. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
@@ -217,7 +219,7 @@ class FusedOdometry:
             )
         h = t - self._state.t
         if self._last is None:
-            self._state = _State(t, self._state.mean, self._state.p)
+            self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
             step = self._step(h, self._last, now, gyro)
             self._past.append((self._state, step))
@@ -227,6 +229,13 @@ class FusedOdometry:
                 self._past.popleft()
         self._last = now
         return self.pose
+
+    def _started(self, t: float, rate: float) -> _State:
+        """The first message is late too, if the base turns already."""
+        mean, p = self._state.mean.copy(), self._state.p.copy()
+        p[LATE, :], p[:, LATE] = 0.0, 0.0
+        mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
+        return _State(t, mean, p)
 
     def _step(self, h: float, before: Sample, now: Sample, gyro: float | None) -> _Step:
         n, c = self._n, self._state.mean[WHEELS:].copy()
@@ -269,7 +278,8 @@ class FusedOdometry:
         p = a @ state.p @ a.T
         p[:3, :3] += moved_noise @ g.T
         p[BIAS, BIAS] += noise.gyro_walk**2 * h
-        p[LATE, LATE], mean[LATE] = late, 0.0
+        behind = rate * noise.mean_age
+        p[LATE, LATE], mean[LATE] = late, -behind
         if step.turn == step.turn:
             # what the gyro says less what it should: its bias and noise, the wheels' turn, lateness before and now
             row = np.zeros(size)
@@ -280,7 +290,7 @@ class FusedOdometry:
             cross[:3] += moved_noise[:, 2]
             cross[LATE] = -late
             gain = cross / variance
-            mean += gain * (step.turn - state.mean[BIAS] * h - state.mean[LATE] - twist[2])
+            mean += gain * (step.turn - state.mean[BIAS] * h - state.mean[LATE] - behind - twist[2])
             p -= np.outer(gain, cross)
         return _State(state.t + h, mean, p)
 
