@@ -229,7 +229,7 @@ class ControlNode:
             self.source.judge("")
             return fix
         jumped = self.gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
-        self.source.judge(jumped)
+        self.source.judge(jumped, self.pilot.keeps)
         if jumped and not self.pilot.keeps:
             self.pilot.relocate()
             raise SafeStop(jumped)
