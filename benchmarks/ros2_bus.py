@@ -346,7 +346,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     }  # fmt: skip
 
 
-def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[str, float]:
+def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[str, Any]:
     """The same controller and MPC (``rate`` [Hz]) at 400 Hz with the physics over shared memory, in processes of their own."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "figures.json"
@@ -355,7 +355,8 @@ def without_bus(robot: str, rate: float, seconds_: float, fifo: bool) -> dict[st
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         (found,) = json.loads(file.read_text())
     return {
-        "load": os.getloadavg()[0], "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
+        "state": found["state"], "load": os.getloadavg()[0],
+        "ticks": found["ticks"], "missed ticks": found["misses"], "MPC [Hz]": found["rate"],
         "tick begins late, median [ms]": 1e3 * found["jitter"]["median"],
         "tick begins late, 99 % [ms]": 1e3 * found["jitter"]["p99"],
         "tick takes, median [ms]": 1e3 * found["tick"]["median"],

@@ -30,6 +30,7 @@ class Simulated:
         self.said: list[Any] = []
         self.other.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
         self.sim = SimNode(self.other, robot, self.settings, seed, factor=20.0)
+        self.sim.patience = 15.0  # a busy machine
         self.sim.lockstep = True  # also for a controller that takes the time that it takes
         self.change: Callable[[dict[str, Any]], Mapping[str, Any] | None] = lambda message: message
         send = self.sim._joints.publish
@@ -106,6 +107,7 @@ class Simulated:
         if self._end.is_set():
             return
         self._end.set()
+        self.sim.patience = 0.0
         self.control.close()
         self._thread.join(60.0)
         self.node.close()

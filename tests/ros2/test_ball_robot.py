@@ -260,12 +260,12 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     s = made(topics={"pose": "/localisation"})
     source = Localisation(s)
     balancing(s)
-    source.offset[0] = 1.0
+    source.offset[0] = 1.05
     assert s.until(lambda: "jumped by 1.0" in s.control.source.fault)
     source.offset[0] = 0.0
     assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: hand to a goal"
     assert errors(caplog, "jumped by 1.0") == 1
-    source.offset[0] = 1.0
+    source.offset[0] = 1.05
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)

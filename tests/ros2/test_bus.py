@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -255,6 +256,34 @@ def test_a_topic_of_two_types_is_heard_in_both_whoever_comes_first(nodes: tuple[
     third.close()
     assert wait_until(lambda: topic.look() or list(topic._ends) == [kinds[0]])
     assert wait_until(lambda: [e.type for e in one.subscribers("/mixed")] == [kinds[0]])
+
+
+def test_a_type_that_the_middleware_has_no_room_for_is_told_as_long_as_it_is_there(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Some middlewares have one type for a topic: the second one is refused, said once, and forgotten when it has gone."""
+    kinds, taken = ["std_msgs/msg/Bool"], []
+
+    def subscribe(topic: str, kind: str, *given: Any, **also: Any) -> Any:
+        if taken:
+            raise RuntimeError("one type only")
+        taken.append(kind)
+        return taken.clear
+
+    known = lambda topic: [SimpleNamespace(type=k) for k in kinds]
+    topic = Several(
+        SimpleNamespace(publishers=known, subscribe=subscribe), "/mixed", dict.fromkeys([*kinds, STRING], print)
+    )  # type: ignore[arg-type]
+    topic.look()
+    assert (taken, topic.fault) == (["std_msgs/msg/Bool"], "")
+    kinds.append(STRING)
+    for _ in range(2):
+        topic.look()
+    says = f"/mixed: {STRING} is not heard beside std_msgs/msg/Bool: RuntimeError: one type only"
+    assert topic.fault == says and caplog.messages == [says]
+    kinds.remove("std_msgs/msg/Bool")
+    topic.look()
+    assert (taken, topic.fault) == ([STRING], "")
 
 
 def test_a_callback_that_raises_does_not_end_the_bus(nodes: tuple[Any, Any], caplog: pytest.LogCaptureFixture) -> None:

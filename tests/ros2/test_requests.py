@@ -34,7 +34,7 @@ if not MISSING:
 def test_a_bad_goal_changes_nothing(
     pair: Callable[..., Any], topic: str, frame: str, position: dict[str, float], says: str
 ) -> None:
-    p = pair()
+    p = pair(rates={"diagnostics": 0.01})  # what is new is told at once
     drive(p)
     task = p.control._task
     p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})

@@ -229,7 +229,7 @@ class ControlNode:
             self.source.judge("")
             return fix
         jumped = self.gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
-        self.source.judge(jumped)
+        self.source.judge(jumped, self.pilot.keeps)
         if jumped and not self.pilot.keeps:
             self.pilot.relocate()
             raise SafeStop(jumped)
@@ -275,7 +275,7 @@ class ControlNode:
             why = "the robot has stopped meanwhile"
         if why or seen is None:
             raise InputError(why or "there is no state yet")
-        if self.running:
+        if planned.moving or self.running:  # one that was for a moving robot starts none, whenever it has stopped
             self._put(planned.task, planned.references)
         else:
             self._start(seen[1], planned.task, planned.references)
@@ -309,6 +309,8 @@ class ControlNode:
     def _order(self, legs: Legs, x: np.ndarray) -> None:
         pilot = self.pilot
         if not self.running:
+            if not legs.waiting:  # it has stopped just now
+                return
             task = pilot.planner.hold(x, 0.0)
             self._start(x, task, pilot.references(task, x))
         assert pilot.brakes is not None
@@ -371,6 +373,9 @@ class ControlNode:
             self.body.disarm()
             if self.inbox.running is not None:
                 self._stay()
+                if self.legs is not None and self.legs.waiting:
+                    self.legs.drop()
+                    self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
             self.inbox.running = None
             if self.legs is not None:
                 self.legs.stop()

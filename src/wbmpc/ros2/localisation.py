@@ -71,9 +71,9 @@ class PoseSource:
         why = f" ({self.fault})" if self.fault else ""
         return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
 
-    def judge(self, jumped: str) -> None:
-        """What the gate said of the pose that was taken last; empty: it counts."""
-        if jumped and not self.jumped:
+    def judge(self, jumped: str, goes_on: bool = True) -> None:
+        """What the gate said of the pose that was taken last; empty: it counts. A stop tells it itself."""
+        if jumped and goes_on and not self.jumped:
             _LOG.error("%s; it does not count", jumped)
         self.jumped = jumped
         if not jumped:

@@ -27,15 +27,14 @@ class Several:
         kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
         for kind in [k for k in self._ends if kinds and k not in kinds]:
             self._ends.pop(kind)()
+        fault = ""
         for kind in sorted(kinds - self._ends.keys()):
             try:
                 self._ends[kind] = self._node.subscribe(
                     self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
                 )
             except Exception as error:
-                sentence = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
-                if sentence != self.fault:
-                    _LOG.error("%s", sentence)
-                self.fault = sentence
-            else:
-                self.fault = ""
+                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+        if fault and fault != self.fault:
+            _LOG.error("%s", fault)
+        self.fault = fault

@@ -40,9 +40,10 @@ class SimNode:
     """A plant on a bus, at ``rate`` [Hz].
 
     In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
-    have come, so that nothing depends on the machine's speed; else in real time, ``factor`` times as fast. ``behind``: how often
-    it was too slow. Stamps say when the physics was sampled, whenever the message goes out: simulated time, by the wall's clock
-    from its beginning on. A robot that cannot stand by itself is held until the first commands come; only its time goes on.
+    have come (``patience`` [s] of the wall: as long as they are waited for), so that nothing depends on the machine's speed; else
+    in real time, ``factor`` times as fast. ``behind``: how often it was too slow. Stamps say when the physics was sampled,
+    whenever the message goes out: simulated time, by the wall's clock from its beginning on. A robot that cannot stand by itself
+    is held until the first commands come; only its time goes on.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class SimNode:
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep
         self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0
+        self.patience = PATIENCE
         self.sim_time = settings.use_sim_time or self.lockstep
         if factor != 1.0 and not self.sim_time:
             raise InputError(
@@ -184,11 +186,11 @@ class SimNode:
 
         Who does not answer at all is not waited for again until it does.
         """
-        end = time.monotonic() + PATIENCE
+        begin = time.monotonic()
         recent = lambda n: self.time - self._heard[n] < AGAIN_LED
         led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
         answered = lambda: all(recent(n) if n in led else self._count[n] > before[n] for n in before)
-        while not answered() and time.monotonic() < end:
+        while not answered() and time.monotonic() - begin < self.patience:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)
             if not there:
