@@ -297,6 +297,22 @@ def test_a_reader_who_leaves_changes_nothing(
     assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == (0 if "list" in arguments else 3)
 
 
+def test_ctrl_c_within_compiled_code_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """CasADi and NumPy, called back, report KeyboardInterrupt as the cause of a SystemError."""
+
+    def pressed(*_: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    monkeypatch.setattr("wbmpc.robots.available_robots", pressed)
+    assert call("list") == 130
+    assert capsys.readouterr().err == "wbmpc: interrupted\n"
+
+
 def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError

@@ -138,6 +138,23 @@ def test_the_site_stands_alone(site) -> None:  # type: ignore[no-untyped-def]
     assert "there is no physics &lt;at all&gt;" in own and "&quot;rate&quot;: 50.0" in own and "There is no clip" in own
 
 
+def test_goals_are_ranges_and_least_values_too(tmp_path: Path) -> None:
+    """A figure of three seeds is judged by its median against both bounds, and the page shows them."""
+    jobs = plan(["fake"], range(3), tmp_path)
+    targets = {"ratio": {"least": 10.0}, "torque": {"least": 195.0, "goal": 206.0}, "low": {"least": 5.0}}
+    for job, ratio in zip(jobs, (9.0, 11.0, 12.0), strict=True):
+        values = {"ratio": ratio, "torque": 200.0 + ratio, "low": 4.0}
+        metrics = {name: {"value": v, "unit": "1"} for name, v in values.items()}
+        job.directory.mkdir(parents=True)
+        run = {"completed": True, "metrics": metrics, "targets": targets, "idealisations": [], "settings": {}}
+        (job.directory / "metrics.json").write_text(json.dumps(run))
+        job.mark.touch()
+    met = {name: m["met"] for name, m in summarise(jobs)["fake"]["metrics"].items()}
+    assert met == {"ratio": True, "torque": False, "low": False}  # medians 11, 211 and 4
+    page = write_site(jobs, {}, tmp_path, clips=False).read_text()
+    assert "≥ 10" in page and "195 to 206" in page and "1 of 3 goals pass; short: fake: torque, fake: low." in page
+
+
 def test_a_site_without_any_result(tmp_path: Path) -> None:
     jobs = plan(["fake"], [1], tmp_path)
     index = write_site(jobs, run_all(jobs, 1, None, crash), tmp_path, clips=False)

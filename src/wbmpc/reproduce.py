@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.errors import InputError
-from wbmpc.report import RUN_FILES, document, number, table
+from wbmpc.report import RUN_FILES, document, goal_text, number, table
+from wbmpc.result import Metric
 
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
@@ -139,11 +140,11 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     # a figure that is not finite is null in the file: as bad as can be
     known = [float("inf") if v is None else float(v) for v in values]
     target = having[0].get("targets", {}).get(name, {})
-    median, goal = statistics.median(known), target.get("goal")
-    # the median of falls says nothing: what may never happen is judged by the worst run
-    met = None if goal is None else (median if goal else max(known)) <= goal
+    median, bounds = statistics.median(known), {key: target.get(key) for key in ("paper", "goal", "least")}
     unit = having[0]["metrics"][name]["unit"]
-    return {"unit": unit, "median": median, "worst": max(known), "paper": target.get("paper"), "goal": goal, "met": met}
+    # the median of falls says nothing: what may never happen is judged by the worst run
+    judged = Metric(max(known) if bounds["goal"] == 0 else median, unit, **bounds)
+    return {"unit": unit, "median": median, "worst": max(known), **bounds, "met": judged.met}
 
 
 _VERDICT = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
@@ -156,7 +157,8 @@ def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
         [
             html.escape(n),
             html.escape(m["unit"]),
-            *(text(m[k]) for k in ("median", "worst", "paper", "goal")),
+            *(text(m[k]) for k in ("median", "worst", "paper")),
+            goal_text(Metric(m["median"], m["unit"], goal=m["goal"], least=m["least"])),
             _VERDICT[m["met"]],
         ]
         for n, m in metrics.items()
@@ -176,7 +178,9 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
         page = out / name / "index.html"
         page.write_text(_experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
         completed = sum(r["completed"] for r in found[name]["runs"].values())
-        paper = {n: m for n, m in found[name]["metrics"].items() if m["paper"] is not None or m["goal"] is not None}
+        paper = {
+            n: m for n, m in found[name]["metrics"].items() if any(m[k] is not None for k in ("paper", "goal", "least"))
+        }
         count = f"{completed} of {len(found[name]['runs'])} runs completed" + (
             f", {len(lost)} gave no result" if lost else ""
         )
@@ -235,13 +239,12 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
 
 def _clip(jobs: list[Job], name: str, out: Path, wanted: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
-    path = out / name / "clip.mp4"
-    if wanted and not path.is_file():
+    path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
+    if wanted and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
         from wbmpc.recording.reader import read
         from wbmpc.view.render import render
         from wbmpc.view.replay import Film
 
-        job = next(j for j in jobs if j.name == name and j.done)
         try:
             render(Film(read(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
         except InputError as error:

@@ -30,11 +30,21 @@ class Page:
         local = ("http://127.0.0.1", "ws://127.0.0.1", "http://localhost", "file:", "data:", "blob:")
         page.on("request", lambda r: None if r.url.startswith(local) else self.outside.append(r.url))
 
-    def open(self, url: str, seconds: float = 8.0) -> None:
-        """Open and let it draw."""
-        self.page.goto(url, timeout=60_000)
-        self.page.wait_for_selector("canvas", timeout=60_000)
-        self.wait(seconds)
+    def open(self, url: str) -> None:
+        """Open it and wait until a scene is drawn, and drawn on."""
+        self.page.goto(url, timeout=120_000)
+        self.page.wait_for_selector("canvas", timeout=120_000)
+        assert self.until(lambda: self.colours() > 50, 180.0), "no scene was drawn"
+        self.drawn(5)
+
+    def colours(self) -> int:
+        """How many colours the canvas shows: many, once there is a robot."""
+        return len(np.unique(self.picture().reshape(-1, 3), axis=0))
+
+    def drawn(self, pictures: int) -> None:
+        """Wait until the page has drawn so many pictures more."""
+        for _ in range(pictures):
+            self.page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
 
     def wait(self, seconds: float) -> None:
         self.page.wait_for_timeout(1000 * seconds)
@@ -70,12 +80,12 @@ class Page:
     def _lit(self, at: np.ndarray) -> int:
         """Pixels near a point in the colour of a gizmo's part under the pointer (yellow)."""
         near = self.picture((at[0] - 60, at[1] - 60, 120, 120))
-        return int(((near[..., :2] > 170).all(axis=2) & (near[..., :2].min(axis=2) - near[..., 2] > 60)).sum())
+        return int(((near[..., :2] > 170).all(axis=2) & (near[..., :2].min(axis=2) - near[..., 2] > 40)).sum())
 
-    def grasp(self, at: np.ndarray, seconds: float = 10.0) -> bool:
+    def grasp(self, at: np.ndarray, seconds: float = 20.0) -> bool:
         """Put the pointer on a part of a gizmo and press; False, and nothing is pressed, if the gizmo does not light up."""
         self.page.mouse.move(5.0, HEIGHT - 5.0)
-        self.wait(0.3)
+        self.drawn(2)
         before = self._lit(at)
         self.page.mouse.move(*at)
         if not self.until(lambda: self._lit(at) > before + 15, seconds):
@@ -87,7 +97,7 @@ class Page:
         """Drag what is grasped, in steps that the page has drawn, and let go."""
         for share in np.linspace(0.1, 1.0, 10):
             self.page.mouse.move(*(start + share * (end - start)))
-            self.page.evaluate("() => new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
+            self.drawn(1)
         self.page.mouse.up()
 
 

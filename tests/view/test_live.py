@@ -86,6 +86,7 @@ def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending,
     return run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, watchers)), kept[0]
 
 
+@pytest.mark.wallclock
 def test_a_run_with_a_view_is_in_real_time_and_the_same() -> None:
     view = live.View("test", port=free_port())
     try:
@@ -102,6 +103,7 @@ def test_a_run_with_a_view_is_in_real_time_and_the_same() -> None:
     np.testing.assert_array_equal(watched.plant.data.qpos, alone.plant.data.qpos)
 
 
+@pytest.mark.wallclock
 def test_browsers_that_hang_change_nothing() -> None:
     """Two clients connect, ask for everything and never read: the time that watching takes at a tick stays as it was."""
     view = live.View("test", port=free_port())
@@ -144,6 +146,7 @@ def hanging_client(port: int) -> socket.socket:
     return s
 
 
+@pytest.mark.wallclock
 def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
     view = live.View("test", port=free_port())
 
@@ -159,6 +162,7 @@ def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
         view.close()
 
 
+@pytest.mark.wallclock
 def test_pause_step_speed_and_end() -> None:
     view = live.View("test", port=free_port())
     try:
@@ -283,6 +287,8 @@ def test_a_session_begins_anew_on_reset() -> None:
 def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="--port: must be 1 to 65535, got 70000"):
         live.View("test", port=70000)
+    assert main(["replay", "nowhere", "--port", "0"]) == 2
+    assert "--port: must be 1 to 65535, got 0" in capsys.readouterr().err
     assert main(["view", "swerv-ur10"]) == 2
     assert "did you mean 'swerve-ur10'" in capsys.readouterr().err
     monkeypatch.setattr("wbmpc.view.window.find_spec", lambda name: None)

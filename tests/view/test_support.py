@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from wbmpc.plant.scene import Contact
+from wbmpc import lie
+from wbmpc.plant.scene import Body, Contact, Scene, Shape
+from wbmpc.view.camera import clearest
 from wbmpc.view.snapshot import ground, spoken
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
@@ -81,3 +83,18 @@ def test_contacts_are_drawn() -> None:
 def test_margins_are_distances_inside_or_outside() -> None:
     said = spoken({"error": np.nan, "margin": 0.0312, "triangle_margin": -0.148})
     assert said == "  \nZMP 31 mm inside the polygon, 148 mm outside the triangle"
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.9, 2.1, -2.5])
+def test_the_camera_stands_where_no_wall_hides_the_robot(turn: float) -> None:
+    """Truth: the wall is on one side of the robot, so that an eye on that side sees nothing; a low sill hides nothing."""
+    ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
+    heading = lie.quaternion_about((0.0, 0.0, 1.0), turn)
+    bodies = (Body("base", "world", True), Body("arm", "base", True), Body("door", "world", True))
+    poses = np.array([[0, 0, 0.2, 1, 0, 0, 0], [0, 0, 0.8, 1, 0, 0, 0], [*(0.5 * ahead), *heading]])
+    eyes = [np.array([0.0, 0.0, 1.5]) + 3.0 * ahead, np.array([0.0, 0.0, 1.5]) - 3.0 * ahead]
+    for height, chosen in ((2.0, 1), (0.02, 0)):
+        door = Shape("door", "box", (0.02, 2.0, height), (0, 0, height, 1, 0, 0, 0), (1, 1, 1, 1))
+        assert clearest(Scene("base", bodies, (door,)), poses, eyes) == chosen
+    hull_of_robot = Shape("base", "box", (0.5, 0.5, 0.5), (0, 0, 0, 1, 0, 0, 0), (1, 1, 1, 1))
+    assert clearest(Scene("base", bodies[:2], (hull_of_robot,)), poses[:2], eyes) == 0

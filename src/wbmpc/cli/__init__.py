@@ -30,6 +30,7 @@ from wbmpc.cli.terminal import (
     TERMINATED,
     console,
     experiment_names,
+    interrupted,
     logged,
     progress_bar,
     silent,
@@ -365,6 +366,9 @@ def _run(given: list[str], debug: bool, quiet: bool, verbose: bool, registry: Ma
         typer.echo("wbmpc: interrupted", err=True)
         return INTERRUPTED
     except Exception as error:
+        if interrupted(error):
+            typer.echo("wbmpc: interrupted", err=True)
+            return INTERRUPTED
         # mistakes on the command line itself; their base class is typer's or click's, by typer's version
         if not hasattr(error, "format_message"):
             raise

@@ -116,6 +116,8 @@ def compare(
     figures = [run.figures for run in runs]
     rows, changed = table(figures), differences(figures)
     names = [first.name or str(first), second.name or str(second)]
+    if names[0] == names[1]:
+        names = [str(first), str(second)]
     notes = [f"{run.directory} {run.note}" for run in runs if run.note]
     about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
     plots = overlay(runs, names, wheels(figures[0]))

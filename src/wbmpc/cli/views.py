@@ -123,6 +123,8 @@ def replay(
 
     if find_spec("viser") is None:
         raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
+    if not 0 < port < 65536:
+        raise InputError(f"--port: must be 1 to 65535, got {port}")
     if html is not None:
         new_file("--html", html, html, force)
     film = Film(read(file))

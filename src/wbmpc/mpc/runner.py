@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
 from wbmpc.mpc.figures import Report, Spread
@@ -205,7 +205,7 @@ class Runner:
             if not self._stopped.is_set():
                 try:
                     self._tick(due)
-                except SafeStop as reason:
+                except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
                 except Exception as error:
                     self.halt(f"the controller raised {type(error).__name__}: {error}", error)
@@ -363,12 +363,15 @@ class Runner:
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""
-        limit = self.settings.watchdog
-        self._beat = self.clock.now()
+        limit, looked, worst = self.settings.watchdog, self.clock.now(), 0.0
+        self._beat = beat = looked
         while not self._ended.wait(0.2 * limit):
-            silent = self.clock.now() - self._beat
+            now = self.clock.now()
+            worst = max(worst, now - looked) if self._beat == beat else now - looked
+            silent, beat, looked = now - self._beat, self._beat, now
             if silent > limit:
-                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s")
+                why = ": the machine is too busy, the watchdog was held up too" if worst > 0.5 * limit else ""
+                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")
                 self._stop_robot()
 
     # ------------------------------------------------------------------ figures

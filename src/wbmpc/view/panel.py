@@ -33,6 +33,7 @@ class Panel:
         name_tab(server.gui, controls.title)
         self._status = server.gui.add_markdown(f"**{controls.title}**")
         self._follow = add_follow(server)
+        self._handles = server.gui.add_checkbox("Show handles", True)
         add_legend(server.gui)
         self._run()
         self._robot()
@@ -106,10 +107,9 @@ class Panel:
 
     def _goals(self) -> None:
         scene = self.server.scene
-        self._handles = self.server.gui.add_checkbox("Handles of the goals", True)
         # thin, and seen through: the hand is behind it
         self._goal = scene.add_transform_controls(
-            "/goal", scale=0.3, line_width=1.5, opacity=0.5, disable_sliders=True, visible=False
+            "/goal", scale=0.3, line_width=1.5, opacity=0.7, disable_sliders=True, visible=False
         )
         self._goal.on_drag_start(lambda _: self._hold(True))
         self._goal.on_update(

@@ -27,8 +27,8 @@ from wbmpc.view.realtime import RealtimeView
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
 _CONTROL, _LAG = 400.0, 0.020
-#: A machine that draws pictures beside it may hold the controller up for so long [s] without a stop.
-_PATIENT = 0.5
+#: A machine that draws pictures beside it may hold the controller up for so long [s] without a stop: the robot is simulated.
+_PATIENT = 2.0
 #: A session ends by itself after this long [s].
 LONGEST = 24 * 3600.0
 #: Legs pull harder than in tracking: their configuration is asked for, not left over.
