@@ -1,7 +1,9 @@
 """Gains of the rivals of `swerve-fixed`: a coordinate search on tuning seeds, for the least rms position error.
 
-Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--random 20] [--rounds 2] [--out DIR]
-Starts from the gains that the experiment has. DIR/NAME.md gets every trial and the best; trials that it has are not run again.
+Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--random 20] [--sets 31] [--out DIR]
+Starts from the gains that the experiment has, and ends after so many sets of gains. The four-wheel base is judged by the motions
+that it can do (forward, turning); sideways ones would hide its gains. DIR/NAME.md gets every trial and the best; trials that it
+has are not run again.
 """
 
 from __future__ import annotations
@@ -24,13 +26,19 @@ GRID: dict[str, tuple[float, ...]] = {
     "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
     "look_ahead": (0.5, 1.0, 1.5, 2.0),
 }
+#: What each rival is judged by; ``None``: all motions, and random twists after them.
+MOTIONS: dict[str, tuple[fixed.Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
+#: The robot stands only so long [s] before a trial.
+REST = 2.0
 KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
 
 
 def error(name: str, gains: dict[str, float], seeds: range, random: float) -> float:
     """Rms position error [m] over all seeds."""
-    settings, robot = fixed.SwerveFixedSettings(random=random), load_robot("swerve-fixed-ur10")
-
+    robot, motions = load_robot("swerve-fixed-ur10"), MOTIONS[name]
+    settings = fixed.SwerveFixedSettings(random=random, rest=REST)
+    if motions is not None:
+        settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
     squares = []
     for seed in seeds:
@@ -46,7 +54,7 @@ def main() -> None:
     parser.add_argument("--rival", default="ik", choices=sorted(KINDS))
     parser.add_argument("--seeds", default="0-1")
     parser.add_argument("--random", type=float, default=20.0)
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--sets", type=int, default=31, help="of gains that are tried")
     parser.add_argument("--out", type=Path, default=Path("runs/rivals"))
     given = parser.parse_args()
     first, last = (int(v) for v in given.seeds.split("-"))
@@ -63,26 +71,32 @@ def main() -> None:
             print(f"{given.rival} {gains}: {1e3 * known[key]:.2f} mm", flush=True)
         return known[key]
 
-    best, gains = search(dict(fixed.GAINS[given.rival]), given.rounds, trial)
-    print(f"best: {gains}: {1e3 * best:.2f} mm")
+    best, gains = search(dict(fixed.GAINS[given.rival]), given.sets, trial)
+    print(f"best of {len(known)} sets: {gains}: {1e3 * best:.2f} mm")
     path.with_suffix(".md").write_text(table(known, gains))
 
 
 def search(
-    gains: dict[str, float], rounds: int, trial: Callable[[dict[str, float]], float]
+    gains: dict[str, float], sets: int, trial: Callable[[dict[str, float]], float]
 ) -> tuple[float, dict[str, float]]:
-    """The least error [m] and its gains, one gain after the other over the grid, ``rounds`` times."""
+    """The least error [m] and its gains, one after the other over the grid, until ``sets`` were tried or a round gains nothing."""
+    tried = {tuple(gains.items())}
     best = trial(gains)
-    for _ in range(rounds):
+    while True:
         before = best
         for key, values in GRID.items():
             for value in values:
-                found = trial({**gains, key: value})
+                candidate = {**gains, key: value}
+                if tuple(candidate.items()) in tried:
+                    continue
+                if len(tried) == sets:
+                    return best, gains
+                tried.add(tuple(candidate.items()))
+                found = trial(candidate)
                 if found < best:
-                    best, gains = found, {**gains, key: value}
+                    best, gains = found, candidate
         if best > 0.98 * before:
-            break
-    return best, gains
+            return best, gains
 
 
 def table(known: dict[tuple[tuple[str, float], ...], float], best: dict[str, float]) -> str:

@@ -159,3 +159,24 @@ def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
             return False
         time.sleep(0.002)
     return True
+
+
+# ---------------------------------------------------------------------- faults
+def raises(text: str, kind: type[Exception] = RuntimeError) -> Callable[..., Any]:
+    def fault(*ignored: object) -> None:
+        raise kind(text)
+
+    return fault
+
+
+def at(read: int, action: Callable[[ToyRobot], None]) -> Callable[[ToyRobot], None]:
+    """From this read on."""
+    return lambda robot: action(robot) if robot.reads >= read else None
+
+
+def freeze(robot: ToyRobot) -> None:
+    robot.frozen = robot.frozen or Measured(robot.clock.now(), robot.x)
+
+
+def lose(robot: ToyRobot) -> None:
+    robot.frozen = Measured(robot.clock.now(), np.array([0.1, np.nan]))

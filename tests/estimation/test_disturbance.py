@@ -89,3 +89,23 @@ def test_an_unknown_inertia_is_no_constant_force() -> None:
     assert learnt((0.5, 0.2)) < 1.0
     found = observed(12.0, lambda t: CONSTANT, calm=(0.5, 0.2))[-1]
     np.testing.assert_allclose(found, CONSTANT, rtol=0.03)
+
+
+def test_what_holds_a_resting_robot_up_is_learnt_and_forgotten() -> None:
+    """A force of 60 N along x, 3 m/s² unless something bears it, from 2 s to 5 s on a robot that stands: taken for a push
+    at first, it is learnt when the hold is over, and forgotten without another hold when it goes."""
+    observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, again=0.3)
+    x, out = np.zeros(2 * N), []
+    for k in range(round(9.0 / H)):  # it leans against what holds it: the command that it knows of has no effect
+        blocked = 2.0 <= k * H < 5.0
+        u = np.array([60.0 if blocked else 0.0, 0.0, 0.0, 0.0, 0.0])
+        out.append(observer.update(k * H, x, u, H)[0])
+    force = np.array(out)
+    at = lambda t: force[round(t / H)]
+    assert abs(at(2.9)) < 12.0  # a push, as far as it knows
+    assert at(4.9) == pytest.approx(-60.0, rel=0.02)
+    assert abs(at(6.5)) < 3.0
+    x[N] = 0.5  # a ball that rolls is not held up: another push after the hold is another hold
+    rolling = DisturbanceObserver(lambda x, u, h: step(x, u + rolling.force, h), lambda q: MASS, N, again=0.3)
+    learnt = [rolling.update(k * H, x, np.array([60.0, 0.0, 0.0, 0.0, 0.0]), H)[0] for k in range(round(3.0 / H))]
+    assert np.abs(learnt).max() < 40.0

@@ -1,4 +1,5 @@
-"""Reference paths. Truth: quadrature of the arc length, finite differences, distances to densely sampled curves."""
+"""Reference paths. Truth: quadrature of the arc length, finite differences, distances to densely sampled curves, inverse
+kinematics."""
 
 from __future__ import annotations
 
@@ -7,7 +8,9 @@ import pytest
 from scipy.integrate import quad
 
 from wbmpc import lie
+from wbmpc.experiments import swerve_track as track
 from wbmpc.experiments.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
+from wbmpc.model import load_robot
 
 PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
 
@@ -63,3 +66,29 @@ def test_approach_comes_from_home_to_the_path_within_its_speeds() -> None:
     assert speed.max() <= APPROACH_SPEED * 1.001 and rate.max() == pytest.approx(APPROACH_RATE, rel=1e-2)
     assert Approach(start, start).duration == 0.0
     np.testing.assert_allclose(Approach(start, start).offset(t)[0], 0.0)
+
+
+def test_peaks_are_out_of_reach_of_a_base_on_its_line() -> None:
+    """By inverse kinematics, led outwards: the peaks are 20 to 40 mm beyond where it ends."""
+    robot = load_robot("swerve-ur10")
+    path = track._References(track.SwerveTrackSettings(variant="peaks", periods=1), robot).curve()
+    arm, x, farthest = robot.state["arm"], robot.home.copy(), 0.0
+
+    def error(y: float) -> np.ndarray:
+        position, orientation = robot.pose(x)
+        turn = track.HAND_ROTATION @ lie.quaternion_to_rotation(orientation).T
+        spin = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        return np.concatenate([[track.AHEAD, y, track.HEIGHT] - position, spin])
+
+    for y in np.concatenate([np.arange(0.65, 1.22, 0.02), np.arange(1.22, 1.30, 0.002)]):
+        for _ in range(12):
+            e, jacobian = error(y), np.empty((6, 6))
+            for k in range(6):
+                x[arm.start + k] += 1e-6
+                jacobian[:, k] = (e - error(y)) / 1e-6
+                x[arm.start + k] -= 1e-6
+            x[arm] += np.linalg.solve(jacobian.T @ jacobian + 1e-6 * np.eye(6), jacobian.T @ e)
+        if np.linalg.norm(error(y)) > 1e-3:
+            break
+        farthest = y
+    assert 0.020 < path[:, 1].max() - farthest < 0.040

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
+from wbmpc.model import ServoedArm, load_robot
 from wbmpc.ocp.residuals import FrameWrench, Symbols
 from wbmpc.robots import load_description, load_spec
 
@@ -316,6 +316,10 @@ def test_layouts_and_frames() -> None:
     assert (ROBOT.state.size, ROBOT.input.size, ROBOT.parameters.size, ROBOT.mode.size) == (16, 6, 11, 0)
     assert (force.state.size, force.input.size, force.parameters.size) == (16, 9, 8)
     assert {"base", "tool"} <= set(ROBOT.frames)
+    loaded = load_robot("rezero", payload=True)
+    assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 12
+    with pytest.raises(InputError, match="no mass at the hand"):
+        ServoedArm(loaded)
     with pytest.raises(InputError, match="did you mean 'tool'"):
         ROBOT.frame_pose(ca.SX.sym("x", 16), "tol")
 

@@ -71,11 +71,35 @@ def test_multipliers_of_a_curved_inequality(algorithm: SQP) -> None:
     np.testing.assert_allclose(multiplier.u, hard.u, atol=2e-4)
 
 
-@pytest.mark.parametrize("name", ["circle", "sine"])
-def test_with_a_compliance(name: str) -> None:
-    """The row is a wish of weight 1e3: IPOPT has it as a cost."""
-    found = made(name, SQP(), compliance=1e-3).solve(np.zeros(2))
-    assert found.status is Status.CONVERGED and found.iterations <= 40, found
+WISHES: dict[str, Callable[..., ca.SX]] = {
+    "sine of a state": lambda s: ca.sin(3.0 * s.x[0]) - s.u[1],
+    "stretched": lambda s: s.u[0] * (1.0 + s.x[1] ** 2) - 1.0,
+    "wheel": lambda s: s.u[0] * ca.sin(s.x[1]) - s.u[1] * ca.cos(s.x[1]),
+    "exponential": lambda s: ca.exp(s.u[0]) + s.u[1] - 1.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "compliance", "backend"),
+    [*((name, c, "compiled") for name in WISHES for c in (1e-3, 1e-2, 1.0)), ("wheel", 1e-2, "interpreted")],
+)
+def test_a_curved_wish(name: str, compliance: float, backend: str) -> None:
+    """A row g with compliance c is a cost of ½ g² / c per interval, which IPOPT minimises."""
+    solvers = []
+    for term in (
+        Constraint("wish", Rows(1, WISHES[name]), compliance=compliance),
+        Cost("wish", Rows(1, WISHES[name]), 10.0 / compliance),
+    ):
+        ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 2.0, 20)
+        ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([3.0, 1.0])), 1.0, at="all"))
+        ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
+        ocp.add(term)
+        solvers.append(Solver(ocp, SQP(backend=backend)))  # type: ignore[arg-type]
+        solvers[-1].guess(np.zeros(2), np.array([0.5, 0.2]))
+    found = solvers[0].solve(np.zeros(2))
+    assert found.status is Status.CONVERGED and found.iterations <= 60, found
+    solvers[1].guess(found.x + 1e-3, found.u + 1e-3)
+    np.testing.assert_allclose(found.u, ipopt.solve(solvers[1], np.zeros(2))[1], atol=1e-5)
 
 
 @pytest.mark.parametrize("hessian", ["gauss_newton", "exact"])

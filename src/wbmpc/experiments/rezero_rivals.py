@@ -86,9 +86,15 @@ class RivalsSettings(Settings):
     taskspace: TaskspaceSettings = TaskspaceSettings()
 
 
-_SQUARE = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.0302, pace=25.0, integral=2.96)
-#: For accurate tasks: the same search on the square with a load that nobody knows of (all three found the same set).
-ACCURATE_RIVALS = RivalsSettings(separate=_SQUARE, separate_integral=_SQUARE, separate_aware=_SQUARE)
+_STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.0152, pace=40.0, integral=5.57)
+#: For accurate tasks: the same search on the square with a load that nobody knows of.
+ACCURATE_RIVALS = RivalsSettings(
+    separate=_STIFF,
+    separate_integral=SeparateSettings(
+        ball=63.9, ball_speed=2.26, tilt_rate=5.17, wheel=0.01, pace=40.0, integral=1.18
+    ),
+    separate_aware=_STIFF,
+)
 
 
 class ActuatorSettings(Settings):

@@ -51,6 +51,10 @@ class _Slots:
         return cls(slices, start)
 
 
+#: Compliance from which on an equality row is a wish.
+WISH = 1e-5
+
+
 class Transcription:
     """Stage functions of a problem and the meaning of their parameter vectors."""
 
@@ -87,6 +91,8 @@ class Transcription:
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
         #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
         self.curved = curved_in_inputs(self.path, self.x, self.u)
+        #: whether equalities have a compliance to speak of
+        self.wishes = bool((self.compliance > WISH).any())
         #: whether equalities, or rows with multipliers, have second derivatives by the inputs
         self.bent = not exact and bent_by_inputs(self.equality, self.path, self.u)
 

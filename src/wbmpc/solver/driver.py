@@ -53,6 +53,8 @@ from wbmpc.solver.places import (
     UNEQUAL,
     VIOLATION,
     WATCHED,
+    WISHED,
+    WISHES,
     N,
     U,
     X,
@@ -62,6 +64,7 @@ from wbmpc.solver.row_table import forget_outside
 from wbmpc.solver.rows import rows_step, start_rows, take_rows
 from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import row_count
+from wbmpc.solver.wishes import start_wishes, take_wishes, wishes_step
 from wbmpc.solver.workspace import LOG
 
 CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED, EQUALITY_MISSED = range(7)
@@ -96,11 +99,14 @@ def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
         roll_out(m, o, x0)
         if rows:
             start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
+    if o[WISHES] > 0:
+        start_wishes(m, o)
 
 
 @compiled(NUM6, NUMS, INTS, NUMS, NUMS, NUMS, INT)
 def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
-    """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log."""
+    """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
+    has the equalities that are wishes too."""
     state, certify = o[STATE], s[CERTIFY] > 0.0
     cost, gaps, equalities, violation = backward(m, o, certify)
     for i in range(o[NX]):
@@ -109,13 +115,15 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     largest, slope = forward(m, o, x0)
     if row_count(o) > 0:
         rows_step(m, o, s[TAU])
+    if o[WISHES] > 0:
+        slope += wishes_step(m, o)
     kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + ROW_COST], violation, kkt, largest
     m[state + COST], m[state + VIOLATION] = log[row], violation
     log[row + 4], log[row + 5], log[row + 6], log[row + 7] = 0.0, gaps, equalities, m[state + RESIDUAL]
     log[row + 8], log[row + 9] = m[state + PRODUCT], m[state + MU]
     log[row + 10], log[row + 11] = m[state + SHIFT], m[state + DUAL]
-    return cost, violation, kkt, curvature, largest, slope + m[state + ROW_SLOPE]
+    return cost, violation - m[state + WISHED], kkt, curvature, largest, slope + m[state + ROW_SLOPE]
 
 
 @compiled(NUM, NUMS, INTS)
@@ -213,7 +221,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if abs(cost) > HUGE or largest > HUGE:
             return DIVERGED, it
         mu, product = m[state + MU], m[state + PRODUCT]
-        feasible = met(m, o, violation, log[row + 6], s[FEASIBILITY])
+        feasible = met(m, o, violation, log[row + 6] - m[state + WISHED], s[FEASIBILITY])
         if certify and mu < last_mu:
             bias = moved(m, o) * mu / (last_mu - mu)
         last, last_mu = mu <= level or not rows, mu
@@ -236,7 +244,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         shift = m[state + SHIFT]
         if alpha == 0.0:
-            m[state + COST], m[state + VIOLATION] = log[row], violation
+            m[state + COST], m[state + VIOLATION] = log[row], log[row + 1]
             if m[state + HOLD] == 1.0 and s[KEEP] == 0.0:  # once more along the step itself
                 m[state + HOLD] = 0.0
                 continue
@@ -251,6 +259,8 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             min(1.0, 2.0 * m[state + THETA] + 0.01),
         )
         take(m, o)
+        if o[WISHES] > 0:
+            take_wishes(m, o, alpha)
         if rows:
             last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
             if changed > 0.0:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.ocp.transcription import WISH
 from wbmpc.solver.barriers import BARRIER, CHAIN_C, CHAIN_W, COUNTED, INTERVAL, LANE_COST, barrier_lanes
 from wbmpc.solver.compilation import INT, INTS, LANES, NONE, NUM, NUM2, NUMS, call2, call4, call5, compiled
 from wbmpc.solver.places import (
@@ -16,6 +17,7 @@ from wbmpc.solver.places import (
     BASE,
     CHAIN,
     END_BOXES,
+    EPS,
     GRID,
     INDEX,
     J1,
@@ -37,6 +39,7 @@ from wbmpc.solver.places import (
     LANES_DYNAMICS_J,
     LANES_EQUALITY,
     LANES_ROWS,
+    LG,
     LX,
     LZ,
     NG,
@@ -260,9 +263,15 @@ def gaps(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
     return np.sum(inner) + jumped
 
 
+@compiled(INT, INTS)
+def equality_size(o):  # type: ignore[no-untyped-def]
+    """Doubles between the equality rows of two nodes: [C e D] and Dᵀ."""
+    return (o[NG] * o[LZ] + o[NU] * o[LG] + 7) // 8 * 8
+
+
 @compiled(NUM2, NUMS, INTS)
 def cost_and_equalities(m, o):  # type: ignore[no-untyped-def]
-    """Path cost and barriers times h, and Σ |equality row|, of a block that is loaded."""
+    """Path cost and barriers times h, and Σ |equality row| without those that are wishes, of a block that is loaded."""
     small, values = o[LANE_SMALL], o[LANE_VALUES]
     counted = m[small + COUNTED : small + COUNTED + LANES] > 0.0
     stage_lanes(o, LANES_COST, o[LANE_X], o[LANE_U], small + LANE_COST, values, values)
@@ -275,6 +284,8 @@ def cost_and_equalities(m, o):  # type: ignore[no-untyped-def]
     violation = np.full(LANES, 0.0)
     if o[NG] > 0:
         stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)
-        for q in range(values, values + LANES * o[NG], LANES):
-            violation = violation + np.where(counted, abs(m[q : q + LANES]), 0.0)
+        for q in range(o[NG]):
+            at = values + LANES * q
+            if m[o[EPS] + q] <= WISH:
+                violation = violation + np.where(counted, abs(m[at : at + LANES]), 0.0)
     return np.sum(cost), np.sum(violation)

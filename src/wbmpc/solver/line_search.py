@@ -37,6 +37,7 @@ from wbmpc.solver.places import (
     USE_FILTER,
     UT,
     VIOLATION,
+    WISHES,
     XT,
     K,
     N,
@@ -48,6 +49,7 @@ from wbmpc.solver.riccati import backward
 from wbmpc.solver.row_table import forget_outside
 from wbmpc.solver.rows import end_values, rows_merit
 from wbmpc.solver.stages import interval, normalise, stage_end
+from wbmpc.solver.wishes import wishes_of_block
 
 #: What overshooting directions shorten a step to at least.
 SHORTEST = 0.15
@@ -99,6 +101,7 @@ def move(m, o, alpha):  # type: ignore[no-untyped-def]
 @compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
 def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
+    Equalities that are wishes have a variable of their own.
 
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
@@ -108,7 +111,7 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
         roll_out_policy(m, o, x0, alpha)
     else:
         move(m, o, alpha)
-    cost, violation, of_rows = 0.0, 0.0, 0.0
+    cost, violation, of_rows, wished = 0.0, 0.0, 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
     for first in range(0, n, LANES):
@@ -118,6 +121,9 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
             violation += gaps(m, o, first, count, o[XT], o[UT])
         path_cost, equalities = cost_and_equalities(m, o)
         cost, violation = cost + path_cost, violation + equalities
+        if o[WISHES] > 0:
+            paid, apart, missed = wishes_of_block(m, o, first, alpha)
+            of_rows, violation, wished = of_rows + paid, violation + apart, wished + missed - apart
         evaluate_rows(m, o)
         for k in range(first, first + count):
             h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
@@ -130,7 +136,7 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     end_values(m, o, last)
     row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
     of_rows, violation = of_rows + row_cost, violation + row_violation
-    m[o[STATE] + COST], m[o[STATE] + VIOLATION] = cost, violation
+    m[o[STATE] + COST], m[o[STATE] + VIOLATION] = cost, violation + wished
     return cost + of_rows, violation
 
 

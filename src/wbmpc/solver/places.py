@@ -10,7 +10,7 @@ from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
 (ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT) = range(20, len(_w.DIMENSIONS))
+(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT, WISHES) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
@@ -21,6 +21,7 @@ ROW_H, ROW_T, ROW_L, ROW_S = (_place[n] for n in ("rows_h", "rows_t", "rows_l", 
 ROW_C, ROW_E, ROW_D, ROW_N = (_place[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
 ROW_DT, ROW_DS, ROW_Y = (_place[n] for n in ("rows_dt", "rows_ds", "rows_y"))
 ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
+WISH_R, WISH_STEP = (_place[n] for n in ("wish", "wish_step"))
 ADJOINT, NU_ROWS, SIGNED = (_place[n] for n in ("adjoint", "multiplier", "signed"))
 PULLED, ROW_TRIAL, LANES_OUT = (_place[n] for n in ("pulled", "row_trial", "lanes"))
 NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
@@ -42,10 +43,11 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: points are held within the true rows of the inputs, by how much they are outside all the same (rows of inputs alone, rows
 #: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
 #: last step length and the longest one to try (0: not known, 1), which outlives a solve; whether rows of the inputs are watched at
-#: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row.
+#: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row;
+#: by how much the violation without wishes is less than the 1-norm with all equalities.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
-WATCHED, UNEQUAL, UNEQUAL_ROW = range(20, 23)
+WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED = range(20, 24)
 #: By how much planned inputs may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.transcription import WISH
 from wbmpc.solver.reference_curved import curvature
 from wbmpc.solver.reference_rows import RowState
 from wbmpc.solver.workspace import BoxTable, box_table
@@ -78,6 +79,7 @@ class InterpretedDirections:
         self.has_rows = any(r.kind.size for r in self.own)
         self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
         self.feed, self.last_du = np.zeros((n, nu)), np.zeros((n, nu))
+        self.wish, self.wish_step = (np.zeros((n, problem.compliance.size)) for _ in range(2))
 
     def _p(self, k: int) -> np.ndarray:
         return self.ws.p[k, : self.problem.node.size]  # type: ignore[no-any-return]
@@ -137,11 +139,25 @@ class InterpretedDirections:
             violation += np.abs(self.step(x[k], u[k], k)[0] - x[k + 1]).sum()
             arguments = (x[k], u[k], self._p(k), ws.w)
             cost += h * (float(self.values["cost"](*arguments)) + barrier(self.path, np.concatenate([x[k], u[k]]))[0])
-            violation += np.abs(np.array(self.values["equality"](*arguments))).sum()
+            exact = self.problem.compliance <= WISH
+            violation += np.abs(np.array(self.values["equality"](*arguments)).ravel()[exact]).sum()
             more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
             cost, violation = cost + h * more, violation + h * broken
         more, broken = self.own[n].merit(self._rows(n, x[n], u[-1]), alpha, self.mu)
-        return cost + more, float(violation + broken)
+        paid, apart, _ = self._wishes(x, u, alpha)
+        return cost + more + paid, float(violation + broken + apart)
+
+    def _wishes(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> tuple[float, float, float]:
+        """As wish_of of the compiled solver, of all nodes."""
+        soft = self.problem.compliance > WISH
+        g, r = self._equality_values(x, u)[:, soft], (self.wish + alpha * self.wish_step)[:, soft]
+        paid = np.sum(0.5 * r**2 / self.problem.compliance[soft])
+        return float(paid), float(np.abs(g - r).sum()), float(np.abs(g).sum())
+
+    def _equality_values(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Rows of the recursion (N, equalities)."""
+        f = self.values["equality"]
+        return np.array([np.array(f(x[k], u[k], self._p(k), self.ws.w)).ravel() for k in range(len(u))])
 
     def _node(self, k: int) -> tuple[np.ndarray, ...]:
         """a, b, gap, h, g, c, d, e of one node; then h without the rows and the gradient without them."""
@@ -193,10 +209,13 @@ class InterpretedDirections:
             ws.k[k], self.feed[k], value, slope = riccati_step(*nodes[k][:8], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
         kkt, along, bend = 0.0, 0.0, 0.0
-        for k, (a, b, gap, h, _, _, _, _, own, g) in enumerate(nodes):
+        soft = self.problem.compliance > WISH
+        for k, (a, b, gap, h, _, c, d, e, own, g) in enumerate(nodes):
             du.append(ws.k[k] @ dx[k] + self.feed[k])
             dz = np.concatenate([dx[k], du[k]])
             kkt, along, bend = max(kkt, np.abs(own @ dz).max()), along + g @ dz, bend + dz @ h @ dz
+            self.wish_step[k] = e + np.hstack([c, d]) @ dz - self.wish[k]
+            along += sum(self.wish[k, soft] * self.wish_step[k, soft] / self.problem.compliance[soft])
             dx.append(a @ dx[k] + b @ du[k] + gap)
             self.own[k].step(self.mu, dz)
         kkt, along = max(kkt, np.abs(end[2] @ dx[n]).max()), along + end[3] @ dx[n]

@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.transcription import WISH
 from wbmpc.solver.places import (
     COST,
     GIVEN_WAY,
@@ -127,6 +128,7 @@ class InterpretedSolver(InterpretedDirections):
                 self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
             self._start_rows(*start)
+        self.wish = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
@@ -150,10 +152,9 @@ class InterpretedSolver(InterpretedDirections):
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             row = log[run.count]
             row[:] = np.nan
-            row[:2], row[4:7] = (
-                (cost - self._row_cost(self.ws.x, self.ws.u), violation),
-                (0.0, violation, self._equalities()),
-            )
+            paid, apart, wished = self._wishes(self.ws.x, self.ws.u)
+            row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + wished - apart
+            row[4:7] = 0.0, row[1], self._equalities()
             run.count += 1
             try:
                 s = self.iterate(x0)
@@ -179,13 +180,13 @@ class InterpretedSolver(InterpretedDirections):
         row[2:4], row[7:] = (kkt, size), (residual, product, self.mu, run.shift, 1.0)
         if not np.isfinite([cost, violation, s["slope"]]).all():
             return NOT_FINITE
-        self.ws.state[[COST, VIOLATION]] = row[0], violation
+        self.ws.state[[COST, VIOLATION]] = row[:2]
         if abs(cost) > HUGE or size > HUGE:
             return DIVERGED
         feasible = max(violation, residual) <= c.feasibility
         moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
         if self.problem.compliance.any() and residual <= c.feasibility and moved <= AT_REST:
-            feasible = violation - self._equalities() <= c.feasibility
+            feasible = row[1] - self._equalities() <= c.feasibility
         if self.mu < run.last_mu:
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
@@ -198,7 +199,7 @@ class InterpretedSolver(InterpretedDirections):
             return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
         if alpha == 0.0:
-            self.ws.state[[COST, VIOLATION]] = row[0], violation
+            self.ws.state[[COST, VIOLATION]] = row[:2]
             if self.hold == 1 and not c.keep_multipliers:  # once more along the step itself
                 self.hold = 0
                 return None
@@ -244,6 +245,7 @@ class InterpretedSolver(InterpretedDirections):
 
         (alpha, primal, dual), (product, residual) = lengths, found
         solved = not c.certify or kkt <= max(c.tolerance, 0.1 * residual)
+        self.wish += alpha * self.wish_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
         if not self.has_rows:
@@ -290,21 +292,20 @@ class InterpretedSolver(InterpretedDirections):
 
     def _first_equalities(self) -> float:
         """As first_equalities of the compiled solver, with the rows' slopes at the plan itself."""
-        from wbmpc.solver.riccati import LEAST_SLOPE, NEARLY_EXACT
+        from wbmpc.solver.riccati import LEAST_SLOPE
 
         ws, state = self.ws, self.ws.state
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w))
         d = cd[:, self.problem.nx :]
         by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), LEAST_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
-        by[self.problem.compliance > NEARLY_EXACT] = 0.0
+        by[self.problem.compliance > WISH] = 0.0
         if by.size:
             state[[UNEQUAL, UNEQUAL_ROW]] = by.max(), np.argmax(by)
         return float(by.max(initial=0.0))
 
     def _equalities(self) -> float:
         """1-norm of the rows of the recursion at the iterate."""
-        ws, f = self.ws, self.values["equality"]
-        return float(sum(np.abs(np.array(f(ws.x[k], ws.u[k], self._p(k), ws.w))).sum() for k in range(len(ws.u))))
+        return float(np.abs(self._equality_values(self.ws.x, self.ws.u)).sum())
 
     def _longest_step(self, du: np.ndarray, first: bool) -> float:
         """As longest_step of the compiled solver."""
@@ -341,7 +342,9 @@ class InterpretedSolver(InterpretedDirections):
             forced = ratio < c.smallest_step
             good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
             if good:
-                self.ws.state[[COST, VIOLATION]] = merit[0] - self._row_cost(x, u, alpha), merit[1]
+                paid, apart, wished = self._wishes(x, u, alpha)
+                cost = merit[0] - self._row_cost(x, u, alpha) - paid
+                self.ws.state[[COST, VIOLATION]] = cost, merit[1] + wished - apart
                 self.ws.x[:], self.ws.u[:] = x, u
                 for row in self.ws.x:
                     self._normalise(row)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.ocp.transcription import WISH
 from wbmpc.solver.barriers import (
     BARRIER,
     INTERVAL,
@@ -17,6 +18,7 @@ from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NU
 from wbmpc.solver.curved import add_curvature
 from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.lanes import (
+    equality_size,
     linearise_dynamics,
     load_block,
     single_lane,
@@ -48,7 +50,6 @@ from wbmpc.solver.places import (
     LANES_EQUALITY,
     LANES_EQUALITY_J,
     LANES_ROWS_J,
-    LG,
     LX,
     LZ,
     NG,
@@ -72,6 +73,8 @@ from wbmpc.solver.places import (
     UNPACK_MATRIX,
     UNPACK_ROWS,
     VALUE,
+    WISH_R,
+    WISHED,
     E,
     G,
     H,
@@ -84,8 +87,8 @@ from wbmpc.solver.places import (
 from wbmpc.solver.rows import add_rows_product, linearise_rows
 from wbmpc.solver.stages import stage_end
 
-#: Compliance of equality rows up to which they count as exact, and the least slope by the inputs to divide by.
-NEARLY_EXACT, LEAST_SLOPE = 1e-5, 1e-3
+#: Least slope of an equality by the inputs to divide by.
+LEAST_SLOPE = 1e-3
 
 
 @compiled(NONE, NUMS, INTS, INT, INT, INT)
@@ -115,12 +118,6 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
         unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_J] + first * rows, rows, count)
 
 
-@compiled(INT, INTS)
-def equality_size(o):  # type: ignore[no-untyped-def]
-    """Doubles between the equality rows of two nodes: [C e D] and Dᵀ."""
-    return (o[NG] * o[LZ] + o[NU] * o[LG] + 7) // 8 * 8
-
-
 @compiled(NUM4, NUMS, INTS, INT, INT, INT)
 def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
     """What the block's functions do not do of node k: limits, gradient, shift, sums: (cost, gap, violation of equalities, of
@@ -148,6 +145,10 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
             m[matrix + i * lz + i] += shift
     for q in range(o[NG]):
         violation += abs(m[rows + q * lz + nx])
+        if m[o[EPS] + q] > WISH:
+            e, r = m[rows + q * lz + nx], m[o[WISH_R] + k * o[NG] + q]
+            m[o[STATE] + WISHED] += abs(e) - abs(e - r)
+            row_cost += 0.5 * r * r / m[o[EPS] + q]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
@@ -171,7 +172,7 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
     row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
-    m[o[STATE] + ROW_COST] = row_cost
+    m[o[STATE] + ROW_COST], m[o[STATE] + WISHED] = row_cost, 0.0
     if o[EXACT] > 0:
         exact_end(m, o, end)
     elif o[BENT] > 0:
@@ -238,7 +239,7 @@ def first_equalities(m, o):  # type: ignore[no-untyped-def]
             square += m[row + i] ** 2
             size += abs(m[row + i] * m[o[U] + i])
         by = abs(m[values + LANES * q]) / (max(np.sqrt(square), LEAST_SLOPE) + size)
-        if m[o[EPS] + q] <= NEARLY_EXACT and by > m[state + UNEQUAL]:
+        if m[o[EPS] + q] <= WISH and by > m[state + UNEQUAL]:
             m[state + UNEQUAL], m[state + UNEQUAL_ROW] = by, q
     return m[state + UNEQUAL]
 

@@ -26,7 +26,6 @@ from wbmpc.solver.compilation import (
     NONE,
     NUM,
     NUM2,
-    NUM3,
     NUMS,
     VEC,
     call3,
@@ -88,10 +87,8 @@ from wbmpc.solver.row_table import (
     EQUAL,
     HARD,
     MULTIPLIER,
-    counts,
     eight_rows,
     entry,
-    kind_of,
     look_outside,
     node_rows,
 )
@@ -430,18 +427,3 @@ def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
             m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
             m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
             m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y
-
-
-@compiled(NUM3, NUMS, INTS)
-def largest_violation(m, o):  # type: ignore[no-untyped-def]
-    """(value, node, row of the node) of the row that is violated most at the last linearised point, by h."""
-    worst, node, row = 0.0, -1.0, -1.0
-    for k in range(o[N] + 1):
-        first, boxes, general = node_rows(o, k)
-        for j in range(boxes + general):
-            if counts(m, o, first + j, k):
-                h = m[o[ROW_H] + k * o[ROWS] + j]
-                value = abs(h) if kind_of(m, o, first + j) == EQUAL else -h
-                if value > worst:
-                    worst, node, row = value, float(k), float(j)
-    return worst, node, row

@@ -62,6 +62,7 @@ DIMENSIONS = (
     "policy",  # whether the gains belong to the present trajectory
     "curved",  # whether hard rows are curved in the inputs
     "bent",  # whether equalities or rows with multipliers are
+    "wishes",  # whether equalities have a compliance to speak of
 )
 BLOCKS = (
     "grid",  # (N + 1,) s
@@ -110,6 +111,8 @@ BLOCKS = (
     "grid_old",
     "state",  # (24,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
+    "wish",  # (N, equalities): what wishes are to be, and by how much that changes
+    "wish_step",
     "adjoint",  # (4, lx): costate, its two multiples, spare
     "pulled",  # (lz,): Jᵀ σ J δz of one node
     "row_trial",  # (rows,): values at a trial point of one node
@@ -271,6 +274,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "grid_old": (n + 1,),
         "state": (24,),
         "filter": (64, 2),
+        "wish": (n, max(s.ng, 1)) if problem.wishes else (1,),
+        "wish_step": (n, max(s.ng, 1)) if problem.wishes else (1,),
         "adjoint": (4, s.lx),
         "pulled": (s.lz,),
         "row_trial": (rows,),
@@ -335,7 +340,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
-        problem.curved, problem.bent,
+        problem.curved, problem.bent, problem.wishes,
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),
