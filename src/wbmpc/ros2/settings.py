@@ -9,7 +9,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
-from wbmpc.configuration import describe, keys
+from wbmpc.configuration import describe, keys, parse_yaml
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
@@ -28,6 +28,12 @@ ORDERS = {
     "goal_pose": "geometry_msgs/msg/PoseStamped", "hand_goal": "geometry_msgs/msg/PoseStamped",
     "base_path": "nav_msgs/msg/Path", "hand_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
+}  # fmt: skip
+#: Topics of ROS whose names and types are fixed: nothing else may be there.
+FIXED = {
+    "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/clock": "rosgraph_msgs/msg/Clock",
+    "/robot_description": "std_msgs/msg/String", "/rosout": "rcl_interfaces/msg/Log",
+    "/parameter_events": "rcl_interfaces/msg/ParameterEvent", "/ros_discovery_info": "rmw_dds_common/msg/ParticipantEntitiesInfo",
 }  # fmt: skip
 
 
@@ -252,10 +258,12 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     kind = settings_of(robot)
     if path is None:
         return kind()
+    if path.is_dir():
+        raise InputError(f"--config: '{path}' is a directory, a YAML file is needed")
     if not path.is_file():
         raise InputError(f"--config: there is no file '{path}'")
     try:
-        data = yaml.safe_load(path.read_text())
+        data = parse_yaml(path.read_text())
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     data = {} if data is None else data
@@ -291,6 +299,8 @@ def _check_topics(settings: RosSettings, controllers: dict[str, Controller]) -> 
     named |= {f"controllers.{k}.topic": c.topic for k, c in controllers.items()}
     for key, name in named.items():
         topic = full_name(name)
+        if topic in FIXED:
+            raise InputError(f"key '{key}': '{name}' always carries {FIXED[topic]}; another name is needed")
         if topic in seen:
             raise InputError(f"key '{key}': '{name}' is the topic of '{seen[topic]}' already")
         seen[topic] = key
@@ -305,3 +315,7 @@ def _check_joints(settings: RosSettings, robot: RobotModel) -> None:
     twice = sorted({n for n in on_bus if on_bus.count(n) > 1})
     if twice:
         raise InputError(f"key 'joints': two joints are called '{twice[0]}' on the bus")
+    for ours, name in zip(known, on_bus, strict=True):
+        if name in settings.ignore:
+            who = "a joint of this robot" if name == ours else f"our joint '{ours}'"
+            raise InputError(f"key 'ignore': '{name}' is {who}, which is needed")
