@@ -434,9 +434,10 @@ class ControlNode:
         self.body.stop()
 
     def refused(self) -> dict[str, str]:
-        """What was refused, and why: goals, orders to the legs, poses; until one is taken again."""
+        """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
         orders = self.legs.refused if self.legs is not None else ""
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}
 
     def figures(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
@@ -120,6 +121,14 @@ class Speeds(Settings):
     hand: float = Field(0.2, gt=0)
 
 
+class Fastest(Settings):
+    """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (a ball robot:
+    ``speeds``)."""
+
+    base: float | None = Field(None, gt=0)
+    turn: float | None = Field(None, gt=0)
+
+
 class Goals(Settings):
     """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
 
@@ -177,6 +186,7 @@ class RosSettings(Settings):
     frames: Frames = Frames()
     rates: Rates = Rates()
     speeds: Speeds = Speeds()
+    cmd_vel: Fastest = Fastest()
     goals: Goals = Goals()
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
@@ -198,6 +208,14 @@ class RosSettings(Settings):
     def bus_name(self, joint: str) -> str:
         """What a joint of ours is called on the bus."""
         return self.joints.get(joint, joint)
+
+    def fastest(self, robot: RobotModel) -> np.ndarray:
+        """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
+        speeds, given = self.speeds, self.cmd_vel
+        wanted = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        if "base" in robot.input:
+            return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
+        return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
 
     def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
