@@ -212,14 +212,3 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
     speeds.send(0.1, x=0.2)
     assert p.control.inbox.limited == "" and p.control.refused() == {}
-
-
-def test_a_stream_of_one_speed_is_that_speed(pair: Callable[..., Any]) -> None:
-    """A robot that follows its commands exactly: the mean is what was asked, and it does not swing about it."""
-    p = pair()
-    poses = Speeds(p).send(4.0, x=-0.2)
-    speed = np.diff(poses[:, 0]) / 0.05
-    settled = speed[30:]
-    assert settled.mean() == pytest.approx(-0.2, rel=0.03)
-    np.testing.assert_allclose(settled, -0.2, rtol=0.1)
-    assert np.abs(speed).max() < 0.25

@@ -27,8 +27,8 @@ _MOST_SAMPLES = 2000
 _ROUNDING = 1e-4
 #: A speed is held for longer than the horizon [s], and changes within this acceleration [m/s², rad/s²].
 HOLD, ACCELERATION = 12.0, 1.0
-#: A speed goes on from the reference under way if the robot is as near to it as this [m, rad], else from where the robot is.
-NEAR = 0.2
+#: The reference of a speed is at most so far from the robot [m, rad]: who is held or leans first has little to catch up.
+AWAY = 0.05
 
 
 @dataclass(frozen=True)
@@ -153,10 +153,9 @@ class Planner:
         (place, now), held = (self._base(x), np.zeros(3)), self._held(x)
         if going is not None:
             reference, now = going.base.at(t)
-            if np.abs(reference - place).max() < NEAR:
-                place = reference
-                if going.carried:
-                    held = going.base.poses[0], going.hand.positions[0], going.hand.orientations[0]
+            place = place + np.clip(reference - place, -AWAY, AWAY)
+            if going.carried:
+                held = going.base.poses[0], going.hand.positions[0], going.hand.orientations[0]
         ramp = float(np.abs(twist - now).max()) / ACCELERATION
         ramp = ramp if ramp > _ROUNDING else 0.0
         changing = np.linspace(0.0, ramp, 1 + int(np.ceil(ramp / STEP)))

@@ -30,6 +30,8 @@ ORDERS = {
     "base_path": "nav_msgs/msg/Path", "hand_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
 }  # fmt: skip
+#: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
+LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
 #: Topics of ROS whose names and types are fixed: nothing else may be there.
 FIXED = {
     "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/clock": "rosgraph_msgs/msg/Clock",
@@ -138,14 +140,15 @@ class Goals(Settings):
 
 class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
-    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time without it. ``jump`` [m, rad]: how
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: 1 s; in
+    lockstep 30 s, for a busy machine takes its time, or 1 s when nobody publishes it any more). ``jump`` [m, rad]: how
     far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
     policy: float = Field(0.5, gt=0, le=10)
     ramp: float = Field(0.2, ge=0, le=2)
     cmd_vel: float = Field(0.5, gt=0, le=5)
-    clock: float = Field(1.0, gt=0, le=60)
+    clock: float | None = Field(None, gt=0, le=600)
     jump: float = Field(0.1, gt=0, le=10)
 
 
@@ -208,6 +211,11 @@ class RosSettings(Settings):
     def bus_name(self, joint: str) -> str:
         """What a joint of ours is called on the bus."""
         return self.joints.get(joint, joint)
+
+    @property
+    def patience(self) -> float:
+        """How long [s of the wall] simulated time, or the answers to it, may stay away: see ``safety.clock``."""
+        return self.safety.clock or (LOCKSTEP_PATIENCE if self.lockstep else GONE)
 
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
