@@ -138,8 +138,10 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
             np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
         np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
-    # an exponential of 5 / s from 0.5 to 0.02 rad
-    assert stood == pytest.approx(np.log(0.5 / 0.02) / 5.0 / PERIOD, abs=3)
+    # as fast as the servo may until 15 / s asks for less, then an exponential of 15 / s to 0.1 rad
+    most = 1.15 * SWERVE.limits.input_upper[SWERVE.input["steer"]][0]
+    slow = most / 15.0
+    assert stood == pytest.approx(((0.5 - slow) / most + np.log(slow / 0.1) / 15.0) / PERIOD, abs=3)
     np.testing.assert_allclose(command.wheel, 0.2)
 
 

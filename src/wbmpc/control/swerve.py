@@ -24,7 +24,10 @@ from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
 #: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
-CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.02
+#: The last is no smaller: the plan's angles move on meanwhile, and a base that waits for the rest falls behind its reference.
+CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.1
+#: Gain [1/s] of the steering servo while it aligns wheels: the base waits for them.
+ALIGN_GAIN = 15.0
 #: The steering servo may turn faster than the planner by this share, or it could never catch up (5.0 of 5.76 rad/s).
 RESERVE = 0.15
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
@@ -194,7 +197,8 @@ class SwerveAgent:
         self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
         u = self._held(policy.feedforward(t + self.lag))
         most = (1.0 + RESERVE) * self.robot.limits.input_upper[given["steer"]]
-        steer = np.clip(u[given["steer"]] + self.steer_gain * error, -most, most)
+        gain = max(self.steer_gain, ALIGN_GAIN) if self.aligning else self.steer_gain
+        steer = np.clip(u[given["steer"]] + gain * error, -most, most)
         self.wanted = u
         self.wanted[given["steer"]] = steer
         brake = self.brakes(t)

@@ -40,13 +40,14 @@ def speed(twist: np.ndarray) -> np.ndarray:
 
 #: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
 #: takes; how often [s] the plan is looked at, and how long it is left alone after it was written anew.
-ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.6, 0.9, 0.1, 0.6
+ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
 LATER = 1e-7
-#: Nodes of the programme; largest turn [rad] of a rolling wheel from one node of the horizon to the next.
-NODES, BEND = 25, 0.8
+#: Nodes of the programme, dense enough that between two of them a direction turns by less than a quarter turn (coarser ones
+#: mistake which way round it went); largest turn [rad] of a rolling wheel from one node of the horizon to the next.
+NODES, BEND = 100, 0.8
 
 
 @dataclass(frozen=True)
