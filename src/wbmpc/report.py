@@ -101,6 +101,12 @@ def _mpc(mpc: MpcStatistics) -> dict[str, Any]:
     }
 
 
+def figure_text(result: RunResult, name: str) -> str:
+    """A run's figure as a cell of a table; one that the user ended may have had no time for it."""
+    value = result.metrics[name].value
+    return "not measured" if result.interrupted and not math.isfinite(value) else number(value)
+
+
 def goal_text(metric: Metric) -> str:
     """The goal as a cell of a table: a largest value, a range, or a smallest value."""
     if metric.least is None:
@@ -243,7 +249,8 @@ def _metric_rows(result: RunResult) -> list[list[str]]:
         [
             html.escape(name),
             html.escape(m.unit),
-            *("" if v is None else number(v) for v in (m.value, m.paper)),
+            figure_text(result, name),
+            "" if m.paper is None else number(m.paper),
             goal_text(m),
             verdicts[result.reached(name)],
         ]
@@ -253,7 +260,8 @@ def _metric_rows(result: RunResult) -> list[list[str]]:
 
 def goal_notes(result: RunResult) -> list[str]:
     """What a reader must know about the goals that this run misses."""
-    return [f"{name}: {m.goal_note}" for name, m in result.metrics.items() if m.met is False and m.goal_note]
+    missed = [n for n, m in result.metrics.items() if m.met is False and result.reached(n) is False]
+    return [f"{name}: {note}" for name in missed if (note := result.metrics[name].goal_note)]
 
 
 def _verdict(result: RunResult) -> str:

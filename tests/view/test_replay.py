@@ -194,6 +194,7 @@ BAD = {
     (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE",
     ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",
     ("--png", "a.png", "--start", "9"): "there is nothing to draw",
+    ("--mp4", "a.mp4", "--width", "321"): "width and height must be even (its codec halves them), got 321 and 540",
 }
 
 
