@@ -291,6 +291,7 @@ REAL = {
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
     ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
     ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "hold=1.5"): "a smaller mpc.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 

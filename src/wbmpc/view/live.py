@@ -113,6 +113,8 @@ class View(Window):
         if self._orders["paused"]:
             self._pause(t, plans)
             self._anchor(t)
+        else:
+            self._steps = int(self._orders["steps"])  # what was asked for while nothing was paused
         if float(self._orders["speed"]) != self._speed:
             self._anchor(t)
         ahead = self._origin + t / self._speed - time.perf_counter()
@@ -133,7 +135,7 @@ class View(Window):
             self._take_orders()
             self._steer(t)
             self.shown.write(**self._snapshot(t, plans))
-        self._steps = int(self._orders["steps"])
+        self._steps += int(self._orders["steps"]) != self._steps  # each of several clicks is a step
 
     def _take_orders(self) -> None:
         message = self.orders.read()

@@ -169,7 +169,8 @@ class Panel:
         if self._count % _EVERY:
             return
         value = dict(zip(NUMBERS, numbers, strict=True))
-        self._about = f", {value['t']:.1f} s{spoken(value)}"
+        digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
+        self._about = f", {value['t']:.{digits}f} s{spoken(value)}"
         self._head()
         if self._count % _EVERY_PLOT:
             return
