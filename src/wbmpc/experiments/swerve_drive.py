@@ -220,7 +220,7 @@ class _Run:
         assert agent.monitor is not None
         return ending, mpc, [str(f) for f in agent.monitor.faults], hit
 
-    def rival(self, mission: Mission, duration: float, edit: Any, progress: Progress | None) -> None:
+    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> None:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
