@@ -103,6 +103,25 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
     tree[last] = value
 
 
+class _OnceLoader(yaml.SafeLoader):
+    """YAML takes the last of two equal keys without a word; here they are an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """As in YAML, after a look at the keys."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    raise yaml.YAMLError(f"key '{key.value}' is there twice (line {key.start_mark.line + 1})")
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def parse_yaml(text: str) -> Any:
+    """What a YAML text says. Raises :class:`yaml.YAMLError`, also for a key that is there twice."""
+    return yaml.load(text, _OnceLoader)
+
+
 def describe(error: ValidationError) -> str:
     """All faults of a validation as one sentence, without web links: ``key=value: what is wrong; ...``."""
     faults = []

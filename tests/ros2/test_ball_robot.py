@@ -67,6 +67,24 @@ def errors(caplog: pytest.LogCaptureFixture, text: str) -> int:
     return sum(text in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records)
 
 
+def test_a_stream_of_one_speed_is_that_speed(made: Callable[..., Any]) -> None:
+    """20 messages a second: it leans first, and then rolls at the speed that was asked for."""
+    s = made(seed=3)
+    s.ready()
+    publisher = s.other.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+    assert s.until(lambda: publisher._writer.get_matched_subscriptions())
+    begin, ways = s.sim.time, []
+    while s.sim.time < begin + 4.5:
+        publisher.publish({"linear": {"x": -0.2}})
+        s.run(0.05)
+        ways.append((s.sim.time - begin, s.control.pilot.snapshot()[1][0]))
+    times, x = np.array(ways).T
+    settled = times > 2.7
+    assert np.polyfit(times[settled], x[settled], 1)[0] == pytest.approx(-0.2, rel=0.03)
+    speed = np.gradient(x, times)[4:]
+    assert speed.min() > -0.29 and np.ptp(speed[times[4:] > 2.7]) < 0.08
+
+
 def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any]) -> None:
     s = made()
     s.ready()

@@ -116,6 +116,34 @@ def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) ->
     assert any(m and float(m[1]) == pytest.approx(100.0, abs=5.0) for m in off)
 
 
+def test_a_simulation_that_is_paused_is_said(robot: Any, looker: Any) -> None:
+    """In lockstep without a controller: the same state and the same time again and again; then also asked by simulated time."""
+    listen(robot)
+    clock, joints = (
+        robot.publisher("/clock", "rosgraph_msgs/msg/Clock"),
+        robot.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR),
+    )
+    names, end = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]], threading.Event()
+
+    def run() -> None:
+        while not end.wait(0.02):
+            clock.publish({"clock": {"sec": 7}})
+            joints.publish({"header": header(7.0, ""), "name": names, "position": np.zeros(len(names))})
+
+    threading.Thread(target=run, daemon=True).start()
+    known(looker, ("/clock", "/joint_states"), commands(*GROUPS))
+    by_wall = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, RosSettings(), 1.0)}
+    by_clock = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, RosSettings(use_sim_time=True), 1.0)}
+    end.set()
+    stands = "it stands still at 7.000 s: the simulation is paused, or in lockstep waits for a controller"
+    assert ("error", "/clock", stands) in by_clock and ("warning", "/clock", stands) in by_wall
+    assert ("warning", "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time") in by_wall
+    states = [(level, text) for level, topic, text in by_wall | by_clock if topic == "/joint_states"]
+    assert any(level == "error" and "its stamps stand still at 7.000 s" in text for level, text in states)
+    assert any(re.search(r"its stamps are [\d.]+ s off this machine's clock, at \d+ Hz", text) for _, text in states)
+    assert not any(topic == "/clock" and "wall's" in text for _, topic, text in by_clock)
+
+
 def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: Any) -> None:
     robot.publisher("/joint_states", "sensor_msgs/msg/JointState")
     end = states(robot, 100.0)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
-from wbmpc.ros2.goals import LEASH, HandTrack, Planner, Task, Track, base_track, hand_track
+from wbmpc.ros2.goals import LEASH, STEP, HandTrack, Planner, Task, Track, base_track, hand_track
 from wbmpc.ros2.settings import Goals, Speeds
 from wbmpc.ros2.swerve import references_of
 
@@ -57,7 +58,9 @@ def test_the_twists_move_the_poses() -> None:
 
 
 def test_a_speed_is_an_arc() -> None:
-    task = PLANNER.drive(at(0.0, 0.0, np.pi / 2), 3.0, np.array([0.5, 0.0, 0.25]))  # radius 2 m, to the left
+    twist = np.array([0.5, 0.0, 0.25])  # radius 2 m, to the left
+    start = at(0.0, 0.0, np.pi / 2)
+    task = PLANNER.drive(start, 3.0, twist, under_way(twist, start, 3.0))
     s = task.base.times - 3.0
     circle = np.stack([-2.0 + 2.0 * np.cos(0.25 * s), 2.0 * np.sin(0.25 * s)], axis=1)
     np.testing.assert_allclose(task.base.poses[:, :2], circle, atol=1e-9)
@@ -66,10 +69,51 @@ def test_a_speed_is_an_arc() -> None:
     check_rigid(task)
 
 
+def under_way(twist: ArrayLike, start: np.ndarray | None = None, t: float = 0.0) -> Task:
+    """A speed without a beginning, from a state and a time on."""
+    x, s = at() if start is None else start, np.arange(0.0, 12.0, 0.1)
+    poses = np.array([lie.se2_step(x[ROBOT.state["base"]], np.asarray(twist) * k) for k in s])
+    return PLANNER._carry(Track(t + s, poses), PLANNER._held(x), "base at a speed")
+
+
+def test_a_speed_begins_within_an_acceleration() -> None:
+    base = PLANNER.drive(at(), 3.0, np.array([0.5, 0.0, 0.0])).base
+    change = np.diff(base.twists[:-1, 0])
+    assert change.max() <= 1.0 * STEP + 1e-9 and np.all(change >= -1e-9)
+    np.testing.assert_allclose(np.interp(3.5, base.times, base.poses[:, 0]), 0.5 * 0.5 * 0.5, atol=1e-4)
+
+
+def test_the_same_speed_again_moves_no_reference() -> None:
+    """A stream of one speed, and a robot that stays 30 mm behind: the reference goes on as if it were asked once."""
+    twist, task = np.array([0.2, 0.0, 0.1]), None
+    once = PLANNER.drive(at(), 0.0, twist)
+    for t in np.arange(0.0, 5.0, 0.05):
+        x = at() if task is None else at(*lie.se2_step(task.base.at(t)[0], [-0.03, 0.0, 0.0]))
+        task = PLANNER.drive(x, t, twist, task)
+    assert task is not None
+    for t in (5.0, 8.0, 10.0):
+        np.testing.assert_allclose(task.base.at(t)[0], once.base.at(t)[0], atol=2e-3)
+        np.testing.assert_allclose(task.base.at(t)[1], twist, atol=1e-9)
+    check_rigid(task)  # the hand too is where the first message found it in the base
+
+
+def test_the_reference_waits_for_a_robot_that_is_held() -> None:
+    task = PLANNER.drive(at(0.4), 4.0, np.array([0.2, 0.0, 0.0]), under_way([0.2, 0.0, 0.0]))  # 0.8 m by then
+    assert task.base.poses[0, 0] == pytest.approx(0.45) and task.base.at(4.0)[1][0] == pytest.approx(0.2)
+
+
+def test_another_speed_goes_on_from_the_one_before() -> None:
+    task = PLANNER.drive(at(0.39), 2.0, np.array([0.2, 0.1, 0.0]), under_way([0.2, 0.0, 0.0]))
+    np.testing.assert_allclose(task.base.poses[0], [0.4, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(task.base.twists[:-1, 0], 0.2, atol=1e-9)
+    np.testing.assert_allclose(task.base.at(2.2)[1], [0.2, 0.1, 0.0], atol=1e-9)
+
+
 def test_slowing_down_ends_after_half_the_way() -> None:
-    task = PLANNER.slow_down(at(), 0.0, np.array([0.4, 0.0, 0.0]), ramp=0.5)
-    assert task.base.poses[-1, 0] == pytest.approx(0.5 * 0.4 * 0.5)
+    task = PLANNER.slow_down(at(0.4), 1.0, under_way([0.4, 0.0, 0.0]))
+    assert task.base.times[-1] == pytest.approx(1.4) and task.base.poses[-1, 0] == pytest.approx(0.4 + 0.5 * 0.4 * 0.4)
     assert np.all(np.diff(task.base.twists[:-1, 0]) < 0.0)
+    assert PLANNER.slow_down(at(), 1.0, None).base.times.size == 1  # at rest already
 
 
 @pytest.mark.parametrize(("way", "moved"), [(0.2, 0.0), (1.0, 1.0 - LEASH)])

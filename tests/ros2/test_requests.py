@@ -27,6 +27,8 @@ if not MISSING:
     [
         ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
         ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
+        ("/goal_pose", "odom", {"x": 1.0, "z": 5.0}, "has z = 5.00 m in 'odom'; valid: -0.50 to "),
+        ("/goal_pose", "base_link", {"x": 1.0, "z": -2.0}, "has z = -2.00 m in 'base_link'; valid: -"),
         ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
         ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
     ],
@@ -161,3 +163,52 @@ def test_stamped_speeds_drive_the_base_beside_somebody_who_could_send_plain_ones
         assert p.node.faults == []
     finally:
         other.close()
+
+
+class Speeds:
+    """Somebody who sends speeds to a pair's controller, 20 times a second."""
+
+    def __init__(self, p: Any, kind: str = "Twist") -> None:
+        self.pair, self.kind = p, kind
+        p.ready()
+        self._publisher = p.standin.node.publisher("/cmd_vel", f"geometry_msgs/msg/{kind}")
+        assert p.until(lambda: self._publisher._writer.get_matched_subscriptions())
+
+    def send(self, seconds: float, frame: str = "", **linear: float) -> np.ndarray:
+        """For so long; the base's poses (n, 3) after every message."""
+        poses = []
+        for _ in range(round(seconds / 0.05)):
+            twist = {"linear": linear}
+            self._publisher.publish(twist if self.kind == "Twist" else {"header": {"frame_id": frame}, "twist": twist})
+            self.pair.run(0.05)
+            poses.append(self.pair.control.pilot.snapshot()[1][:3])
+        return np.array(poses)
+
+
+def said(p: Any, key: str) -> list[str]:
+    """Values of a key of the diagnostics."""
+    return [v.value for m in p.said for s in m.status for v in s.values if v.key == key]
+
+
+def test_speeds_of_another_frame_are_refused(pair: Callable[..., Any]) -> None:
+    p = pair()
+    speeds = Speeds(p, "TwistStamped")
+    speeds.send(0.2, "map", x=0.4)
+    assert p.control.inbox.refused == "/cmd_vel: the speed is in the frame 'map'; valid: base_link, or none"
+    assert p.control.runner is None and p.until(lambda: p.control.inbox.refused in said(p, "refused"))
+    speeds.send(0.2, "base_link", x=0.4)
+    assert p.until(lambda: p.control.state == "running: base at a speed") and p.control.inbox.refused == ""
+
+
+def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    p = pair(cmd_vel={"base": 0.3}, safety={"cmd_vel": 2.0})
+    speeds = Speeds(p)
+    speeds.send(1.0, x=1e6)
+    says = "/cmd_vel: 1e+06, 0 m/s, 0 rad/s is faster than 0.3, 0.3 m/s, 1 rad/s (key 'cmd_vel'): scaled down to that"
+    assert sum(r.getMessage() == says for r in caplog.records) == 1
+    assert p.until(lambda: says in said(p, "limited speed"))
+    np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
+    speeds.send(0.1, x=0.2)
+    assert p.control.inbox.limited == "" and p.control.refused() == {}

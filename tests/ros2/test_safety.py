@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,8 @@ from needs import MISSING, needs_dds, wait_until
 pytestmark = needs_dds
 if not MISSING:
     from standin import PERIOD, ROBOT, check_stopped, drive
+
+    from wbmpc.ros2.settings import RosSettings
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -139,6 +142,21 @@ def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCap
     assert "the time on /clock has stopped for " in p.control.state
     assert sum("/clock has stopped" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
     assert wait_until(lambda: p.control.step() or p.standin.speed == 0.0)
+
+
+def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time that has stood for 5 s stops nobody as long as there is somebody who publishes it."""
+    p = pair(safety={"clock": None})
+    drive(p)
+    monkeypatch.setattr(p.control.clock, "heard", time.monotonic() - 5.0)
+    p.control.step()
+    assert p.control.running, p.control.state
+    monkeypatch.setattr(p.node, "publishers", lambda topic: [])
+    p.control.step()
+    assert not p.control.running
+    assert re.search(r"the time on /clock has stopped for \d.\d s, nobody publishes it any more", p.control.state)
+    with_wall = RosSettings(use_sim_time=True)
+    assert (with_wall.patience, RosSettings(lockstep=True).patience) == (1.0, 30.0)
 
 
 def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -59,6 +59,18 @@ controllers:
             "key 'topics.cmd_vel': '/cmd_vel' is the topic of 'topics.goal_pose' already",
         ),
         ("topics: {plan: wheel_controller/commands}", "is the topic of 'topics.plan' already"),
+        ("topics: {odom: /tf}", "key 'topics.odom': '/tf' always carries tf2_msgs/msg/TFMessage"),
+        (
+            "topics: {joint_states: /clock}",
+            "key 'topics.joint_states': '/clock' always carries rosgraph_msgs/msg/Clock",
+        ),
+        ("topics: {hand_pose: tf_static}", "key 'topics.hand_pose': 'tf_static' always carries tf2_msgs/msg/TFMessage"),
+        ("topics: {odom: /robot_description}", "'/robot_description' always carries std_msgs/msg/String"),
+        ("topics: {plan: /rosout}", "key 'topics.plan': '/rosout' always carries"),
+        ("ignore: [gripper, wheel_LF]", "key 'ignore': 'wheel_LF' is a joint of this robot, which is needed"),
+        ("{joints: {wheel_LF: fl}, ignore: [fl]}", "key 'ignore': 'fl' is our joint 'wheel_LF', which is needed"),
+        ("node: a\nnode: b", "not valid YAML: key 'node' is there twice (line 2)"),
+        ("topics: {odom: /a, imu: /b, odom: /c}", "not valid YAML: key 'odom' is there twice (line 1)"),
         ("frames: {world: ''}", "frames.world='': a name is needed"),
         ("frames: {world: base_link}", "world and base are both called 'base_link'"),
         ("controllers: {w: {topic: '', joints: [wheel_LF]}}", "controllers.w.topic='': a name is needed"),
@@ -138,6 +150,8 @@ def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: 
     assert capsys.readouterr().err == "wbmpc: ros2: 'r' has a base of type 'fixed'; valid: swerve, ball\n"
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"
+    assert main(["ros2", "check", "swerve-ur10", "--config", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"wbmpc: --config: '{tmp_path}' is a directory, a YAML file is needed\n"
     assert main(["ros2"]) == 0
 
 

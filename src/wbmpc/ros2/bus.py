@@ -38,13 +38,14 @@ DEFAULT, SENSOR, LATCHED = Qos(), Qos(reliable=False, depth=5), Qos(latched=True
 @dataclass(frozen=True)
 class Endpoint:
     """A publisher or a subscription that somebody has; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``;
-    ``who``: what the back end knows its node by, see :meth:`Node.owner`."""
+    ``who``: what the back end knows its node by, see :meth:`Node.owner`; ``node``: equal for endpoints of one node."""
 
     topic: str
     type: str
     qos: Qos
     own: bool
     who: Any = field(default=None, compare=False)
+    node: Any = field(default=None, compare=False)
 
 
 class Publisher(Protocol):

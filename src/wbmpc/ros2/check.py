@@ -32,18 +32,19 @@ class Finding:
 
 
 class _Ear:
-    """Listens to one topic: arrival times, the last stamp's age, and what a reader says of the messages."""
+    """Listens to one topic: arrival times, stamps, the last one's age, and what a reader says of the messages."""
 
     def __init__(self, node: Node, topic: str, kind: str, read: Any) -> None:
         self.times: list[float] = []
+        self.stamps: list[float] = []
         self.fault, self.offset = "", np.nan
         self._read = read
         node.subscribe(topic, kind, self._take, SENSOR)
 
     def _take(self, message: Any) -> None:
         self.times.append(time.perf_counter())
-        if hasattr(message, "header"):
-            self.offset = time.time() - seconds(message.header.stamp)
+        self.stamps.append(seconds(message.header.stamp if hasattr(message, "header") else message.clock))
+        self.offset = time.time() - self.stamps[-1]
         try:
             self._read(message)
         except InputError as error:
@@ -60,6 +61,11 @@ class _Ear:
         """The longest time [s] between two messages."""
         return float(np.diff(self.times).max()) if len(self.times) > 1 else np.inf
 
+    @property
+    def stands(self) -> bool:
+        """Whether message after message has the same stamp, and one at all."""
+        return len(self.stamps) > 2 and self.stamps[0] == self.stamps[-1] > 0.0
+
 
 def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
@@ -67,12 +73,14 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     wanted: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
     if topics.imu:
         wanted[topics.imu] = "sensor_msgs/msg/Imu", read_imu
-    if settings.use_sim_time:
-        wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
+    wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in wanted.items()}
     time.sleep(max(listen, _DISCOVERY))
     found: list[Finding] = []
     for topic, (kind, _) in wanted.items():
+        if topic == "/clock" and not settings.use_sim_time:
+            found += _needless_clock(node, ears[topic])
+            continue
         needed = topic != topics.imu or robot.description.base.type == "ball"
         found += _source(node, topic, kind, ears[topic], settings, needed)
     for controller in settings.command_topics(robot).values():
@@ -83,6 +91,18 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
     found += _several_types(node, topics.pose, poses, True)
     return found
+
+
+def _needless_clock(node: Node, ear: _Ear) -> list[Finding]:
+    """Of a clock that nobody was told to use."""
+    if not node.publishers("/clock"):
+        return []
+    said = [Finding(WARNING, "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time")]
+    return said + ([Finding(WARNING, "/clock", _stands(ear))] if ear.stands else [])
+
+
+def _stands(ear: _Ear) -> str:
+    return f"it stands still at {ear.stamps[-1]:.3f} s: the simulation is paused, or in lockstep waits for a controller"
 
 
 def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings, needed: bool) -> list[Finding]:
@@ -99,6 +119,9 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
         found.append(Finding(ERROR, topic, f"{len(publishers)} publishers: their messages mix"))
     if ear.fault:
         found.append(Finding(ERROR, topic, ear.fault))
+    if ear.stands:
+        text = f"its stamps stand still at {ear.stamps[-1]:.3f} s: a driver that hangs, or a simulation that is paused"
+        found.append(Finding(level, topic, _stands(ear) if topic == "/clock" else text))
     limit = settings.safety.watchdog
     if ear.rate < _WITHIN_WATCHDOG / limit:
         found.append(
@@ -116,7 +139,11 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
         )
     if not settings.use_sim_time and topic != "/clock" and abs(ear.offset) > 1.0:
         found.append(
-            Finding(WARNING, topic, f"its stamps are {ear.offset:.1f} s off this machine's clock (use_sim_time?)")
+            Finding(
+                WARNING,
+                topic,
+                f"its stamps are {ear.offset:.1f} s off this machine's clock, at {ear.rate:.0f} Hz (use_sim_time?)",
+            )
         )
     return found or [Finding(OK, topic, f"{kind}, {ear.rate:.0f} Hz, longest gap {1e3 * ear.gap:.0f} ms")]
 

@@ -28,7 +28,7 @@ from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.sending import trajectory_senders
-from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
+from wbmpc.ros2.settings import GONE, BallSettings, RosSettings, settings_of
 from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
 
@@ -379,12 +379,14 @@ class ControlNode:
             self.inbox.running = None
             if self.legs is not None:
                 self.legs.stop()
-        clock, limit = self.clock, self.settings.safety.clock
+        clock, limit = self.clock, self.settings.patience
         if isinstance(clock, BusClock) and clock.heard is not None:
             silent = time.monotonic() - clock.heard
-            if silent > limit and self.running:
-                self._halt(f"the time on /clock has stopped for {silent:.1f} s")
-            elif silent > limit and self.runner is not None:
+            gone = silent > min(GONE, limit) and not self.node.publishers("/clock")
+            if (silent > limit or gone) and self.running:
+                who = ", nobody publishes it any more" if gone else ""
+                self._halt(f"the time on /clock has stopped for {silent:.1f} s{who}")
+            elif (silent > limit or gone) and self.runner is not None:
                 self.body.stop()  # the runner's loop waits for a time that does not come
             elif clock.went_back and self.running:
                 self._halt("the time on /clock went back: the simulator was started anew")
@@ -434,9 +436,10 @@ class ControlNode:
         self.body.stop()
 
     def refused(self) -> dict[str, str]:
-        """What was refused, and why: goals, orders to the legs, poses; until one is taken again."""
+        """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
         orders = self.legs.refused if self.legs is not None else ""
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}
 
     def figures(self) -> dict[str, Any]:

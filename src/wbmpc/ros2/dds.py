@@ -245,7 +245,8 @@ class DdsNode:
             samples = [s for s in known.values() if s.topic_name == wanted]
         for s in samples:
             own = s.participant_key == self._key
-            found.append(Endpoint(full_name(topic), _ros_type(s.type_name), _ros_qos(s.qos), own, s.key.bytes))
+            kind, qos, node = _ros_type(s.type_name), _ros_qos(s.qos), s.participant_key.bytes
+            found.append(Endpoint(full_name(topic), kind, qos, own, s.key.bytes, node))
         return found
 
     def _announce(self) -> None:
@@ -262,6 +263,7 @@ class DdsNode:
 
     def close(self) -> None:
         """Leave the bus. Callbacks have ended when this returns."""
+        self._mismatches.close()
         with self._lock:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []

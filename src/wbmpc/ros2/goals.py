@@ -25,8 +25,10 @@ STEP, LEASH = 0.02, 0.3
 _MOST_SAMPLES = 2000
 #: Ways that take less than this [s] are none.
 _ROUNDING = 1e-4
-#: A speed is held for longer than the horizon [s].
-HOLD = 12.0
+#: A speed is held for longer than the horizon [s], and changes within this acceleration [m/s², rad/s²].
+HOLD, ACCELERATION = 12.0, 1.0
+#: The reference of a speed is at most so far from the robot [m, rad]: who is held or leans first has little to catch up.
+AWAY = 0.05
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,12 @@ class Track:
         ahead /= np.sinc(turn / (2.0 * np.pi))[:, None]
         rates = np.concatenate([ahead, turn[:, None]], axis=1) / np.maximum(np.diff(self.times), 1e-6)[:, None]
         return np.concatenate([rates, np.zeros((1, 3))])
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Pose (3) and body twist (3) at t [s], before the first sample the first pose."""
+        k = max(int(np.searchsorted(self.times, t, side="right")) - 1, 0)
+        twist = self.twists[k]
+        return lie.se2_step(self.poses[k], twist * max(t - self.times[k], 0.0)), twist
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ class Planner:
     # ------------------------------------------------------------------ tasks
     def hold(self, x: Array, t: float) -> Task:
         """Stay."""
-        return self._carry(x, Track(np.array([t]), self._base(x)[None]), "stay")
+        return self._carry(Track(np.array([t]), self._base(x)[None]), self._held(x), "stay")
 
     def to_base(self, x: Array, t: float, goal: Array) -> Task:
         """The base goes to the pose ``goal`` (x, y, yaw), the shorter way round."""
@@ -95,7 +103,7 @@ class Planner:
         way = float(np.hypot(*(goal - start)[:2])) / self.speeds.base
         times, share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
         poses = start + share[:, None] * (goal - start)
-        return self._carry(x, Track(t + times, poses), "base to a goal")
+        return self._carry(Track(t + times, poses), self._held(x), "base to a goal")
 
     def to_hand(self, x: Array, t: float, position: Array, orientation: Array) -> Task:
         """The hand goes to a pose; the base comes along by what it is farther than :data:`LEASH`."""
@@ -124,35 +132,45 @@ class Planner:
         way = (approach.times, approach.poses) if later and approach.times.size > 1 else (np.zeros(0), np.zeros((0, 3)))
         keep = way[0] < times[0] - 1e-9
         track = Track(np.concatenate([way[0][keep], times]), np.concatenate([way[1][keep], poses]))
-        task = self._carry(x, track, "base along a path")
+        task = self._carry(track, self._held(x), "base along a path")
         return task if hand is None else replace(task, hand=hand, carried=False)
 
-    def drive(self, x: Array, t: float, twist: Array) -> Task:
-        """The base goes on with a body twist (3); the hand is carried."""
-        s = np.arange(0.0, HOLD, 0.1)
-        return self._carry(x, Track(t + s, self._arc(x, twist, s)), "base at a speed")
+    def drive(self, x: Array, t: float, twist: Array, going: Task | None = None) -> Task:
+        """The base goes on with a body twist (3); the hand is carried. ``going``: the task under way. A stream of speeds does not
+        begin anew with every message where the robot is by then, always somewhat behind: it would be as slow as that."""
+        return self._change(x, t, twist, HOLD, going, "base at a speed")
 
-    def slow_down(self, x: Array, t: float, twist: Array, ramp: float = 0.5) -> Task:
-        """From a body twist (3) to rest within ``ramp`` [s]."""
-        s = np.linspace(0.0, ramp, 1 + round(ramp / STEP))
-        return self._carry(x, Track(t + s, self._arc(x, twist, s - 0.5 * s * s / ramp)), "base to rest")
+    def slow_down(self, x: Array, t: float, going: Task | None) -> Task:
+        """From the speed of the task under way to rest."""
+        return self._change(x, t, np.zeros(3), 0.0, going, "base to rest")
 
     # ------------------------------------------------------------------ parts
     def _base(self, x: Array) -> Array:
         return np.array(x[self.robot.state["base"]][:3])
 
-    def _arc(self, x: Array, twist: Array, lengths: Array) -> Array:
-        """Poses (n, 3) after a body twist (3) has acted for ``lengths`` (n) [s]."""
-        start, a = self._base(x), twist[2] * lengths
-        heading = start[2] + 0.5 * a
-        c, s, chord = np.cos(heading), np.sin(heading), lengths * np.sinc(a / (2.0 * np.pi))
-        ahead = np.stack([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], np.zeros_like(a)], axis=1)
-        return np.asarray(start + chord[:, None] * ahead + np.outer(a, [0.0, 0.0, 1.0]))
+    def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, said: str) -> Task:
+        """To a body twist (3), which is then held for ``hold`` [s]."""
+        (place, now), held = (self._base(x), np.zeros(3)), self._held(x)
+        if going is not None:
+            reference, now = going.base.at(t)
+            place = place + np.clip(reference - place, -AWAY, AWAY)
+            if going.carried:
+                held = going.base.poses[0], going.hand.positions[0], going.hand.orientations[0]
+        ramp = float(np.abs(twist - now).max()) / ACCELERATION
+        ramp = ramp if ramp > _ROUNDING else 0.0
+        changing = np.linspace(0.0, ramp, 1 + int(np.ceil(ramp / STEP)))
+        s = np.concatenate([changing, ramp + np.arange(0.1, hold, 0.1)])
+        share = np.minimum(0.5 * (s[1:] + s[:-1]) / ramp, 1.0) if ramp > 0.0 else np.ones(s.size - 1)
+        poses = _integrated(place, now + share[:, None] * (twist - now), np.diff(s))
+        return self._carry(Track(t + s, poses), held, said)
 
-    def _carry(self, x: Array, base: Track, said: str) -> Task:
+    def _held(self, x: Array) -> tuple[Array, Array, Array]:
+        """Pose of the base (3), position (3) and quaternion (4) of the hand that belong together."""
+        return self._base(x), *self.robot.pose(x)
+
+    def _carry(self, base: Track, held: tuple[Array, Array, Array], said: str) -> Task:
         """The hand keeps its pose in the base."""
-        position, orientation = self.robot.pose(x)
-        start = self._base(x)
+        start, position, orientation = held
         turns = base.poses[:, 2] - start[2]
         c, s = np.cos(turns), np.sin(turns)
         d = position[:2] - start[:2]
@@ -241,6 +259,18 @@ def hand_track(positions: Array, orientations: Array, times: Array | None, t: fl
 def planar_path(positions: Array, orientations: Array) -> Array:
     """Planar poses (n, 3) of poses."""
     return np.array([planar(p, q) for p, q in zip(positions, orientations, strict=True)])
+
+
+def _integrated(start: Array, twists: Array, intervals: Array) -> Array:
+    """Poses (n + 1, 3) from ``start`` (3) on after body twists (n, 3), each for its interval (n) [s]."""
+    turns = twists[:, 2] * intervals
+    yaw = start[2] + np.concatenate([[0.0], np.cumsum(turns)])
+    middle, chord = yaw[:-1] + 0.5 * turns, intervals * np.sinc(turns / (2.0 * np.pi))
+    c, s = np.cos(middle), np.sin(middle)
+    steps = chord[:, None] * np.stack(
+        [c * twists[:, 0] - s * twists[:, 1], s * twists[:, 0] + c * twists[:, 1]], axis=1
+    )
+    return np.column_stack([start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), yaw])
 
 
 def _profile(shortest: float) -> tuple[Array, Array]:

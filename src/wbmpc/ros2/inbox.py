@@ -25,10 +25,9 @@ Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
 _MOST_POINTS = 20_000
-_TWISTS: dict[str, Callable[[Any], Any]] = {  # what of a message is the speed
-    "geometry_msgs/msg/Twist": lambda message: message,
-    "geometry_msgs/msg/TwistStamped": lambda message: message.twist,
-}
+_TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+#: So far [m] under the floor or over the base's own height a goal of the base is still one: localisations in space are not exact.
+_OFF_FLOOR = 0.5
 
 
 class Inbox:
@@ -41,14 +40,15 @@ class Inbox:
 
     def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
         self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
-        self.refused = ""
+        self.refused = self._limited = ""
         self.running: Task | None = None
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
-        self._twist, self._twist_at = np.zeros(3), -np.inf
+        self._twist_at = -np.inf
         self._moving = False
-        takes = {kind: partial(self._take_speed, part) for kind, part in _TWISTS.items()}
-        self._speeds = Several(node, settings.topics.cmd_vel, takes)
+        self._fastest = settings.fastest(planner.robot)
+        speeds = settings.topics.cmd_vel
+        self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
             "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
@@ -84,6 +84,11 @@ class Inbox:
         self.refused = sentence
 
     @property
+    def limited(self) -> str:
+        """Which speed that is driven is less than what was asked for; empty if none is."""
+        return self._limited if self._moving else ""
+
+    @property
     def unheard(self) -> str:
         """Which type of speeds is not heard, and why; empty if all are."""
         return self._speeds.fault
@@ -108,6 +113,7 @@ class Inbox:
 
     def _goal_pose(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
+        self._check_floor(frame, p[None])
         self._put(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
 
     def _hand_goal(self, message: Any) -> None:
@@ -116,6 +122,7 @@ class Inbox:
 
     def _base_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
+        self._check_floor(frame, positions)
 
         def request(x: Array, t: float) -> Task:
             poses = planar_path(*self._all_in_world(frame, x, positions, turned))
@@ -138,26 +145,41 @@ class Inbox:
 
         self._put(request, "hand path")
 
-    def _take_speed(self, part: Callable[[Any], Any], message: Any) -> None:
-        self._try(self.settings.topics.cmd_vel, self._speed, part(message))
-
-    def _speed(self, twist: Any) -> None:
+    def _take_speed(self, message: Any) -> None:
+        """A Twist or a TwistStamped, in the base's axes."""
+        if stamped := hasattr(message, "header"):
+            frame, base = message.header.frame_id, self.settings.frames.base
+            if frame not in ("", base):
+                raise InputError(f"the speed is in the frame '{frame}'; valid: {base}, or none")
+        twist = message.twist if stamped else message
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
-        robot, speeds = self.planner.robot, self.planner.speeds
-        limits = np.array([speeds.base, speeds.base, speeds.turn])
-        if "base" in robot.input:
-            limits = robot.limits.input_upper[robot.input["base"]]
-        wanted = np.clip(np.array([linear[0], linear[1], angular[2]]), -limits, limits)
+        wanted = np.array([linear[0], linear[1], angular[2]])
+        over = float(np.max(np.abs(wanted) / self._fastest))
         self._twist_at = self.now()
         if np.any(wanted):
-            self._put(lambda x, t: self.planner.drive(x, t, wanted))
-            self._twist, self._moving = wanted, True
+            self._limit(wanted if over > 1.0 + 1e-9 else None)
+            self._put_speed(wanted / max(over, 1.0))
         elif self._moving:
             self._slow_down()
 
+    def _put_speed(self, twist: Array) -> None:
+        self._put(lambda x, t: self.planner.drive(x, t, twist, self.running))
+        self._moving = True
+
+    def _limit(self, wanted: Array | None) -> None:
+        """Say once that a speed is too fast; it is scaled as a whole, so that the way remains the same."""
+        was, self._limited = self.limited, ""
+        if wanted is None:
+            return
+        told = lambda v: f"{v[0]:.3g}, {v[1]:.3g} m/s, {v[2]:.3g} rad/s"
+        topic = self.settings.topics.cmd_vel
+        most = told(self._fastest)
+        self._limited = f"{topic}: {told(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
+        if not was:
+            _LOG.warning("%s", self._limited)
+
     def _slow_down(self) -> None:
-        twist = self._twist
-        self._put(lambda x, t: self.planner.slow_down(x, t, twist))
+        self._put(lambda x, t: self.planner.slow_down(x, t, self.running))
 
     # ------------------------------------------------------------------ parts
     def _frame(self, header: Any) -> str:
@@ -167,6 +189,15 @@ class Inbox:
                 f"the goal is in the unknown frame '{header.frame_id}'; valid: {frames.world}, {frames.base}"
             )
         return str(header.frame_id)
+
+    def _check_floor(self, frame: str, positions: Array) -> None:
+        """The base stays on the floor: a goal (n, 3) far over or under it was meant for somebody else."""
+        height = self.planner.base_height
+        low = -_OFF_FLOOR if frame == self.settings.frames.world else -_OFF_FLOOR - height
+        high, far = low + height + 2.0 * _OFF_FLOOR, positions[:, 2]
+        worst = float(far[np.argmax(np.abs(far - 0.5 * (low + high)))])
+        if not low <= worst <= high:
+            raise InputError(f"the base's goal has z = {worst:.2f} m in '{frame}'; valid: {low:.2f} to {high:.2f}")
 
     def _path(self, message: Any) -> tuple[str, Array, Array, Array]:
         if not 0 < len(message.poses) <= _MOST_POINTS:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from wbmpc.ros2.bus import Endpoint, Node, Qos
 
 _LOG = logging.getLogger("wbmpc")
-#: So long [s] after the notice the graph may not show an endpoint yet.
+#: So long [s] after the notice the graph may not show an endpoint yet, and who takes several types may be about to take another.
 _UNSEEN = 2.0
 #: What the graph shows of an endpoint: of other policies it is not known whose they were.
 _SEEN = ("type", "durability", "reliability")
@@ -45,20 +45,35 @@ class Mismatches:
         self._node = node
         self._found: dict[str, tuple[Ours, str, float]] = {}
         self._lock = threading.Lock()
+        self._looking, self._closed = threading.Lock(), False
 
     def notice(self, ours: Ours, policy: str) -> None:
         """``policy``: what does not match; ``type`` if that is the type."""
-        who = "publisher" if ours.side == "subscription" else "subscription"
-        types = sorted({e.type for e in self._across(ours) if ours.wrong_type(e)})
         if policy == "type":
-            if ours.others and not types:
-                return  # it is heard in another type
-            than = "is asked for" if who == "publisher" else "is published"
-            why = f"{who} of {ours.topic} has another type ({', '.join(types) or 'unknown'}) than {than} ({ours.type})"
-            sentence = f"a {why}; no message will come through"
-        else:
-            asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
-            sentence = f"{ours.topic}: a {who} {asks} ({policy}); no message will come through"
+            later = threading.Timer(_UNSEEN, self._look_at_types, [ours])
+            later.daemon = True
+            later.start()
+            return
+        who = _across(ours)
+        asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
+        self._tell(f"{ours.topic}: a {who} {asks} ({policy}); no message will come through", ours, policy)
+
+    def close(self) -> None:
+        """Nothing is looked at any more."""
+        with self._looking:
+            self._closed = True
+
+    def _look_at_types(self, ours: Ours) -> None:
+        with self._looking:
+            types = [] if self._closed else sorted({e.type for e in self._wrong(ours) if ours.wrong_type(e)})
+        if not types:
+            return
+        who = _across(ours)
+        than = "is asked for" if who == "publisher" else "is published"
+        why = f"{who} of {ours.topic} has another type ({', '.join(types)}) than {than} ({ours.type})"
+        self._tell(f"a {why}; no message will come through", ours, "type")
+
+    def _tell(self, sentence: str, ours: Ours, policy: str) -> None:
         with self._lock:
             new = sentence not in self._found
             self._found[sentence] = ours, policy, time.monotonic()
@@ -76,10 +91,19 @@ class Mismatches:
         return [s for s in found if s not in gone]
 
     def _there(self, ours: Ours, policy: str, at: float) -> bool:
-        across = self._across(ours)
-        still = ours.wrong(across) if policy in _SEEN else [e for e in across if not e.own]
-        return bool(still) or time.monotonic() - at < _UNSEEN
+        still = self._wrong(ours) if policy in _SEEN else [e for e in self._others(ours) if not e.own]
+        return bool(still) or (policy != "type" and time.monotonic() - at < _UNSEEN)
 
-    def _across(self, ours: Ours) -> list[Endpoint]:
+    def _wrong(self, ours: Ours) -> list[Endpoint]:
+        """Those that do not match; a node that has another endpoint in our type takes part all the same."""
+        across = self._others(ours)
+        fit = {e.node for e in across if e.type == ours.type and e.node is not None}
+        return [e for e in ours.wrong(across) if not (ours.wrong_type(e) and e.node in fit)]
+
+    def _others(self, ours: Ours) -> list[Endpoint]:
         look = self._node.publishers if ours.side == "subscription" else self._node.subscribers
         return look(ours.topic)
+
+
+def _across(ours: Ours) -> str:
+    return "publisher" if ours.side == "subscription" else "subscription"

@@ -126,11 +126,12 @@ class RosNode:
             )
             mine = own > 0 and info.node_name == self.name
             own -= mine
-            found.append(Endpoint(full_name(topic), info.topic_type, qos, mine, info.node_name))
+            found.append(Endpoint(full_name(topic), info.topic_type, qos, mine, info.node_name, info.node_name))
         return found
 
     def close(self) -> None:
         """Leave the bus. Callbacks have ended when this returns."""
+        self._mismatches.close()
         self._executor.shutdown()
         self._thread.join(5.0)
         self._node.destroy_node()

@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
-from wbmpc.configuration import describe, keys
+from wbmpc.configuration import describe, keys, parse_yaml
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
@@ -28,6 +29,14 @@ ORDERS = {
     "goal_pose": "geometry_msgs/msg/PoseStamped", "hand_goal": "geometry_msgs/msg/PoseStamped",
     "base_path": "nav_msgs/msg/Path", "hand_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
+}  # fmt: skip
+#: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
+LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
+#: Topics of ROS whose names and types are fixed: nothing else may be there.
+FIXED = {
+    "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/clock": "rosgraph_msgs/msg/Clock",
+    "/robot_description": "std_msgs/msg/String", "/rosout": "rcl_interfaces/msg/Log",
+    "/parameter_events": "rcl_interfaces/msg/ParameterEvent", "/ros_discovery_info": "rmw_dds_common/msg/ParticipantEntitiesInfo",
 }  # fmt: skip
 
 
@@ -114,6 +123,14 @@ class Speeds(Settings):
     hand: float = Field(0.2, gt=0)
 
 
+class Fastest(Settings):
+    """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (a ball robot:
+    ``speeds``)."""
+
+    base: float | None = Field(None, gt=0)
+    turn: float | None = Field(None, gt=0)
+
+
 class Goals(Settings):
     """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
 
@@ -123,14 +140,15 @@ class Goals(Settings):
 
 class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
-    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time without it. ``jump`` [m, rad]: how
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: 1 s; in
+    lockstep 30 s, for a busy machine takes its time, or 1 s when nobody publishes it any more). ``jump`` [m, rad]: how
     far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
     policy: float = Field(0.5, gt=0, le=10)
     ramp: float = Field(0.2, ge=0, le=2)
     cmd_vel: float = Field(0.5, gt=0, le=5)
-    clock: float = Field(1.0, gt=0, le=60)
+    clock: float | None = Field(None, gt=0, le=600)
     jump: float = Field(0.1, gt=0, le=10)
 
 
@@ -171,6 +189,7 @@ class RosSettings(Settings):
     frames: Frames = Frames()
     rates: Rates = Rates()
     speeds: Speeds = Speeds()
+    cmd_vel: Fastest = Fastest()
     goals: Goals = Goals()
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
@@ -192,6 +211,19 @@ class RosSettings(Settings):
     def bus_name(self, joint: str) -> str:
         """What a joint of ours is called on the bus."""
         return self.joints.get(joint, joint)
+
+    @property
+    def patience(self) -> float:
+        """How long [s of the wall] simulated time, or the answers to it, may stay away: see ``safety.clock``."""
+        return self.safety.clock or (LOCKSTEP_PATIENCE if self.lockstep else GONE)
+
+    def fastest(self, robot: RobotModel) -> np.ndarray:
+        """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
+        speeds, given = self.speeds, self.cmd_vel
+        wanted = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        if "base" in robot.input:
+            return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
+        return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
 
     def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
@@ -252,10 +284,12 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     kind = settings_of(robot)
     if path is None:
         return kind()
+    if path.is_dir():
+        raise InputError(f"--config: '{path}' is a directory, a YAML file is needed")
     if not path.is_file():
         raise InputError(f"--config: there is no file '{path}'")
     try:
-        data = yaml.safe_load(path.read_text())
+        data = parse_yaml(path.read_text())
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     data = {} if data is None else data
@@ -291,6 +325,8 @@ def _check_topics(settings: RosSettings, controllers: dict[str, Controller]) -> 
     named |= {f"controllers.{k}.topic": c.topic for k, c in controllers.items()}
     for key, name in named.items():
         topic = full_name(name)
+        if topic in FIXED:
+            raise InputError(f"key '{key}': '{name}' always carries {FIXED[topic]}; another name is needed")
         if topic in seen:
             raise InputError(f"key '{key}': '{name}' is the topic of '{seen[topic]}' already")
         seen[topic] = key
@@ -305,3 +341,7 @@ def _check_joints(settings: RosSettings, robot: RobotModel) -> None:
     twice = sorted({n for n in on_bus if on_bus.count(n) > 1})
     if twice:
         raise InputError(f"key 'joints': two joints are called '{twice[0]}' on the bus")
+    for ours, name in zip(known, on_bus, strict=True):
+        if name in settings.ignore:
+            who = "a joint of this robot" if name == ours else f"our joint '{ours}'"
+            raise InputError(f"key 'ignore': '{name}' is {who}, which is needed")

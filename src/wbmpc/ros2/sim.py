@@ -25,8 +25,9 @@ from wbmpc.ros2.settings import RosSettings, joint_groups
 _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.
 COMMAND_TIMEOUT = 0.1
-#: In lockstep: how long an answer is waited for, and after what time the question is asked again [s of the wall].
-PATIENCE, AGAIN = 3.0, 0.05
+#: In lockstep: how long an answer is waited for once the robot was told to rest (a controller that has stopped it goes silent),
+#: and after what time the question is asked again [s of the wall].
+RESTED, AGAIN = 3.0, 0.05
 #: A trajectory answers for so long [s].
 AGAIN_LED = 0.2
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
@@ -63,7 +64,7 @@ class SimNode:
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep
         self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0
-        self.patience = PATIENCE
+        self.patience = settings.patience
         self.sim_time = settings.use_sim_time or self.lockstep
         if factor != 1.0 and not self.sim_time:
             raise InputError(
@@ -184,16 +185,21 @@ class SimNode:
     def _await(self, before: dict[str, int]) -> None:
         """Commands to what was just published; asked again now and then, for a sensor's message may be lost.
 
-        Who does not answer at all is not waited for again until it does.
+        Who does not answer at all, or has left the bus, is not waited for again until it does.
         """
         begin = time.monotonic()
+        rest = self.side.rest()
+        rests = all(np.array_equal(self._groups[g], v) for g, v in rest.items())
+        patience = min(RESTED, self.patience) if rests else self.patience
         recent = lambda n: self.time - self._heard[n] < AGAIN_LED
         led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
         answered = lambda: all(recent(n) if n in led else self._count[n] > before[n] for n in before)
-        while not answered() and time.monotonic() - begin < self.patience:
+        while not answered() and time.monotonic() - begin < patience:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)
             if not there:
+                if not all(any(not e.own for e in self.node.publishers(c.topic)) for c in self._controllers.values()):
+                    break
                 self.publish()
         self._lost = not answered()
 
