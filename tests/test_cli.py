@@ -12,11 +12,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import wbmpc
 from fake_experiment import REGISTRY
-from wbmpc.cli import app, main
+from wbmpc.cli import _table, app, main
+from wbmpc.log import Log
+from wbmpc.report import page
+from wbmpc.result import Metric, RunResult
 
 HERE = Path(__file__).parent
 
@@ -133,6 +137,38 @@ def test_quiet_and_verbose(place: str, capsys: pytest.CaptureFixture[str], tmp_p
     assert "files go into runs/fake-seed200-3" in err and '"rate": 70.0' in err and "report: runs/" in err
     assert call("run", "fake") == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "line", ["--json run fake", "--json --quiet run fake --seed 3", "run --json fake", "--json list"]
+)
+def test_json_is_understood_before_the_command_too(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(*line.split()) == 0
+    assert "experiment" in json.loads(capsys.readouterr().out) or line.endswith("list")
+    assert call("--json") == 0 and "Usage" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["", "run", "log info", "log", "ros2 check", "compare"])
+def test_every_help_says_what_is_understood_everywhere(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(*command.split(), "--help") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "--quiet, --verbose, --debug" in said and "before or after" in said
+
+
+def test_figures_of_a_run_that_the_user_ended_are_not_judged(capsys: pytest.CaptureFixture[str]) -> None:
+    """Truth: the same figures of a run that fell, which are judged."""
+    figures = {
+        "rise_time_max": Metric(np.inf, "s", goal=1.0, goal_note="of all steps"),
+        "fell": Metric(0.0, "count", goal=0.0),
+    }
+    for interrupted in (True, False):
+        result = RunResult("x", 1, False, "ended at 3 s", figures, None, Log(), interrupted=interrupted)
+        _table([result])
+        out = " ".join(
+            (capsys.readouterr().out + page(result).split("<body>")[1].split("What is idealised")[0]).split()
+        )
+        assert ("missed" in out) is not interrupted and ("inf" in out) is not interrupted
+        assert ("not measured" in out) is interrupted and ("of all steps" in out) is not interrupted
 
 
 def test_the_shell_completes() -> None:
@@ -255,6 +291,7 @@ REAL = {
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
     ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
     ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "hold=1.5"): "a smaller mpc.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 

@@ -35,6 +35,19 @@ def test_metrics_and_settings(runs: list[dict], capsys: pytest.CaptureFixture[st
     assert data["settings"] == {"seed": [1, 2], "mpc.rate": [50.0, 80.0]}
 
 
+def test_runs_of_different_experiments_are_noted(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    """Once, in the table's notes, in the object and on the page."""
+    assert main(["compare", "a", "b"]) == 0
+    assert "different experiments" not in capsys.readouterr().out
+    path = Path("b/metrics.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "experiment": "other"}))
+    assert main(["compare", "a", "b", "--out", "mixed.html"]) == 0
+    assert capsys.readouterr().out.count("different experiments (fake and other)") == 1
+    assert Path("mixed.html").read_text().count("different experiments (fake and other)") == 1
+    assert main(["compare", "a", "b", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["notes"]) == 1
+
+
 def test_table_and_page(runs: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["compare", "a", "b", "--out", "both.html"]) == 0
     out = capsys.readouterr().out

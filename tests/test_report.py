@@ -14,7 +14,7 @@ import pytest
 
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.report import MOST_POINTS, _thin, number, page, to_json, versions, write_run
+from wbmpc.report import MOST_POINTS, _legend_rows, _thin, number, page, to_json, versions, write_run
 from wbmpc.result import Metric, MpcStatistics
 
 CHROMIUM = shutil.which("chromium")
@@ -54,6 +54,12 @@ def test_files_of_a_run(tmp_path: Path) -> None:
     with np.load(files["log"]) as log:
         np.testing.assert_array_equal(log["hand"], result.log.array("hand"))
         np.testing.assert_array_equal(log["hand.time"], result.log.times("hand"))
+
+
+@pytest.mark.parametrize(("count", "length", "rows"), [(12, 17, 6), (3, 1, 1), (1, 200, 1), (0, 0, 1)])
+def test_a_legend_has_room(count: int, length: int, rows: int) -> None:
+    """Truth: two entries like ``rezero-run-two [0]`` stood in a row of Chromium's."""
+    assert _legend_rows(["n" * length] * count) == rows
 
 
 def test_metrics_repeat_bit_for_bit_and_hold_no_timings() -> None:

@@ -109,6 +109,16 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
+def experiments(runs: list[dict[str, Any]]) -> str:
+    """A sentence where two runs are of different experiments; else empty."""
+    a, b = (run.get("experiment") or "unknown" for run in runs)
+    return (
+        ""
+        if a == b
+        else f"the runs are of different experiments ({a} and {b}): figures and settings of one may mean nothing for the other"
+    )
+
+
 def differences(runs: list[dict[str, Any]]) -> dict[str, list[Any]]:
     """Settings that the runs do not share, by dotted key: both values."""
     flat = [_flat(run.get("settings", {})) for run in runs]

@@ -23,8 +23,8 @@ RECORDING = "run.mcap"
 RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
-#: Names in a row of a legend, about.
-_LEGEND = 4
+#: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
+_LEGEND, _MARK, _LETTER = 360, 45, 6.3
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
 _GRID = "rgba(128, 140, 152, 0.25)"
 _STYLE = """
@@ -99,6 +99,12 @@ def _mpc(mpc: MpcStatistics) -> dict[str, Any]:
         "no_step": mpc.no_step,
         "failed_share": round(mpc.failed_share, 6),
     }
+
+
+def figure_text(result: RunResult, name: str) -> str:
+    """A run's figure as a cell of a table; one that the user ended may have had no time for it."""
+    value = result.metrics[name].value
+    return "not measured" if result.interrupted and not math.isfinite(value) else number(value)
 
 
 def goal_text(metric: Metric) -> str:
@@ -212,16 +218,23 @@ def _figure(plot: Plot | Drawing) -> str:
         style = {"width": 1.6, "color": colour, "dash": "dash" if line.dashed else "solid"}
         # plain lists: browsers draw them the same, and the page stays readable
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
-    rows = math.ceil(len(plot.series) / _LEGEND)
     figure.update_layout(
         xaxis_title=plot.x_label, yaxis_title=plot.y_label,
-        template=_template(), height=340 + 20 * max(rows - 1, 0), margin={"l": 60, "r": 16, "t": 36, "b": 88},
+        template=_template(), height=320 + 20 * _legend_rows([line.name for line in plot.series]),
+        margin={"l": 60, "r": 16, "t": 36, "b": 88},
         legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},
     )  # fmt: skip
     if plot.equal_axes:
         figure.update_yaxes(scaleanchor="x", scaleratio=1)
     options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
+
+
+def _legend_rows(names: list[str]) -> int:
+    """Rows of a legend, whose entries are all as wide as the widest: with less room it would be drawn over the axis' title."""
+    longest = max(map(len, names), default=0)
+    in_a_row = max(int(_LEGEND // (_MARK + _LETTER * longest)), 1)
+    return max(math.ceil(len(names) / in_a_row), 1)
 
 
 def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
@@ -243,7 +256,8 @@ def _metric_rows(result: RunResult) -> list[list[str]]:
         [
             html.escape(name),
             html.escape(m.unit),
-            *("" if v is None else number(v) for v in (m.value, m.paper)),
+            figure_text(result, name),
+            "" if m.paper is None else number(m.paper),
             goal_text(m),
             verdicts[result.reached(name)],
         ]
@@ -253,7 +267,8 @@ def _metric_rows(result: RunResult) -> list[list[str]]:
 
 def goal_notes(result: RunResult) -> list[str]:
     """What a reader must know about the goals that this run misses."""
-    return [f"{name}: {m.goal_note}" for name, m in result.metrics.items() if m.met is False and m.goal_note]
+    missed = [n for n, m in result.metrics.items() if m.met is False and result.reached(n) is False]
+    return [f"{name}: {note}" for name in missed if (note := result.metrics[name].goal_note)]
 
 
 def _verdict(result: RunResult) -> str:

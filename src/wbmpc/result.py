@@ -125,8 +125,9 @@ class RunResult:
     interrupted: bool = False
 
     def reached(self, name: str) -> bool | None:
-        """Whether the goal of a metric is reached; None without a goal. A run that did not complete reaches none."""
-        met = self.metrics[name].met
+        """Whether the goal of a metric is reached; None without a goal, and where the user ended the run: it says nothing about
+        goals. Another run that did not complete reaches none."""
+        met = None if self.interrupted else self.metrics[name].met
         return met if met is None else met and self.completed
 
     @classmethod

@@ -10,6 +10,7 @@ import threading
 import time
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -192,6 +193,20 @@ def test_pause_step_speed_and_end() -> None:
         assert 3 <= len(held) <= 4 and np.all(np.diff(held) == 1)  # the pause, and three single steps
     finally:
         view.close()
+
+
+def test_each_click_is_a_single_step() -> None:
+    """Three clicks before the next tick are three ticks, then the run is held again; clicks while nothing is paused are none."""
+    view, held = live.View("test", port=free_port()), []
+    view.process, view.running = (
+        SimpleNamespace(is_alive=lambda: True),
+        SimpleNamespace(interrupted=lambda: bool(held.append(1)) or True),
+    )
+    view._steps, view._speed, view._origin = 0, 1.0, time.perf_counter() - 1.0
+    for steps, paused, expected in ((2, 0.0, 0), (5, 1.0, 0), (5, 1.0, 0), (5, 1.0, 0), (5, 1.0, 1)):
+        view._orders["steps"][...], view._orders["paused"][...] = steps, paused
+        view._wait(0.0, None)
+        assert len(held) == expected
 
 
 def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

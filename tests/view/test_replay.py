@@ -27,6 +27,7 @@ from wbmpc.recording.writer import McapFile
 from wbmpc.view import render
 from wbmpc.view.replay import Film
 from wbmpc.view.session import _swerve
+from wbmpc.view.snapshot import NUMBERS
 
 #: The robot's base in a page.
 BODY = "/map/bodies/body"
@@ -90,7 +91,8 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     forces = s["forces"][np.isfinite(s["forces"]).all(axis=(1, 2))]
     weight = np.sum(forces[:, 1, 2] - forces[:, 0, 2]) / 0.002
     assert len(forces) == 4 and weight == pytest.approx(run.truth.plant.weight, rel=0.05)
-    assert s["numbers"][0] == 0.1 and 0.0 < s["numbers"][2] < 1.0 and s["numbers"][3] == 0.02
+    numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
+    assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
 
 def test_recordings_without_pictures_are_refused(tmp_path: Path) -> None:
@@ -194,6 +196,7 @@ BAD = {
     (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE",
     ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",
     ("--png", "a.png", "--start", "9"): "there is nothing to draw",
+    ("--mp4", "a.mp4", "--width", "321"): "width and height must be even (its codec halves them), got 321 and 540",
 }
 
 

@@ -101,9 +101,28 @@ def options(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors; with --json the object.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Say what is done, on standard error.")] = False,
 ) -> None:
-    """Options for all commands, before or after their names."""
+    """Options for all commands, before or after their names; --json too."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+#: What is understood anywhere on the line; at the end of every command's help.
+EVERYWHERE = (
+    "With every command, before or after its name: --quiet, --verbose, --debug; where a command has it, --json."
+)
+for _group in (app, log, ros2):
+    _group.info.epilog = EVERYWHERE
+
+
+def _rearranged(given: list[str]) -> list[str]:
+    """The line without what :func:`main` has understood; ``--json`` before a command's name goes behind it."""
+    rest = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]
+    command = next((i for i, a in enumerate(rest) if not a.startswith("-")), len(rest))
+    front, behind = [a for a in rest[:command] if a != "--json"], rest[command:]
+    if len(front) < command and behind:
+        end = behind.index("--") if "--" in behind else len(behind)
+        behind.insert(end, "--json")
+    return [*front, *behind]
 
 
 def _execute(
@@ -180,7 +199,7 @@ def _attempt(
 
 
 def _table(results: list[RunResult]) -> None:
-    from wbmpc.report import goal_notes, goal_text, number
+    from wbmpc.report import figure_text, goal_notes, goal_text, number
 
     table = plain_table("Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
     for column in ("experiment", "metric"):
@@ -191,7 +210,7 @@ def _table(results: list[RunResult]) -> None:
     table.add_column("", no_wrap=True)
     for result in results:
         for k, (name, m) in enumerate(result.metrics.items()):
-            figures = [*("" if v is None else number(v) for v in (m.value, m.paper)), goal_text(m)]
+            figures = [figure_text(result, name), "" if m.paper is None else number(m.paper), goal_text(m)]
             verdict = {True: "reached", False: "missed", None: ""}[result.reached(name)]
             table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, verdict)
         mpc = result.mpc
@@ -321,6 +340,10 @@ def bench(
         typer.echo(text(figures))
 
 
+for _info in (*app.registered_commands, *log.registered_commands, *ros2.registered_commands):
+    _info.epilog = EVERYWHERE
+
+
 def _complain(error: Exception, debug: bool) -> None:
     """One sentence on standard error, whatever the message looked like; the traceback only on request."""
     if debug:
@@ -344,7 +367,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     given = sys.argv[1:] if arguments is None else arguments
     debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
-    given = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]  # understood anywhere on the line
+    given = _rearranged(given)
     with unread_allowed(), terminable() as termination:
         status = _run(given, debug, quiet, verbose, registry)
     return TERMINATED if termination.came and status == INTERRUPTED else status

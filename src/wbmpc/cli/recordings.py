@@ -108,7 +108,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, load_both, overlay, table, wheels
+    from wbmpc.compare import differences, experiments, load_both, overlay, table, wheels
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -119,6 +119,7 @@ def compare(
     if names[0] == names[1]:
         names = [str(first), str(second)]
     notes = [f"{run.directory} {run.note}" for run in runs if run.note]
+    notes = [note for note in (experiments(figures), *notes) if note]
     about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
     plots = overlay(runs, names, wheels(figures[0]))
     out.write_text(plots_page(f"{names[0]} and {names[1]}", about, plots))

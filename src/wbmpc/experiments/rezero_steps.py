@@ -79,13 +79,16 @@ class RezeroStepsSettings(RezeroSettings):
     @model_validator(mode="after")
     def _windows(self) -> Self:
         least = STEADY + max(self.lead, MOVING)
+        way_out = "; a smaller mpc.horizon or preview=false needs less" if self.lead > MOVING else ""
         if self.hold < least - 1e-9:
             raise ValueError(
                 f"hold={self.hold:g}: a step needs {least:g} s, {STEADY:g} s to be judged and before that the preview "
-                f"(mpc.horizon) or {MOVING:g} s to move"
+                f"(mpc.horizon) or {MOVING:g} s to move{way_out}"
             )
         if self.settle < self.lead - 1e-9:
-            raise ValueError(f"settle={self.settle:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed")
+            raise ValueError(
+                f"settle={self.settle:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed{way_out}"
+            )
         return self
 
 

@@ -18,8 +18,9 @@ from wbmpc.errors import EndedByUser
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.observer import Observer
+from wbmpc.view.loads import Loads
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, fields, filled, ground
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, errors, fields, filled, ground
 from wbmpc.view.steering import Controls, Steering, no_orders, planar, spatial
 from wbmpc.view.window import Window
 
@@ -58,8 +59,13 @@ class View(Window):
         self.scene = Observer(running).scene
         steering = Steering(running, np.zeros(3))
         names = tuple(cost.name for cost in steering.costs)
-        base = running.mpc is not None and "state" in running.mpc.reference
-        self.start(self.scene, Controls(self.title, names, steering.has_legs, base), fields(self.scene))
+        groups = self._loads_of(running).groups
+        controls = Controls(self.title, names, steering.has_legs, Steering.base_of(running.mpc), groups)
+        self.start(self.scene, controls, fields(self.scene))
+
+    @staticmethod
+    def _loads_of(running: Running) -> Loads:
+        return Loads(running.plant.description, Observer(running).reader.joint_names)
 
     def anew(self) -> None:
         """What comes is another run."""
@@ -75,8 +81,7 @@ class View(Window):
             self._orders = no_orders()
         if self.process is None:
             self.open(running)
-        velocity = running.plant.description.limits.velocity
-        self._limits = np.array([velocity.get(n, np.inf) for n in self._observer.reader.joint_names])
+        self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift)
         self._steering.skip(self._orders)
         self._steps, self._resets, self._ends = (int(self._orders[n]) for n in ("steps", "resets", "ends"))
@@ -108,6 +113,8 @@ class View(Window):
         if self._orders["paused"]:
             self._pause(t, plans)
             self._anchor(t)
+        else:
+            self._steps = int(self._orders["steps"])  # what was asked for while nothing was paused
         if float(self._orders["speed"]) != self._speed:
             self._anchor(t)
         ahead = self._origin + t / self._speed - time.perf_counter()
@@ -128,7 +135,7 @@ class View(Window):
             self._take_orders()
             self._steer(t)
             self.shown.write(**self._snapshot(t, plans))
-        self._steps = int(self._orders["steps"])
+        self._steps += int(self._orders["steps"]) != self._steps  # each of several clicks is a step
 
     def _take_orders(self) -> None:
         message = self.orders.read()
@@ -154,24 +161,24 @@ class View(Window):
         shown_goal = np.full(7, np.nan) if goal is None else lie.pose_compose(self._drift, goal)
         on_floor = ground(reader.contacts(data))
         solve, deadline = (np.nan, np.nan) if mpc is None else (mpc.solve_time, mpc.period)
+        base_goal = self._base_goal(t)
         numbers = {
-            "t": t, "error": np.linalg.norm(moment.hand[:3] - shown_goal[:3]), "solve": solve, "deadline": deadline,
+            "t": t, **errors(moment.hand, shown_goal, moment.base, base_goal), "solve": solve, "deadline": deadline,
             **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
-            "speed": (np.abs(reader.joint_states(data)[:, 1]) / self._limits).max(initial=0.0), "late": np.nan,
+            **self._loads.shares(reader.joint_states(data)[:, 1], data.actuator_force), "late": np.nan,
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,
-            "base_goal": self._base_goal(t), **self._paths(plans), **on_floor,
+            "base_goal": base_goal, **self._paths(plans), **on_floor,
         }  # fmt: skip
 
     def _base_goal(self, t: float) -> Array:
-        reference = {} if self.running.mpc is None else self.running.mpc.reference
-        if "state" not in reference:
+        mpc = self.running.mpc
+        if not Steering.base_of(mpc):
             return np.full(3, np.nan)
-        part = self.running.mpc.ocp.dynamics.state["base"]
-        if part.stop - part.start != 3:
-            return np.full(3, np.nan)
-        return planar(lie.pose_compose(self._drift, spatial(reference["state"].at(t)[part])))
+        return planar(
+            lie.pose_compose(self._drift, spatial(mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]))
+        )
 
     def _paths(self, plans: Plans) -> dict[str, Array]:
         """The hand's reference, and the predicted ways of hand and base."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -13,13 +12,21 @@ import viser
 from viser import uplot
 
 from wbmpc.mpc.buffer import Mailbox
+from wbmpc.view.history import History
 from wbmpc.view.snapshot import NUMBERS, spoken
 from wbmpc.view.stage import add_follow, add_legend, name_tab
 from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
 
 Array = np.ndarray
-#: Samples in a plot, and pictures between two of its updates.
-_SAMPLES, _EVERY = 300, 3
+#: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
+_EVERY, _EVERY_PLOT = 3, 6
+#: Lines of the drives' groups: name and colour.
+_LINES = {
+    "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
+    "wheels": ("wheels", "#1f5fa8"), "drives": ("wheels (torque)", "#1f5fa8"),
+}  # fmt: skip
+#: A plot: its title, and its lines: number, name, colour, factor.
+_Line = tuple[str, str, str, float]
 
 
 class Panel:
@@ -132,20 +139,13 @@ class Panel:
         return np.array([self._base.position[0], self._base.position[1], 2.0 * np.arctan2(z, w)])
 
     def _plots(self) -> None:
-        self._rows: deque[Array] = deque(maxlen=_SAMPLES)
+        self._history = History()
         self._count, empty = 0, np.zeros(1)
         line = lambda label, colour: uplot.Series(label=label, stroke=colour, width=1.5)
-        figures: dict[str, tuple[tuple[str, str, float], ...]] = {
-            "Hand error [mm]": (("error", "#d1495b", 1e3),),
-            "Solve time and deadline [ms]": (("solve", "#1f5fa8", 1e3), ("deadline", "#b7791f", 1e3)),
-            "Largest joint speed / limit": (("speed", "#2a9d6f", 1.0),),
-        }
-        if not self.controls.paced:
-            figures["Tick begins late [ms]"] = (("late", "#8a5fbf", 1e3),)
         self._figures = []
         with self.server.gui.add_folder("Plots"):
-            for title, lines in figures.items():
-                series = (uplot.Series(label="t"), *(line(name, colour) for name, colour, _ in lines))
+            for title, lines in plotted(self.controls).items():
+                series = (uplot.Series(label="t"), *(line(label, colour) for _, label, colour, _ in lines))
                 handle = self.server.gui.add_uplot(
                     (empty, *(empty for _ in lines)),
                     series,
@@ -153,13 +153,13 @@ class Panel:
                     aspect=1.8,
                     scales={"x": uplot.Scale(time=False)},
                 )
-                self._figures.append((handle, [(NUMBERS.index(name), factor) for name, _, factor in lines]))
+                self._figures.append((handle, [(NUMBERS.index(name), factor) for name, _, _, factor in lines]))
 
     # ------------------------------------------------------------------ snapshots
     def show(self, s: dict[str, Array]) -> None:
         """Show the numbers of a snapshot; move the goals that nobody holds."""
         numbers = s["numbers"]
-        self._rows.append(numbers)
+        self._history.add(numbers)
         self._count += 1
         if not self._dragged:
             self._place(self._goal, s["goal"])
@@ -169,9 +169,12 @@ class Panel:
         if self._count % _EVERY:
             return
         value = dict(zip(NUMBERS, numbers, strict=True))
-        self._about = f", {value['t']:.1f} s{spoken(value)}"
+        digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
+        self._about = f", {value['t']:.{digits}f} s{spoken(value)}"
         self._head()
-        rows = np.array(self._rows)
+        if self._count % _EVERY_PLOT:
+            return
+        rows = self._history.rows
         for handle, lines in self._figures:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
 
@@ -190,3 +193,23 @@ class Panel:
         handle.visible = finite and bool(self._handles.value)
         if finite and not np.allclose(np.concatenate([handle.position, handle.wxyz]), pose, atol=1e-5):
             handle.position, handle.wxyz = pose[:3], pose[3:]
+
+
+def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:
+    """Lines by the plots' titles."""
+    red = "#d1495b"
+    figures: dict[str, tuple[_Line, ...]] = {
+        "Hand position error [mm]": (("error", "error", red, 1e3),),
+        "Hand orientation error [deg]": (("turn", "error", red, np.degrees(1.0)),),
+    }
+    if controls.base:
+        figures["Base position error [mm]"] = (("base", "error", red, 1e3),)
+    figures["Solve time and deadline [ms]"] = (
+        ("solve", "solve", "#1f5fa8", 1e3),
+        ("deadline", "deadline", "#b7791f", 1e3),
+    )
+    if controls.groups:
+        figures["Speeds / limits (largest of each)"] = tuple((group, *_LINES[group], 1.0) for group in controls.groups)
+    if not controls.paced:
+        figures["Tick begins late [ms]"] = (("late", "late", "#8a5fbf", 1e3),)
+    return figures

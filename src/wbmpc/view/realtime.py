@@ -25,8 +25,9 @@ from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.scene import SceneReader
 from wbmpc.recording.observer import PLAN_POINTS, base_poses
 from wbmpc.solver import Solver
+from wbmpc.view.loads import GROUPS, Loads
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, filled
+from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
 from wbmpc.view.steering import Controls, Steering, no_orders
 from wbmpc.view.window import Window
 
@@ -56,15 +57,26 @@ class RealtimeView(Window):
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
         """Start the process; returns when it answers."""
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
-        legs, base = Steering.legs_of(mpc), "state" in mpc.reference
-        controls = Controls(self.title, names, legs, base, paced=False, pushes=seen is not None)
+        scene = scene_of(self.robot)[1]
+        groups = tuple(
+            g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
+        )  # not measured
+        controls = Controls(
+            self.title,
+            names,
+            Steering.legs_of(mpc),
+            Steering.base_of(mpc),
+            groups,
+            paced=False,
+            pushes=seen is not None,
+        )
         nx = mpc.ocp.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,)})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
         }  # fmt: skip
         drawer = partial(Picture, self.robot_name, self.moments, seen)
-        self.start(scene_of(self.robot)[1].scene, controls, shown, drawer)
+        self.start(scene.scene, controls, shown, drawer)
 
     # ------------------------------------------------------------------ the control thread
     def watch(self, t: float, late: float, plans: Plans) -> None:
@@ -146,7 +158,7 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     goal = np.full(7, np.nan) if hand is None else hand.at(t).copy()
     goal[:3] += lift
     base = np.full(3, np.nan)
-    if "state" in reference and layout["base"].stop - layout["base"].start == 3:
+    if Steering.base_of(mpc):
         base = reference["state"].at(t)[layout["base"]]
     way = np.zeros((0, 3)) if hand is None else hand.values[:, :3] + lift
     return {
@@ -174,12 +186,11 @@ class Picture:
         self.robot, self._moments, self._seen = load_robot(robot), moments, seen
         self._puppet, self._reader = scene_of(self.robot)
         self._lift = self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0
-        velocity = self.robot.description.limits.velocity
-        self._limits = np.array([velocity.get(n, np.inf) for n in self._reader.joint_names])
+        self._loads = Loads(self.robot.description, self._reader.joint_names)
         self._moment: dict[str, Array] = {"t": np.array(0.0), "late": np.array(np.nan), "x": self.robot.home}
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
         self._before: tuple[float, Array] | None = None
-        self._speed = np.nan
+        self._shares = dict.fromkeys(GROUPS, np.nan)
 
     def __call__(self, plan: dict[str, Array]) -> dict[str, Any]:
         """The newest of everything; ``plan``: the MPC's message."""
@@ -189,14 +200,16 @@ class Picture:
         self._ground = seen.values if seen is not None else self._ground
         self._puppet.arrange(self._moment["x"])
         poses = self._reader.poses(self._puppet.data)
-        hand = self.robot.pose(self._moment["x"])[0] + [0.0, 0.0, self._lift]
+        position, orientation = self.robot.pose(self._moment["x"])
+        hand = np.concatenate([position + [0.0, 0.0, self._lift], orientation])
         states = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)]
         ways = {"hand_plan": self._hand(states), "base_plan": base_poses(states[:, self.robot.state["base"]])[:, :3]}
         for way in ways.values():
             way[:, 2] += self._lift
         numbers: dict[str, Any] = {
-            "t": self._moment["t"], "late": self._moment["late"], "error": np.linalg.norm(hand - plan["goal"][:3]),
-            "solve": plan["solve"], "deadline": plan["deadline"], "speed": self._fastest(),
+            "t": self._moment["t"], "late": self._moment["late"],
+            **errors(hand, plan["goal"], poses[self._reader.scene.index], plan["base_goal"]),
+            "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
         }  # fmt: skip
         return {
@@ -209,15 +222,14 @@ class Picture:
         columns = [states[:, self.robot.state[group]] for group in self.robot.state.groups]
         return self.robot.poses(np.hstack(columns))[:, :3].copy()
 
-    def _fastest(self) -> float:
-        """Largest joint speed over its limit, between the last two states."""
+    def _speeds(self) -> dict[str, float]:
+        """Largest joint speeds over their limits, between the last two states."""
         t, joints = float(self._moment["t"]), self._reader.joint_states(self._puppet.data)[:, 0]
         if self._before is None or t > self._before[0]:
             if self._before is not None:
-                rates = np.abs(joints - self._before[1]) / (t - self._before[0])
-                self._speed = float((rates / self._limits).max(initial=0.0))
+                self._shares = self._loads.shares((joints - self._before[1]) / (t - self._before[0]))
             self._before = (t, joints)
-        return self._speed
+        return self._shares
 
     def _on_floor(self, estimated: Array) -> dict[str, Array]:
         """Contacts where the estimate has the robot."""

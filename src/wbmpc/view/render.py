@@ -36,6 +36,10 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
         raise InputError(f"render: '{path}': valid endings: .mp4, .gif, .png")
     if find_spec("imageio") is None or (kind == ".mp4" and find_spec("imageio_ffmpeg") is None):
         raise InputError("render: this needs imageio: pip install 'wbmpc[video]'")
+    if kind == ".mp4" and (size[0] % 2 or size[1] % 2):
+        raise InputError(
+            f"render: a film's width and height must be even (its codec halves them), got {size[0]} and {size[1]}"
+        )
     start, end = max(times[0], float(film.times[0])), min(times[1], float(film.times[-1]))
     if not (start <= end and speed > 0.0):
         raise InputError(f"render: from {start:g} to {end:g} s at speed {speed:g} there is nothing to draw")

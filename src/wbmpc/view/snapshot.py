@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.plant.scene import Contact, Scene
+from wbmpc.view.loads import GROUPS
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 Array = np.ndarray
@@ -15,10 +17,11 @@ Array = np.ndarray
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
-#: Numbers that are plotted. Lengths in m, times in s; ``speed``: largest joint speed over its limit;
-#: ``margin``, ``triangle_margin``: of the point of pressure inside the support polygon and the active triangle.
+#: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the hand, ``base``: of a base with a goal;
+#: those of :data:`~wbmpc.view.loads.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
+#: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late.
-NUMBERS = ("t", "error", "solve", "deadline", "speed", "margin", "triangle_margin", "late")
+NUMBERS = ("t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late")
 #: Shapes of what :func:`ground` finds.
 GROUND: dict[str, tuple[int, ...]] = {
     "forces": (CONTACTS, 2, 3), "support": (CONTACTS, 3), "triangle": (3, 3), "pressure": (3,), "margin": (),
@@ -69,6 +72,17 @@ def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.0
         "pressure": found,
         "margin": np.array(margin(corners, found[:2])),
         "triangle_margin": np.array(margin(triangle, found[:2])),
+    }
+
+
+def errors(hand: Array, goal: Array, base: Array, base_goal: Array) -> dict[str, float]:
+    """Errors of poses (7) in one frame against the hand's ``goal`` (7) and ``base_goal`` (x, y, yaw); nan without a goal."""
+    return {
+        "error": float(np.linalg.norm(hand[:3] - goal[:3])),
+        "turn": float(
+            np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(goal[3:]), hand[3:])))
+        ),
+        "base": float(np.linalg.norm(base[:2] - base_goal[:2])),
     }
 
 

@@ -26,6 +26,8 @@ LEGEND = {
     "reference of the hand": REFERENCE, "predicted hand": HAND, "predicted base": BASE, "support polygon": SUPPORT,
     "active triangle": TRIANGLE, "ZMP": PRESSURE, "contact forces (2 mm/N)": FORCE,
 }  # fmt: skip
+#: Spheres larger than this [m] are seen through, with this opacity: a ball that carries a robot hides the force on it.
+_BALL, _OPACITY = 0.05, 0.45
 #: How far the robot goes before the camera follows [m].
 FOLLOW = 0.02
 #: How long a new browser's camera is left alone [s].
@@ -63,10 +65,12 @@ class Stage:
         if mesh is None:
             return
         parent = f"{self._root}/world" if shape.body == "world" else f"{self._root}/bodies/{shape.body}"
-        pose = np.array(shape.pose)
+        pose, opacity = np.array(shape.pose), shape.colour[3]
+        if shape.kind == "sphere" and shape.size[0] > _BALL:
+            opacity = min(opacity, _OPACITY)
         self.server.scene.add_mesh_simple(
             f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.colour[:3]),
-            opacity=None if shape.colour[3] >= 1.0 else shape.colour[3], flat_shading=shape.kind == "box",
+            opacity=None if opacity >= 1.0 else opacity, flat_shading=shape.kind == "box",
             position=pose[:3], wxyz=pose[3:],
         )  # fmt: skip
 

@@ -45,13 +45,15 @@ def no_orders() -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Controls:
-    """What there is to control: a title, names of weights, whether legs, a base goal; ``paced``: whether time can be
+    """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
+    their limits are plotted (:data:`~wbmpc.view.loads.GROUPS`); ``paced``: whether time can be
     held, ``pushes``: whether somebody can push."""
 
     title: str
     weights: tuple[str, ...]
     legs: bool
     base: bool
+    groups: tuple[str, ...] = ()
     paced: bool = True
     pushes: bool = True
 
@@ -83,6 +85,14 @@ class Steering:
             return False
         d = mpc.ocp.dynamics
         return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
+
+    @staticmethod
+    def base_of(mpc: MPC | None) -> bool:
+        """Whether the base has a goal: a ball robot's has none, it goes where its hand needs it."""
+        if mpc is None or "state" not in mpc.reference or "base" not in mpc.ocp.dynamics.state:
+            return False
+        part = mpc.ocp.dynamics.state["base"]
+        return bool(part.stop - part.start == 3)
 
     def skip(self, orders: dict[str, Array]) -> None:
         """What was asked for before this run is not for it."""
@@ -139,13 +149,12 @@ class Steering:
         return value
 
     def _base_goal(self, t: float, pose: Array) -> None:
-        """The base's goal (x, y, yaw) from now on, at rest. A ball robot has none: it goes where its hand needs it."""
-        if self.mpc is None or "state" not in self.mpc.reference:
+        """The base's goal (x, y, yaw) from now on, at rest. Where there is none, nothing."""
+        if self.mpc is None or not self.base_of(self.mpc):
             return
-        target, part = self._target(t), self.mpc.ocp.dynamics.state["base"]
-        if part.stop - part.start == 3:
-            target[part] = pose
-            self._hold(target)
+        target = self._target(t)
+        target[self.mpc.ocp.dynamics.state["base"]] = pose
+        self._hold(target)
 
     def _hold(self, target: Array) -> None:
         self.mpc.reference["state"] = Reference.constant(target)

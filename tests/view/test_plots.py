@@ -1,0 +1,61 @@
+"""Plots of the live view. Truth: a run of known times and peaks; the limits in the robots' files, by joint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc import lie
+from wbmpc.robots import load_description
+from wbmpc.view.history import SAMPLES, SPAN, History
+from wbmpc.view.loads import GROUPS, Loads
+from wbmpc.view.snapshot import errors
+
+
+@pytest.mark.parametrize("pictures", [30, 230, 2000])
+def test_plots_show_the_last_seconds_of_the_run_however_slowly_it_goes(pictures: int) -> None:
+    """Pictures come by the wall's clock: of a run slower than real time there are more to a second of its own time."""
+    history, peaks = History(), []
+    for k in range(40 * pictures):
+        t = k / pictures
+        peak = 5.0 if abs(t - 33.0) < 0.4 / pictures else 0.0
+        peaks.append(peak)
+        history.add(np.array([t, peak, np.nan]))
+    rows = history.rows
+    assert max(peaks) == 5.0 and rows[:, 1].max() == 5.0 and np.isnan(rows[:, 2]).all()
+    assert rows[-1, 0] - rows[0, 0] == pytest.approx(SPAN, abs=0.2) and len(rows) <= SAMPLES + 1
+    for _ in range(2 * SAMPLES):  # paused: pictures of one moment
+        history.add(np.array([rows[-1, 0], 0.0, 0.0]))
+    assert len(history.rows) == len(rows)
+    history.add(np.array([0.0, 1.0, 1.0]))  # begun anew
+    np.testing.assert_array_equal(history.rows, [[0.0, 1.0, 1.0]])
+
+
+def test_shares_of_the_limits_by_group() -> None:
+    robot = load_description("swerve-ur10")
+    joints = ["leg_LF", "leg_RB", "steer_LF", "wheel_RB", "elbow_joint", "wrist_1_joint", "another"]
+    loads = Loads(robot, joints)
+    assert loads.groups == ("arm", "legs", "steering", "wheels")
+    shares = loads.shares(np.array([0.1, -0.2, 1.0, 8.0, 1.57, 0.0, 1e3]))
+    assert shares == pytest.approx(
+        {"arm": 0.5, "legs": 0.5, "steering": 0.2, "wheels": 0.8, "drives": np.nan}, nan_ok=True
+    )
+    assert tuple(shares) == GROUPS
+
+
+def test_shares_of_a_ball_robot() -> None:
+    """Its wheels are limited by a torque (4 N m), which comes first among the drives; its arm's joints by 4 rad/s."""
+    loads = Loads(load_description("rezero"), ["arm_yaw", "arm_shoulder", "arm_elbow"])
+    assert loads.groups == ("arm", "drives")
+    shares = loads.shares(np.array([1.0, -2.0, 0.0]), np.array([1.0, -3.0, 0.0, 18.0, 0.0, 0.0]))
+    assert shares["arm"] == 0.5 and shares["drives"] == 0.75 and np.isnan(shares["wheels"])
+    assert np.isnan(loads.shares(np.zeros(3))["drives"])
+
+
+def test_errors() -> None:
+    turned = np.array([0.3, 0.0, 0.4, *lie.quaternion_about((0.0, 1.0, 0.0), 0.2)])
+    found = errors(
+        turned, np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([1.0, 2.0, 0.5, 1, 0, 0, 0]), np.array([1.0, 2.1, 3.0])
+    )
+    assert found == pytest.approx({"error": 0.5, "turn": 0.2, "base": 0.1})
+    assert np.isnan([*errors(turned, np.full(7, np.nan), turned, np.full(3, np.nan)).values()]).all()
