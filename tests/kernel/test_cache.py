@@ -53,9 +53,19 @@ def test_damaged_files_are_built_again(folder: Path, damage: str, caplog: pytest
     bad = {"truncated": good[:-100], "flipped": bytes(flipped), "empty": b"", "short": good[:20], "text": b"x" * 500}
     file.write_bytes(bad[damage])
     assert not build_kernel(transcription()).from_cache
-    assert "is damaged: it is built again" in caplog.text and str(file) in caplog.text
+    assert "is damaged or of another problem: it is built again" in caplog.text and str(file) in caplog.text
     assert file.read_bytes()[:32] == good[:32]
     assert build_kernel(transcription()).from_cache
+
+
+def test_a_whole_entry_under_another_name_is_built_again(folder: Path) -> None:
+    built = build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    code, description = cache.load(file.stem)  # type: ignore[misc]
+    cache.save("of-another-problem", code[::-1], description)
+    file.write_bytes((folder / "of-another-problem.bin").read_bytes())
+    assert not built.from_cache and not build_kernel(transcription()).from_cache
+    assert cache.load(file.stem) == (code, description)
 
 
 @pytest.mark.parametrize("description", [{}, {"nx": 3}, {"target": "other cpu", "sizes": {}}, {"sizes": {"nx": 1}}])

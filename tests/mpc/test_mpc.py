@@ -276,6 +276,18 @@ def test_guess_waits_for_a_motion() -> None:
     assert np.abs(solver.ws.u).max() > 0.1
 
 
+def test_a_plan_that_no_solve_can_go_on_from_is_given_up() -> None:
+    """Both the iterate and the last good plan are at 1e200: a resumed solve overflows, one from the observation does not."""
+    mpc = make()
+    policy = mpc.update(Observation(0.0, START))
+    mpc.solver.ws.x[:], policy.x[:] = 1e200, 1e200
+    for k in (1, 2):
+        assert mpc.update(Observation(0.02 * k, START)) is policy and mpc.fault
+    fresh = mpc.update(Observation(0.06, START))
+    assert not mpc.fault and fresh is not policy and mpc.statistics.failures == 2
+    assert np.abs(fresh.x).max() < 10.0
+
+
 def test_a_policy_refuses_what_is_not_finite() -> None:
     policy = make().update(Observation(0.0, START))
     for t, x in ((np.nan, START), (0.0, START * np.nan)):

@@ -32,6 +32,11 @@ def source_fingerprint(rooms: tuple[str, ...] = _ROOMS) -> str:
     return digest.hexdigest()
 
 
+def _digest(key: str, body: bytes) -> bytes:
+    """With the key: a whole entry under the name of another one does not pass."""
+    return hashlib.sha256(key.encode() + body).digest()
+
+
 def load(key: str) -> tuple[bytes, dict] | None:
     """Object code and its description, or None when there is no valid entry."""
     path = cache_directory() / f"{key}.bin"
@@ -42,8 +47,8 @@ def load(key: str) -> tuple[bytes, dict] | None:
     except OSError:
         return None
     digest, rest = raw[:32], raw[32:]
-    if hashlib.sha256(rest).digest() != digest:
-        _LOG.warning("compiled code in %s is damaged: it is built again", path)
+    if _digest(key, rest) != digest:
+        _LOG.warning("compiled code in %s is damaged or of another problem: it is built again", path)
         return None
     size = int.from_bytes(rest[:8], "little")
     return rest[8 + size :], json.loads(rest[8 : 8 + size])
@@ -58,7 +63,7 @@ def save(key: str, code: bytes, description: dict) -> None:
         handle, name = tempfile.mkstemp(dir=cache_directory())
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(body).digest() + body)
+                file.write(_digest(key, body) + body)
             os.replace(name, cache_directory() / f"{key}.bin")
         except OSError:
             os.unlink(name)

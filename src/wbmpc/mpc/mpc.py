@@ -99,6 +99,7 @@ class MPC:
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
+        self._not_finite = 0
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
         #: events of the mode schedule within the last pass's horizon that got no node of their own (see ``align_events``)
@@ -158,7 +159,7 @@ class MPC:
         if started:
             self.statistics.solve_times.append(self.solve_time)
         if not usable:
-            return self._fall_back()
+            return self._fall_back(observation)
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
@@ -184,7 +185,7 @@ class MPC:
     def advance(self, observation: Observation) -> bool:
         """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
 
-        If not: ``fault`` says why; :meth:`resume` from the last good plan.
+        If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
@@ -234,16 +235,34 @@ class MPC:
         self.solver.forget()
         self._t = t
 
+    def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
+
+        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. A plan
+        from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from the
+        observation.
+        """
+        if self._not_finite > 1:
+            self.solver.guess(np.asarray(observation.x, float))
+            self.solver.forget()
+            self._t = None
+        elif self.solver.status(self._outcome[0]) is not Status.EQUALITY_MISSED:
+            self.resume(x, u, t)
+
     def _find_fault(self) -> str:
         """Why what stands in the solver's memory cannot become a policy; empty if it can."""
         status, ws = self.solver.status(self._outcome[0]), self.solver.ws
+        self._not_finite += 1
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
-        if status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
-            return f"{status.value} ({self.solver.missed(status)})"
         parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
         bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
-        return f"failed: the {bad[0]} is not finite" if bad else ""
+        if bad:
+            return f"failed: the {bad[0]} is not finite"
+        self._not_finite = 0
+        if status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
+            return f"{status.value} ({self.solver.missed(status)})"
+        return ""
 
     def _check(self, observation: Observation) -> None:
         if not np.isfinite(observation.t):
@@ -252,19 +271,16 @@ class MPC:
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
 
-    def _fall_back(self) -> Policy:
-        """Keep the last policy, valid for its horizon, and restart from its plan.
-
-        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs.
-        """
+    def _fall_back(self, observation: Observation) -> Policy:
+        """Keep the last policy, valid for its horizon."""
         self.statistics.failures += 1
-        if self._policy is None:
+        last = self._policy
+        if last is None:
             found = self.solver.certified(*self._outcome)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
-        if self.solver.status(self._outcome[0]) is not Status.EQUALITY_MISSED:
-            self.resume(self._policy.x, self._policy.u, float(self._policy.times[0]))
-        return self._policy
+        self.recover(observation, last.x, last.u, float(last.times[0]))
+        return last
 
 
 def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:

@@ -85,22 +85,23 @@ class Worker:
         values = self._message.values
         if values["parameters"].size:
             self.mpc.solver.set_parameters(values["parameters"])
-        usable = self.mpc.advance(Observation(float(values["t"]), values["x"]))
+        observation = Observation(float(values["t"]), values["x"])
+        usable = self.mpc.advance(observation)
         self.board.count("updates")
         self.board.sample("solve_time", self.mpc.solve_time)
         if not usable:
             self.board.count("failures")
             if self.mpc.fault:
                 self.board.text = self.mpc.fault
-            self._recover()
+            self._recover(observation)
         return usable
 
-    def _recover(self) -> None:
+    def _recover(self, observation: Observation) -> None:
         last = self.policies.last
         if last is None:
             self.mpc.reset(*self._start)
         else:
-            self.mpc.resume(last["x"], last["u"], float(last["times"][0]))
+            self.mpc.recover(observation, last["x"], last["u"], float(last["times"][0]))
 
     def _publish(self) -> None:
         assert self._message is not None
