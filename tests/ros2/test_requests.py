@@ -207,8 +207,8 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
     speeds = Speeds(p)
     speeds.send(1.0, x=1e6)
     says = "/cmd_vel: 1e+06, 0 m/s, 0 rad/s is faster than 0.3, 0.3 m/s, 1 rad/s (key 'cmd_vel'): scaled down to that"
-    assert sum(r.getMessage() == says for r in caplog.records) == 1
     assert p.until(lambda: says in said(p, "limited speed"))
+    assert sum(r.getMessage() == says for r in caplog.records) == 1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
     speeds.send(0.1, x=0.2)
     assert p.control.inbox.limited == "" and p.control.refused() == {}
