@@ -63,11 +63,20 @@ def _must_hold(problem: Transcription, term: Any) -> bool:
     return term.compliance == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
 
 
+def _gives_way(problem: Transcription, term: Any) -> bool:
+    """Whether a constraint is a hard limit with an L1 slack: whatever the start, there is a solution that misses it."""
+    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not problem.with_input(term).all())
+
+
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
-    """The largest violation of what must hold, where it is above the tolerance."""
-    exact = [v for name, v in violations.items() if _must_hold(solver.problem, solver.problem.ocp.terms[name])]
-    worst = max(exact, key=lambda v: v.value, default=None)
-    return worst if worst is not None and worst.value > solver.settings.feasibility else None
+    """The largest violation of what must hold, where it is above the tolerance; of limits with a slack only if nothing else is."""
+    problem, terms = solver.problem, solver.problem.ocp.terms
+    found = [
+        (not _gives_way(problem, terms[name]), v)
+        for name, v in violations.items()
+        if _must_hold(problem, terms[name]) and v.value > solver.settings.feasibility
+    ]
+    return max(found, key=lambda f: (f[0], f[1].value), default=(False, None))[1]
 
 
 def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status, str]:
@@ -104,6 +113,11 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
     held_up = not missed and (problem.compliance > 0.0).any()  # by wishes: the merit has them among the violations
+    if missed and _gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
+        return (
+            solution.status,
+            f"largest violation: {missed}, a limit that may give way, for it has a slack: more iterations",
+        )
     bent = _bent(solver, missed)
     slow = bent != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
     if not (held_up or slow) and (solution.status is Status.NO_STEP or _stuck(unmet, feasibility)):
