@@ -64,6 +64,7 @@ def test_a_whole_entry_under_another_name_is_built_again(folder: Path) -> None:
     code, description = cache.load(file.stem)  # type: ignore[misc]
     cache.save("of-another-problem", code[::-1], description)
     file.write_bytes((folder / "of-another-problem.bin").read_bytes())
+    assert cache.load(file.stem) is None  # before it is run
     assert not built.from_cache and not build_kernel(transcription()).from_cache
     assert cache.load(file.stem) == (code, description)
 
