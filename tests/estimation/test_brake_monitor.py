@@ -12,9 +12,9 @@ NAMES = ["a", "b", "c", "d"]
 COUNT = 2.0 * np.pi / 2**14
 
 
-def watch(leg, brake, rate, end: float = 6.0) -> BrakeMonitor:  # type: ignore[no-untyped-def]
+def watch(leg, brake, rate, end: float = 6.0, **settings: float) -> BrakeMonitor:  # type: ignore[no-untyped-def]
     """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each) at 400 Hz."""
-    monitor = BrakeMonitor(NAMES)
+    monitor = BrakeMonitor(NAMES, **settings)
     for t in np.arange(0.0, end, 0.0025):
         monitor.update(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t))
     return monitor
@@ -42,10 +42,19 @@ def test_a_closed_leg_that_moves() -> None:
 
 def test_an_open_leg_that_does_not_move() -> None:
     ramp = np.array([0.4, -0.4, 0.4, -0.4])
-    (fault,) = watch(lambda t: ramp * t * [1.0, 1.0, 1.0, 0.0], lambda t: OPEN, lambda t: ramp).faults
+    stuck = lambda t: ramp * t * [1.0, 1.0, 1.0, 0.0]
+    (fault,) = watch(stuck, lambda t: OPEN, lambda t: ramp, patience=0.1).faults
     assert (fault.leg, fault.kind) == (3, "does not open")
     # 0.32 rad/s of 0.4 count and reach 0.2 rad, a little later for what is forgotten
     assert 0.2 / 0.32 < fault.time < 0.2 / 0.32 + 0.1
+    (fault,) = watch(stuck, lambda t: OPEN, lambda t: ramp).faults
+    assert fault.time == pytest.approx(1.3, abs=0.01)
+
+
+def test_a_leg_that_stands_for_a_second_is_no_fault() -> None:
+    """As on a bump, where two wheels carry the robot and it turns in place of its legs; the plan asks for 0.4 rad/s."""
+    stands = lambda t: 0.2 * np.array([min(t, 2.0) + max(t - 3.2, 0.0), 1.0 + t, t, t])
+    assert watch(stands, lambda t: OPEN, lambda t: 0.4 + STILL).faults == []
 
 
 def test_a_leg_that_is_held_by_small_rates_is_no_fault() -> None:

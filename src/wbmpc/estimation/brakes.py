@@ -38,7 +38,8 @@ class BrakeMonitor:
 
     ``moved`` [rad]: motion of a closed leg that is a fault. ``expected`` [rad]: planned motion of an open leg during which
     it has stayed within ``still`` [rad] (a few counts of its encoder; the base may move in place of a leg that is stuck,
-    and then other legs move too little as well: they are not judged any more); plans are forgotten with the time constant
+    and then other legs move too little as well: they are not judged any more) for ``patience`` [s]: on a bump, too, the base
+    turns in place of legs, until all wheels are down again; plans are forgotten with the time constant
     ``window`` [s], and rates below ``crawl`` [rad/s] do not count, for a leg is also held by small rates. ``settle`` [s] after
     a command nothing is judged: brakes take their time. ``faults``: all that were told; ``withdrawn``: those of legs that were
     said not to open and then moved by ``moved``.
@@ -53,19 +54,20 @@ class BrakeMonitor:
         window: float = 5.0,
         settle: float = 0.25,
         crawl: float = 0.08,
+        patience: float = 1.3,
     ) -> None:
-        if min(moved, expected, still, window, settle) <= 0.0 or crawl < 0.0:
+        if min(moved, expected, still, window, settle, patience) <= 0.0 or crawl < 0.0:
             raise InputError(
-                "brake monitor: moved, expected, still, window and settle must be positive, crawl not negative"
+                "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl not negative"
             )
         n = len(names)
         self.names, self.moved, self.expected, self.still = list(names), moved, expected, still
-        self.window, self.settle, self.crawl = window, settle, crawl
+        self.window, self.settle, self.crawl, self.patience = window, settle, crawl, patience
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
-        self._anchor, self._gone, self._planned, self._told_at = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
         self._told = np.zeros(n, bool)
         self._time = 0.0
 
@@ -87,6 +89,7 @@ class BrakeMonitor:
         self._anchor = np.where(afresh, angle, self._anchor)
         counted = np.sign(planned) * np.maximum(np.abs(planned) - self.crawl, 0.0)
         self._planned = np.where(afresh, 0.0, np.exp(-h / self.window) * self._planned + h * counted)
+        self._resting = np.where(afresh, 0.0, self._resting + h)
         self._gone = angle - self._anchor
         withdrawn, new = self._withdraw(t, angle), []
         for i in np.flatnonzero(settled & ~self._told):
@@ -115,4 +118,5 @@ class BrakeMonitor:
         if np.any(self._told & self._open):
             return None
         wanted = float(self._planned[i])
-        return BrakeFault(t, i, self.names[i], "does not open", wanted) if abs(wanted) > self.expected else None
+        stuck = abs(wanted) > self.expected and self._resting[i] >= self.patience - 1e-9
+        return BrakeFault(t, i, self.names[i], "does not open", wanted) if stuck else None
