@@ -126,7 +126,9 @@ class Mailbox:
             head, data = self._heads[number % self.slots], self._data[number % self.slots]
             if head[0] != number:
                 continue
-            copy, checksum = data.copy(), int(head[1])
+            # NumPy's own copy lets the interpreter go, and another thread would have it for long
+            copy, checksum = np.empty_like(data), int(head[1])
+            memoryview(copy)[:] = memoryview(data)
             if head[0] == number and (not self.checked or zlib.adler32(copy) == checksum):  # type: ignore[arg-type]
                 self._seen = number
                 return Message(number, _views(copy, self.fields))

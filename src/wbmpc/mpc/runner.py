@@ -191,14 +191,10 @@ class Runner:
 
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
-        own, clock, turns, usual = self.own, self.clock, self.settings.turns, sys.getswitchinterval()
+        own, clock, usual = self.own, self.clock, sys.getswitchinterval()
         while not self.orders["end"]:
             due = self.ticker.due
-            if turns is not None:
-                sys.setswitchinterval(turns[1])
             yield due
-            if turns is not None:
-                sys.setswitchinterval(turns[0])
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
@@ -215,7 +211,7 @@ class Runner:
             own.sample("tick", end - start)
             own.count("ticks")
             own.count("misses", self.ticker.over(end))
-        sys.setswitchinterval(usual)
+        sys.setswitchinterval(usual)  # the clock may have changed it
 
     def _tick(self, due: float) -> None:
         measurement = self.robot.read()
