@@ -128,7 +128,7 @@ class Mailbox:
                 continue
             # NumPy's own copy lets the interpreter go, and another thread would have it for long
             copy, checksum = np.empty_like(data), int(head[1])
-            memoryview(copy)[:] = memoryview(data)
+            memoryview(copy)[:] = memoryview(data)  # type: ignore[arg-type]
             if head[0] == number and (not self.checked or zlib.adler32(copy) == checksum):  # type: ignore[arg-type]
                 self._seen = number
                 return Message(number, _views(copy, self.fields))

@@ -23,7 +23,7 @@ import numpy as np
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
-from wbmpc.mpc.figures import Report, Spread
+from wbmpc.mpc.figures import Punctuality, Report, Spread
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.plans import Agent, Plans
 from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
@@ -78,8 +78,9 @@ class Runner:
         mailbox, board = (Mailbox.shared, Board.shared) if self.remote else (Mailbox, Board)
         self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
         self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
-        own = ("latency", "ready", "jitter", "tick")
+        own = ("latency", "ready", "jitter", "tick", "sent")
         self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
+        self.punctuality = Punctuality()
         self.plans, self.latency = Plans(), Latency(self.settings)
         self.ticker = Ticker(self.settings.period)
         self.state, self.error = "not started", None  # type: str, BaseException | None
@@ -198,6 +199,7 @@ class Runner:
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
+            self.punctuality.begin(due, start)
             if not self._stopped.is_set():
                 try:
                     self._tick(due)
@@ -214,13 +216,17 @@ class Runner:
         sys.setswitchinterval(usual)  # the clock may have changed it
 
     def _tick(self, due: float) -> None:
+        now, over = self.clock.now, self.punctuality.over
         measurement = self.robot.read()
         self._check_measurement(measurement)
         self._check_worker()
+        over(now())
         self.agent.measure(measurement)
+        over(now())
         self._collect()
         self._activate(due)
         self._observe(due)
+        over(now())
         if not self._in_force(due):
             self._stop_robot()
             return
@@ -231,7 +237,10 @@ class Runner:
             raise SafeStop(f"{bad} is not finite")
         if self._stopped.is_set():  # by the watchdog, while this tick hung
             return
+        over(now())
         self.robot.write(command)
+        over(now())
+        self.own.sample("sent", self.punctuality.sent())
         # agents that cut in their own way say so; else the policy knows
         self.own.count("clamped", int(getattr(self.agent, "clamped", self._cuts() > before)))
         if self.watch is not None:
@@ -394,4 +403,6 @@ class Runner:
             ready=spread("ready"),
             jitter=spread("jitter"),
             tick=spread("tick"),
+            sent=spread("sent"),
+            late_commands=dict(self.punctuality.because),
         )

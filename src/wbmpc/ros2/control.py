@@ -464,7 +464,10 @@ class ControlNode:
             "constraint violation": f"{self.pilot.mpc.figures['violation']:.2e}",
             "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
-            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),
+            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
+            "tick takes: 99 % [ms]": _ms(r.tick.p99), "command after its tick's time: median [ms]": _ms(r.sent.median),
+            "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
+            **{f"late commands: {part}": count for part, count in r.late_commands.items()},
         }  # fmt: skip
 
 
