@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -105,7 +106,7 @@ class BrakeControl:
 
     def commanded(self, t: float) -> Array:
         """Brakes (n) at t [s], 1 = open."""
-        return self._states[int(np.searchsorted(self._times, t + 1e-9, side="right")) - 1]
+        return self._states[bisect_right(self._times, t + 1e-9) - 1]
 
     def accept(self, fault: BrakeFault) -> None:
         """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free;
