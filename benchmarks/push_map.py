@@ -1,7 +1,7 @@
 """The push map of the ball robot: impulse at which it falls, over directions and lengths. Goes on where it was interrupted.
 
 Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
-[--set controller=lqr] [--processes 2] [--out FOLDER]; ``--draw`` only draws what FOLDER has.
+[--set controller=lqr] [--fine 5] [--processes 2] [--out FOLDER]; ``--draw`` only draws what FOLDER has.
 """
 
 from __future__ import annotations
@@ -10,19 +10,22 @@ import argparse
 import json
 import multiprocessing
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from wbmpc.experiments.push_map import MODES, Point, measure, points, push_map
+from wbmpc.configuration import configure
+from wbmpc.errors import WbmpcError
+from wbmpc.experiments.push_map import FINE, MODES, Point, measure, points, push_map
 
 Table = dict[str, list[float | None]]
 
 
-def _run(todo: list[Point], file: Path, processes: int | None) -> None:
+def _run(todo: list[Point], file: Path, processes: int | None, fine: float) -> None:
     started = time.time()
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        results = push_map(todo, file, lambda left: pool.imap_unordered(measure, left))
+        results = push_map(todo, file, lambda left: pool.imap_unordered(partial(measure, fine=fine), left))
         for k, (key, (low, high)) in enumerate(results, start=1):
             falls = "never falls" if high is None else f"falls at {high:.1f} N s"
             done = f"{k} of {len(todo)}, {time.time() - started:.0f} s"
@@ -82,17 +85,25 @@ def main() -> None:
     parser.add_argument(
         "--rival", action="append", default=[], help="settings of a rival that is drawn too, in one string"
     )
+    parser.add_argument("--fine", type=float, default=FINE, help="a bisection ends at this [N s]")
     parser.add_argument("--processes", type=int, help="all cores when left out")
     parser.add_argument("--out", type=Path, default=Path("runs/push-map"))
     parser.add_argument("--draw", action="store_true", help="run nothing")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    if given.directions < 1 or given.fine <= 0.0 or min(given.lengths) <= 0.0 or given.seed < 0:
+        parser.error("--directions needs at least 1, --lengths and --fine numbers above 0, --seed a number from 0 on")
     file = given.out / "push_map.json"
     sets = [tuple(given.given), *(tuple(r.split()) for r in given.rival)]
     lengths = tuple(given.lengths)
     todo = [p for s in sets for m in given.modes for p in points(m, given.directions, lengths, given.seed, s)]
+    try:
+        for mode, settings in {(p.mode, p.given) for p in todo}:
+            configure(MODES[mode], settings, f"rezero-push-{mode}")
+    except WbmpcError as error:  # told here, before any process starts
+        parser.error(str(error))
+    given.out.mkdir(parents=True, exist_ok=True)
     if not given.draw:
-        _run(todo, file, given.processes)
+        _run(todo, file, given.processes, given.fine)
     done = json.loads(file.read_text()) if file.exists() else {}
     print("\n".join(summary(todo, done)))
     try:

@@ -1,0 +1,84 @@
+"""The search of the regulators' gains. Truth: a made-up robot of known strength, power of the push by finite differences, what the
+wheels can stop at most (linear, by `Balance`)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import regulator_search
+from regulator_search import BODY, DIRECTIONS, ModelledRobot, search
+
+from wbmpc.experiments.rezero_rivals import HELD_HAND_RIVALS
+
+
+@pytest.fixture(scope="module")
+def robot() -> ModelledRobot:
+    return ModelledRobot("hand")
+
+
+class Known:
+    """Stands less than 200 N s the farther its gains are from 0.1; ``tried``: gains; ``least``: what it had to reach."""
+
+    def __init__(self, settings: Any) -> None:
+        self.settings, self.tried, self.least = settings, [], []
+
+    def agent(self, scheduled: bool, gains: dict[str, float]) -> dict[str, float]:
+        self.tried.append(gains)
+        return gains
+
+    def impulse(self, gains: dict[str, float], least: float) -> float:
+        self.least.append(least)
+        return float(200.0 * np.exp(-0.1 * sum(np.log(v / 0.1) ** 2 for v in gains.values())))
+
+
+def test_the_best_of_all_that_were_tried_comes_first(robot: ModelledRobot) -> None:
+    known = Known(robot.settings)
+    found = search(known, "lqr", 8, 3)  # type: ignore[arg-type]
+    assert len(found) == len(known.tried) == 17
+    assert known.tried[0] == {k: getattr(HELD_HAND_RIVALS.lqr, k) for k in known.tried[0]}
+    assert [f[0] for f in found] == sorted((f[0] for f in found), reverse=True)
+    assert found[0][0] == max(known.impulse(g, 0.0) for g in known.tried)
+    assert known.least[16] == pytest.approx(0.5 * max(known.impulse(g, 0.0) for g in known.tried[:16]))
+    other = Known(robot.settings)
+    search(other, "scheduled-lqr", 8, 3)  # type: ignore[arg-type]
+    assert other.tried[1:9] == known.tried[1:9]
+
+
+def test_the_push_does_the_work_of_a_force_at_the_base(robot: ModelledRobot) -> None:
+    """Generalised force · speeds is force · velocity of the base's centre of mass."""
+    base, rng = robot.robot.base, np.random.default_rng(0)
+    q, v, force = robot.home[: base.nq] + 0.2 * rng.normal(size=base.nq), rng.normal(size=base.nq), rng.normal(size=2)
+    com = base.tree.links[BODY].com
+    assert base.tree.links[BODY].mass > 15.0  # the base's body and nothing else
+
+    def place(q: np.ndarray) -> np.ndarray:
+        yaw, pitch, roll = q[2:5]
+        c, s = np.cos, np.sin
+        z = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
+        y = np.array([[c(pitch), 0, s(pitch)], [0, 1, 0], [-s(pitch), 0, c(pitch)]])
+        x = np.array([[1, 0, 0], [0, c(roll), -s(roll)], [0, s(roll), c(roll)]])
+        out: np.ndarray = q[:2] + (z @ y @ x @ com)[:2]
+        return out
+
+    velocity = (place(q + 1e-6 * v) - place(q - 1e-6 * v)) / 2e-6
+    assert robot.generalised(q, force) @ v == pytest.approx(force @ velocity, rel=1e-6)
+
+
+def test_what_stands_and_what_no_controller_can_stop(robot: ModelledRobot) -> None:
+    agent = robot.agent(False, HELD_HAND_RIVALS.lqr.model_dump())
+    assert robot.stands(agent, DIRECTIONS[0], 40.0)
+    assert not robot.stands(agent, DIRECTIONS[0], 320.0)
+    assert robot.impulse(agent, 320.0) == 0.0  # a first look, no bisection
+
+
+def test_gains_from_the_command_line_of_the_search_are_settings() -> None:
+    from wbmpc.experiments.rezero_rivals import RegulatorSettings
+
+    assert set(regulator_search.SPACE["lqr"]) == set(RegulatorSettings.model_fields)
