@@ -1,10 +1,11 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
 Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--draws 100] [--best 3] [--seed 0]
-       [--file FILE]
+       [--write] [--file FILE]
 First many sets of gains on the model alone (no noise, slip or perturbed masses; slower drives than believed), then the best of them
 as the push map measures them, on a tuning seed. What is made large is the mean impulse that the robot stands, over four directions
 between the axes and the diagonals, pushes of 0.2 s. Simulated figures are kept in FILE (JSON lines) and are not measured again.
+With ``--write`` the best set of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from push_map import gains, write_gains
 from rezero_rivals import DIRECTIONS, LENGTH, SPACE, Store, candidate, loss
 
 from wbmpc.control import LqrAgent, RegulatorGains
@@ -40,7 +42,7 @@ class ModelledRobot:
     ``mode``: what is held, "hand" or "ball"."""
 
     def __init__(self, mode: str) -> None:
-        self.settings = MODES[mode]()
+        self.mode, self.settings = mode, MODES[mode]()
         self.robot = load_robot("rezero")
         self.home, self.torque = self.robot.equilibrium(self.robot.home[self.robot.state["arm"]])
         self.mpc = rezero_mpc(self.robot, self.settings.mpc, self.settings.cost)
@@ -99,14 +101,15 @@ def search(robot: ModelledRobot, controller: str, draws: int, first: int) -> lis
     far. Both controllers get the same draws from the whole space; another ``first`` gives others."""
     space, rng = SPACE[controller], np.random.default_rng(first)
     own = getattr(robot.settings.rival, controller.replace("-", "_"))
-    found: list[tuple[float, dict[str, float]]] = [(0.0, {k: float(getattr(own, k)) for k in space})]
+    start = {k: float(getattr(own, k)) for k in space} | gains(robot.mode, controller)
+    found: list[tuple[float, dict[str, float]]] = [(0.0, start)]
     for k in range(1 + 2 * draws):
-        gains = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
+        tried = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
         least = 0.5 * found[0][0] if found else 0.0
-        impulse = robot.impulse(robot.agent(controller == "scheduled-lqr", gains), least)
-        found = sorted([*found, (impulse, gains)], key=lambda f: -f[0])
-        if found[0][1] is gains:
-            print(f"  {k} of {2 * draws}: {impulse:.0f} N s, {gains}", flush=True)
+        impulse = robot.impulse(robot.agent(controller == "scheduled-lqr", tried), least)
+        found = sorted([*found, (impulse, tried)], key=lambda f: -f[0])
+        if found[0][1] is tried:
+            print(f"  {k} of {2 * draws}: {impulse:.0f} N s, {tried}", flush=True)
     return found
 
 
@@ -118,17 +121,21 @@ def main() -> None:
     parser.add_argument("--best", type=int, default=3, help="sets that are simulated")
     parser.add_argument("--first", type=int, default=0, help="of the random numbers: another search has others")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="the best gains into push_map_gains.json")
     parser.add_argument("--file", type=Path, default=Path("regulators.jsonl"))
     given = parser.parse_args()
     for mode in given.modes:
         robot = ModelledRobot(mode)
         for controller in given.only:
             print(f"{mode} held, {controller}, on the model:", flush=True)
-            found = search(robot, controller, given.draws, given.first)[: given.best]
-            store = Store(given.file)
-            for modelled, gains in found:
-                simulated = -loss(store, f"map-{mode}", controller, gains, given.seed)
-                print(f"  {gains}: {simulated:.0f} N s simulated, {modelled:.0f} N s on the model", flush=True)
+            found = search(robot, controller, given.draws, given.first)
+            store, best = Store(given.file), []
+            for modelled, tried in found[: given.best]:
+                simulated = -loss(store, f"map-{mode}", controller, tried, given.seed)
+                print(f"  {tried}: {simulated:.0f} N s simulated, {modelled:.0f} N s on the model", flush=True)
+                best.append((simulated, tried))
+            if given.write:
+                write_gains(mode, controller, max(best or found, key=lambda f: f[0])[1])
 
 
 if __name__ == "__main__":

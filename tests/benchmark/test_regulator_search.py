@@ -3,6 +3,7 @@ wheels can stop at most (linear, by `Balance`)."""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,9 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
+import push_map
 import regulator_search
 from regulator_search import BODY, DIRECTIONS, ModelledRobot, search
-
-from wbmpc.experiments.rezero_rivals import HELD_HAND_RIVALS
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +25,8 @@ def robot() -> ModelledRobot:
 
 class Known:
     """Stands less than 200 N s the farther its gains are from 0.1; ``tried``: gains; ``least``: what it had to reach."""
+
+    mode = "hand"
 
     def __init__(self, settings: Any) -> None:
         self.settings, self.tried, self.least = settings, [], []
@@ -42,7 +44,7 @@ def test_the_best_of_all_that_were_tried_comes_first(robot: ModelledRobot) -> No
     known = Known(robot.settings)
     found = search(known, "lqr", 8, 3)  # type: ignore[arg-type]
     assert len(found) == len(known.tried) == 17
-    assert known.tried[0] == {k: getattr(HELD_HAND_RIVALS.lqr, k) for k in known.tried[0]}
+    assert known.tried[0] == json.loads(push_map.GAINS.read_text())["hand"]["lqr"]
     assert [f[0] for f in found] == sorted((f[0] for f in found), reverse=True)
     assert found[0][0] == max(known.impulse(g, 0.0) for g in known.tried)
     assert known.least[16] == pytest.approx(0.5 * max(known.impulse(g, 0.0) for g in known.tried[:16]))
@@ -72,10 +74,36 @@ def test_the_push_does_the_work_of_a_force_at_the_base(robot: ModelledRobot) -> 
 
 
 def test_what_stands_and_what_no_controller_can_stop(robot: ModelledRobot) -> None:
-    agent = robot.agent(False, HELD_HAND_RIVALS.lqr.model_dump())
+    agent = robot.agent(False, push_map.gains("hand", "lqr"))
     assert robot.stands(agent, DIRECTIONS[0], 40.0)
     assert not robot.stands(agent, DIRECTIONS[0], 320.0)
     assert robot.impulse(agent, 320.0) == 0.0  # a first look, no bisection
+
+
+def test_gains_that_were_found_are_the_maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(push_map, "GAINS", tmp_path / "gains.json")
+    push_map.GAINS.write_text("{}")
+    assert push_map.settings_of("ball", "scheduled-lqr") == ("controller=scheduled-lqr",)
+    push_map.write_gains("ball", "scheduled-lqr", {"torque": 20.0, "most": 0.05})
+    push_map.write_gains("hand", "lqr", {"torque": 3.0})
+    given = push_map.settings_of("ball", "scheduled-lqr")
+    assert given == ("controller=scheduled-lqr", "rival.scheduled_lqr.torque=20", "rival.scheduled_lqr.most=0.05")
+    assert push_map.settings_of("hand", "scheduled-lqr") == ("controller=scheduled-lqr",)
+    assert push_map.settings_of("hand", "mpc") == ()
+
+
+def test_the_summary_compares_direction_by_direction() -> None:
+    """Medians of each, and of the ratios: 200/100, 150/150, 90/100; a direction that only one has does not count."""
+    of = lambda *given: push_map.points("hand", 4, (0.2,), 0, given)
+    todo = {"mpc": of(), "lqr": of("controller=lqr")}
+    figures = {"mpc": (200.0, 150.0, 90.0, 170.0), "lqr": (100.0, 150.0, 100.0)}
+    done = {p.key: [v, v + 5.0] for name in todo for p, v in zip(todo[name], figures[name], strict=False)}
+    lines = push_map.summary(todo, done)  # type: ignore[arg-type]
+    assert lines[0] == "hand held, 0.2 s, mpc: median 160, least 90, most 200 N s (4 of 4 directions)"
+    assert lines[1:] == [
+        "hand held, 0.2 s, lqr: median 100, least 100, most 150 N s (3 of 4 directions)",
+        "  mpc over lqr: median 1.00, least 0.90 (3)",
+    ]
 
 
 def test_gains_from_the_command_line_of_the_search_are_settings() -> None:

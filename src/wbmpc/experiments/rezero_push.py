@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.experiments.rezero_problem import RezeroCost
-from wbmpc.experiments.rezero_rivals import HELD_BALL_RIVALS, HELD_HAND_RIVALS, RivalsSettings
 from wbmpc.experiments.rezero_task import (
     STEPS_AND_PUSHES,
     Push,
@@ -50,13 +49,10 @@ class RezeroPushBallSettings(RezeroPushSettings):
             "body": STEPS_AND_PUSHES.body.model_copy(update={"ball": 10.0}),
         }
     )
-    rival: RivalsSettings = HELD_BALL_RIVALS
 
 
 class RezeroPushHandSettings(RezeroPushSettings):
     """The hand is held: the weights of the steps."""
-
-    rival: RivalsSettings = HELD_HAND_RIVALS
 
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:

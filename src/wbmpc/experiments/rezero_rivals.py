@@ -88,12 +88,6 @@ class RivalsSettings(Settings):
     taskspace: TaskspaceSettings = TaskspaceSettings()
 
 
-#: For pushes of the held hand and of the held ball: ``benchmarks/regulator_search.py``.
-_HAND = RegulatorSettings(hand=2.92e-4, torque=4220.0, arm=0.039, posture=60.0, damping=0.936, most=0.174)
-_BALL = RegulatorSettings(hand=2.92e-4, torque=4220.0, arm=0.039, posture=60.0, damping=0.936, most=0.174)
-HELD_HAND_RIVALS = RivalsSettings(lqr=_HAND, scheduled_lqr=_HAND)
-HELD_BALL_RIVALS = RivalsSettings(lqr=_BALL, scheduled_lqr=_BALL)
-
 _STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.0152, pace=40.0, integral=5.57)
 #: For accurate tasks: the same search on the square with a load that nobody knows of.
 ACCURATE_RIVALS = RivalsSettings(
