@@ -1,11 +1,13 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
 Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--draws 100] [--best 3] [--seed 0]
-       [--write] [--file FILE]
+       [--recovers] [--write] [--file FILE]
 First many sets of gains on the model alone (no noise, slip or perturbed masses; slower drives than believed), then the best of them
 as the push map measures them, on a tuning seed. What is made large is the mean impulse that the robot stands, over four directions
-between the axes and the diagonals, pushes of 0.2 s. Simulated figures are kept in FILE (JSON lines) and are not measured again.
-With ``--write`` the best set of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
+between the axes and the diagonals, pushes of 0.2 s. With ``--recovers`` only sets count which also bring hand or ball back after
+200 N along x and along y as `rezero-push-hand` and `rezero-push-ball` want it: a regulator that lets the robot roll away for ever
+stands nearly everything. Simulated figures are kept in FILE (JSON lines) and are not measured again. With ``--write`` the best set
+of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from rezero_rivals import DIRECTIONS, LENGTH, SPACE, Store, candidate, loss
 from wbmpc.control import LqrAgent, RegulatorGains
 from wbmpc.experiments.push_map import MODES, Point, impulse_at_failure
 from wbmpc.experiments.rezero_problem import rezero_mpc
+from wbmpc.experiments.rezero_push import LAST, NEAR
 from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
 from wbmpc.experiments.rezero_task import set_home_references
 from wbmpc.model import load_robot
@@ -30,6 +33,8 @@ from wbmpc.plant import RezeroMeasurement
 
 #: The model's drives [s]: the slowest that a plant has (20 ms + 30 %). A tilt [rad] from which nothing came back.
 LAG, FALLEN = 0.026, 0.8
+#: A push [N] of 0.2 s after which it has to come back.
+RECOVERED = 200.0
 #: The base among the links of the model: after the ball's two, yaw and pitch.
 BODY = 4
 #: Seconds from the push on in which it has to fall if it does; bisection on the model ends at this [N s].
@@ -72,12 +77,30 @@ class ModelledRobot:
 
     def stands(self, agent: LqrAgent, direction: float, impulse: float) -> bool:
         """Whether it stays up after a push at the base's centre of mass."""
+        return self.pushed(agent, direction, impulse, LENGTH + WATCHED) is not None
+
+    def recovers(self, agent: LqrAgent) -> bool:
+        """Whether hand or ball are back, after 200 N along x and along y, when the next push would come."""
+        return all(self._returns(agent, direction) for direction in (0.0, 0.5 * np.pi))
+
+    def _returns(self, agent: LqrAgent, direction: float) -> bool:
+        states = self.pushed(agent, direction, RECOVERED * LENGTH, self.settings.pause)
+        if states is None:
+            return False
+        last = states[-round(LAST / self.period) :]
+        place = self.robot.poses(last)[:, :3] if self.mode == "hand" else last[:, :2]
+        wanted = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
+        return bool(np.linalg.norm(place - wanted, axis=1).max() < NEAR)
+
+    def pushed(self, agent: LqrAgent, direction: float, impulse: float, seconds: float) -> np.ndarray | None:
+        """States (n, nx) from a push on, every period; None if it fell."""
         x, torque, n = self.home.copy(), self.torque.copy(), self.robot.base.nq
         blend, push = (
             1.0 - np.exp(-self.period / LAG),
             impulse / LENGTH * np.array([np.cos(direction), np.sin(direction)]),
         )
-        for k in range(round((LENGTH + WATCHED) / self.period)):
+        states = []
+        for k in range(round(seconds / self.period)):
             t = k * self.period
             force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
             self.mpc.solver.set_parameters({"disturbance": force})
@@ -85,8 +108,9 @@ class ModelledRobot:
             torque = torque + blend * (agent.command(t, Plans()).torque - torque)
             x = agent._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:
-                return False
-        return True
+                return None
+            states.append(x)
+        return np.array(states)
 
     def impulse(self, agent: LqrAgent, least: float) -> float:
         """Mean impulse [N s] that it stands; 0 when one direction has not even ``least``."""
@@ -96,9 +120,12 @@ class ModelledRobot:
         return float(np.mean([impulse_at_failure(Point("hand", d, LENGTH, 0), stands, FINE)[0] for d in DIRECTIONS]))
 
 
-def search(robot: ModelledRobot, controller: str, draws: int, first: int) -> list[tuple[float, dict[str, float]]]:
+def search(
+    robot: ModelledRobot, controller: str, draws: int, first: int, recovers: bool = False
+) -> list[tuple[float, dict[str, float]]]:
     """Impulses [N s] and gains, the best first: the gains that there are, ``draws`` from the whole space, as many about the best so
-    far. Both controllers get the same draws from the whole space; another ``first`` gives others."""
+    far. Both controllers get the same draws from the whole space; another ``first`` gives others. ``recovers``: sets with which it
+    does not count for nothing."""
     space, rng = SPACE[controller], np.random.default_rng(first)
     own = getattr(robot.settings.rival, controller.replace("-", "_"))
     start = {k: float(getattr(own, k)) for k in space} | gains(robot.mode, controller)
@@ -106,7 +133,8 @@ def search(robot: ModelledRobot, controller: str, draws: int, first: int) -> lis
     for k in range(1 + 2 * draws):
         tried = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
         least = 0.5 * found[0][0] if found else 0.0
-        impulse = robot.impulse(robot.agent(controller == "scheduled-lqr", tried), least)
+        agent = robot.agent(controller == "scheduled-lqr", tried)
+        impulse = robot.impulse(agent, least) if not recovers or robot.recovers(agent) else 0.0
         found = sorted([*found, (impulse, tried)], key=lambda f: -f[0])
         if found[0][1] is tried:
             print(f"  {k} of {2 * draws}: {impulse:.0f} N s, {tried}", flush=True)
@@ -121,6 +149,7 @@ def main() -> None:
     parser.add_argument("--best", type=int, default=3, help="sets that are simulated")
     parser.add_argument("--first", type=int, default=0, help="of the random numbers: another search has others")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--recovers", action="store_true", help="only gains with which it recovers from 200 N")
     parser.add_argument("--write", action="store_true", help="the best gains into push_map_gains.json")
     parser.add_argument("--file", type=Path, default=Path("regulators.jsonl"))
     given = parser.parse_args()
@@ -128,7 +157,7 @@ def main() -> None:
         robot = ModelledRobot(mode)
         for controller in given.only:
             print(f"{mode} held, {controller}, on the model:", flush=True)
-            found = search(robot, controller, given.draws, given.first)
+            found = search(robot, controller, given.draws, given.first, given.recovers)
             store, best = Store(given.file), []
             for modelled, tried in found[: given.best]:
                 simulated = -loss(store, f"map-{mode}", controller, tried, given.seed)
