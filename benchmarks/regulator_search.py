@@ -33,8 +33,8 @@ from wbmpc.plant import RezeroMeasurement
 
 #: The model's drives [s]: the slowest that a plant has (20 ms + 30 %). A tilt [rad] from which nothing came back.
 LAG, FALLEN = 0.026, 0.8
-#: A push [N] of 0.2 s after which it has to come back.
-RECOVERED = 200.0
+#: Pushes [N] of 0.2 s after which it has to come back, the weakest first.
+RECOVERED = (25.0, 50.0, 100.0, 150.0, 200.0)
 #: The base among the links of the model: after the ball's two, yaw and pitch.
 BODY = 4
 #: Seconds from the push on in which it has to fall if it does; bisection on the model ends at this [N s].
@@ -79,12 +79,15 @@ class ModelledRobot:
         """Whether it stays up after a push at the base's centre of mass."""
         return self.pushed(agent, direction, impulse, LENGTH + WATCHED) is not None
 
-    def recovers(self, agent: LqrAgent) -> bool:
-        """Whether hand or ball are back, after 200 N along x and along y, when the next push would come."""
-        return all(self._returns(agent, direction) for direction in (0.0, 0.5 * np.pi))
+    def recovered(self, agent: LqrAgent) -> float:
+        """The share of the pushes, up to the first that it fails, after which hand or ball are back when the next would come."""
+        for k, force in enumerate(RECOVERED):
+            if not all(self._returns(agent, direction, force) for direction in (0.0, 0.5 * np.pi)):
+                return k / len(RECOVERED)
+        return 1.0
 
-    def _returns(self, agent: LqrAgent, direction: float) -> bool:
-        states = self.pushed(agent, direction, RECOVERED * LENGTH, self.settings.pause)
+    def _returns(self, agent: LqrAgent, direction: float, force: float) -> bool:
+        states = self.pushed(agent, direction, force * LENGTH, self.settings.pause)
         if states is None:
             return False
         last = states[-round(LAST / self.period) :]
@@ -125,7 +128,7 @@ def search(
 ) -> list[tuple[float, dict[str, float]]]:
     """Impulses [N s] and gains, the best first: the gains that there are, ``draws`` from the whole space, as many about the best so
     far. Both controllers get the same draws from the whole space; another ``first`` gives others. ``recovers``: sets with which it
-    does not count for nothing."""
+    does not come back count for less than nothing, the fewer pushes it comes back after the less."""
     space, rng = SPACE[controller], np.random.default_rng(first)
     own = getattr(robot.settings.rival, controller.replace("-", "_"))
     start = {k: float(getattr(own, k)) for k in space} | gains(robot.mode, controller)
@@ -134,10 +137,11 @@ def search(
         tried = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
         least = 0.5 * found[0][0] if found else 0.0
         agent = robot.agent(controller == "scheduled-lqr", tried)
-        impulse = robot.impulse(agent, least) if not recovers or robot.recovers(agent) else 0.0
+        back = robot.recovered(agent) if recovers else 1.0
+        impulse = robot.impulse(agent, max(least, 0.0)) if back == 1.0 else back - 1.0
         found = sorted([*found, (impulse, tried)], key=lambda f: -f[0])
         if found[0][1] is tried:
-            print(f"  {k} of {2 * draws}: {impulse:.0f} N s, {tried}", flush=True)
+            print(f"  {k} of {2 * draws}: {impulse:.3g} N s, {tried}", flush=True)
     return found
 
 

@@ -109,7 +109,6 @@ def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: Regulat
     there[2] = yaw
     here = asked(agent(robot, gains, True, home, 1.0), x)
     assert np.abs(here).max() > 0.1
-    # the heading that the gains were turned by differs by the 0.6 degrees that x is off
     assert asked(agent(robot, gains, True, there, 1.0), turned) == pytest.approx(here, abs=1e-9)
     plain = asked(agent(robot, gains, False, there, 1.0), turned)
     assert np.abs(plain - here).max() > 0.05
