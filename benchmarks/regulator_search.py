@@ -34,7 +34,7 @@ from wbmpc.plant import RezeroMeasurement
 #: The model's drives [s]: the slowest that a plant has (20 ms + 30 %). A tilt [rad] from which nothing came back.
 LAG, FALLEN = 0.026, 0.8
 #: Pushes [N] of 0.2 s after which it has to come back, the weakest first.
-RECOVERED = (25.0, 50.0, 100.0, 150.0, 200.0)
+RECOVERED = (50.0, 100.0, 150.0, 200.0)
 #: The base among the links of the model: after the ball's two, yaw and pitch.
 BODY = 4
 #: Seconds from the push on in which it has to fall if it does; bisection on the model ends at this [N s].

@@ -21,8 +21,8 @@ from wbmpc.experiments.push_map import Point, impulse_at_failure, simulated
 from wbmpc.reproduce import parse_seeds
 
 REGULATOR = {
-    "hand": (1e-4, 1.0), "torque": (0.1, 1e4), "arm": (1e-4, 30.0), "posture": (0.01, 1e3), "damping": (0.01, 100.0),
-    "most": (0.01, 1.0),
+    "hand": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),
+    "most": (0.03, 1.0),
 }  # fmt: skip
 SEPARATE = {
     "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.01, 2.0), "pace": (4.0, 40.0),
