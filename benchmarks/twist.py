@@ -17,7 +17,7 @@ from study import Figures, Kept, drawing
 from wbmpc.experiments.rezero_frequency import RezeroFrequencySettings
 from wbmpc.reproduce import parse_seeds
 
-FACTORS = (0.1, 1.0, 10.0, 30.0, 100.0)
+FACTORS = (0.1, 1.0, 10.0, 100.0)
 PANELS = (
     ("rise_time_plain", 1.0, "rise time, 10 to 90 % [s]"),
     ("steady_error_plain", 1e3, "steady error of the hand [mm]"),
