@@ -305,8 +305,32 @@ def on_grid(t: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     return ticks, off - np.median(off)
 
 
-def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> dict[str, float]:
-    """Times of the wheels' commands and of the joint states as they come to a third process, from the goal that ``send`` sends."""
+def by_the_sender(first: dict[str, str], last: dict[str, str]) -> dict[str, Any]:
+    """What the controller's own clock says of the commands between two diagnostics: share that left within 1 ms of their time
+    (ticks that were skipped did not), and which part of the tick took long before the others."""
+    grown = {k: int(last[k]) - int(first[k]) for k in last if k.startswith("late commands")}
+    skipped, sent = (int(last[k]) - int(first[k]) for k in ("missed deadlines of the controller", "commands sent"))
+    late = sum(grown.values()) + skipped
+    return {
+        "within 1 ms of their time": 1.0 - late / (sent + skipped), "commands": sent, "skipped ticks": skipped,
+        "late by": {k.removeprefix("late commands: "): n for k, n in grown.items() if n},
+        **{k: last[k] for k in last if k.startswith(("command after", "tick begins", "tick takes"))},
+    }  # fmt: skip
+
+
+def spread_of(off: np.ndarray) -> dict[str, int]:
+    """How many arrivals are off their place by more than so many milliseconds."""
+    sides = (("later than ", 1.0), ("earlier than ", -1.0))
+    return {
+        f"{side}{1e3 * limit:g} ms": int(np.sum(sign * off > limit))
+        for side, sign in sides
+        for limit in (2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3)
+    }
+
+
+def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> dict[str, Any]:
+    """Times of the wheels' commands and of the joint states as they come to a third process, from the goal that ``send`` sends;
+    and what the sender's clock says of the same time, to within the second between two diagnostics."""
     arrivals: dict[str, list[float]] = {"command": [], "state": []}
     take = lambda name: lambda message: arrivals[name].append(time.perf_counter())
     many = Qos(depth=1000)
@@ -321,7 +345,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(20))
     time.sleep(1.0)  # what has waited for the watch has come
-    first, load = len(arrivals["command"]), os.getloadavg()[0]
+    first, load, begin = len(arrivals["command"]), os.getloadavg()[0], bus.figures
     time.sleep(seconds_)
     t, states, period = np.array(arrivals["command"][first:]), np.array(arrivals["state"]), 1.0 / 400.0
     gc.enable()
@@ -331,7 +355,7 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     before = bus.figures
     bus.wait_for(lambda: bus.figures is not before, 60.0)
     if not bus.said.startswith("running"):
-        raise RuntimeError(f"the stream ended: {bus.said}")
+        raise RuntimeError(f"the stream ended: {bus.said}\n{bus.output()}")
     sent, received = int(bus.figures["commands sent"]), len(arrivals["command"])
     ticks, off = on_grid(t - t[0], period)
     last = states[np.maximum(np.searchsorted(states, t) - 1, 0)]
@@ -339,6 +363,8 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     return {
         "load": load, "commands": t.size, "expected": expected,
         "within 1 ms of their time": np.unique(ticks[np.abs(off) < 1e-3]).size / expected,
+        "by the sender's clock": by_the_sender(begin, bus.figures), "off their place": spread_of(off),
+        "late after [s]": [round(float(v - t[0]), 3) for v in t[off > 1e-3][:100]],
         "longest gap [ms]": 1e3 * float(np.diff(t).max()),
         "sent since the start": sent, "received since the start": received,
         "state to command, median [ms]": 1e3 * float(np.median(t - last)),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import casadi as ca
 import mujoco
 import numpy as np
@@ -300,6 +302,21 @@ def test_home_is_the_equilibrium_within_the_limits() -> None:
     np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm"]], [2.6, 2.0, 2.4])
     np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm_velocity"]], 4.0)
     np.testing.assert_allclose(limits.state_lower[ROBOT.state["arm_velocity"]], -4.0)
+
+
+def test_functions_of_numbers_in_several_threads() -> None:
+    """Truth: CasADi's own call of the same function. Threads do not write into each other's arguments."""
+    q = [random_state(np.random.default_rng(k))[:N] for k in range(4)]
+    ROBOT.mass_matrix(q[0])
+    expected = [np.array(ROBOT._numeric["M"].function(v)) for v in q]
+
+    def all_equal(k: int) -> bool:
+        return all(np.array_equal(ROBOT.mass_matrix(q[k]), expected[k]) for _ in range(2000))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(all_equal, range(4)))
+    with pytest.raises(InputError, match="M: 8 numbers are needed, got 1"):
+        ROBOT.mass_matrix(0.0)
 
 
 def test_figures_of_the_source() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
 from collections.abc import Iterator
 
@@ -9,7 +11,7 @@ import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.mpc import VirtualClock, WallClock
-from wbmpc.mpc.clock import Ticker, interleave
+from wbmpc.mpc.clock import Ticker, Turns, interleave
 
 
 @pytest.mark.parametrize(
@@ -73,3 +75,30 @@ def test_the_wall_clock_is_never_early() -> None:
     assert before <= WallClock(origin=0.0).now() <= time.perf_counter()
     clock.restart()
     assert clock.origin > before
+
+
+def test_a_loop_with_turns_works_undisturbed_by_a_thread_that_never_rests() -> None:
+    """Truth: a thread that only counts. It counts while the loop waits, and not while the loop works (99 of 100 times: between
+    getting the interpreter and keeping it there are some microseconds)."""
+    usual, counted, ended = sys.getswitchinterval(), [0], threading.Event()
+
+    def count() -> None:
+        while not ended.is_set():
+            counted[0] += 1
+
+    clock, disturbed = WallClock(turns=Turns(work=0.05, rest=1e-5)), 0
+    thread = threading.Thread(target=count)
+    try:
+        thread.start()
+        for _ in range(100):
+            clock.wait(clock.now() + 5e-4)
+            before, worked = counted[0], time.thread_time() + 2e-4
+            while time.thread_time() < worked:
+                pass
+            disturbed += counted[0] != before
+        assert counted[0] > 1000
+        assert disturbed <= 1
+    finally:
+        sys.setswitchinterval(usual)
+        ended.set()
+        thread.join()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -105,11 +106,15 @@ class BrakeControl:
 
     def commanded(self, t: float) -> Array:
         """Brakes (n) at t [s], 1 = open."""
-        return self._states[int(np.searchsorted(self._times, t + 1e-9, side="right")) - 1]
+        return self._states[bisect_right(self._times, t + 1e-9) - 1]
 
     def accept(self, fault: BrakeFault) -> None:
-        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free."""
-        self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
+        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free;
+        one that opens after all is as commanded again."""
+        if fault.kind == "opens after all":
+            self._known.pop(fault.leg, None)
+        else:
+            self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
         self._tell()
 
     def schedule(self) -> ModeSchedule:

@@ -38,6 +38,8 @@ class RezeroAgent:
         self.forecast = forecast
         self.limit = robot.limits.input_upper[: torque.size]
         self._spin = robot.base.wheel_torque_map()[2]
+        self._spin_length = np.linalg.norm(self._spin)
+        self._along = self._spin / self._spin_length
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._torques: deque[np.ndarray] = deque([torque.copy()] * 64, maxlen=64)
         self.observer: DisturbanceObserver | None = None
@@ -134,10 +136,10 @@ class RezeroAgent:
         asked for is taken; what leans is scaled as a whole only where there is none.
         """
         n = self._spin.size
-        along, limit = self._spin / np.linalg.norm(self._spin), self.limit[:n]
+        along, limit = self._along, self.limit[:n]
         spin = float(along @ torque[:n])
         lean = torque[:n] - spin * along
-        most = self.robot.description.limits.spin_effort / np.linalg.norm(self._spin)
+        most = self.robot.description.limits.spin_effort / self._spin_length
         # spins that wheel i can have beside c lean: -c at_i ± room_i; they overlap if every two of them do, and with ±most
         at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), most)
         apart = at[:, None] - at

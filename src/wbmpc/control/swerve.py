@@ -79,6 +79,9 @@ class SwerveAgent:
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
+        self._together = np.delete(
+            np.arange(robot.input.size), robot.input["steer"]
+        )  # inputs that go one share of the way
         # of the arm: what it turns by itself, commands, rates that lagging drives make of them now and over the last period
         self.sag, self._arm, self._arm_rate, self._arm_mean = np.zeros((4, len(robot.input.groups["arm"])))
         hinges = len(robot.state.groups.get("leg", ()))
@@ -236,8 +239,7 @@ class SwerveAgent:
         if "leg" in given:
             most[given["leg"]] = np.where(brake > 0.5, most[given["leg"]], np.inf)
         excess = np.maximum(np.abs(step) / most, 1.0)
-        together = np.delete(np.arange(u.size), given["steer"])
-        excess[together] = excess[together].max()
+        excess[self._together] = excess[self._together].max()
         return sent + step / excess
 
     def _watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:

@@ -144,6 +144,7 @@ class FusedOdometry:
         p[BIAS, BIAS] = self.noise.gyro_bias**2
         p[WHEELS:, WHEELS:] = known.covariance
         self._state = _State(-np.inf, np.concatenate([_three("pose0", pose0), np.zeros(2 + 2 * n)]), p)
+        self._one = np.eye(p.shape[0])
         self._keep, self._past = history, deque[tuple[_State, _Step]]()
         self._last: Sample | None = None
         self._by_wheels = np.zeros((3, 2 * n))
@@ -269,7 +270,7 @@ class FusedOdometry:
         g = np.array(
             [[np.cos(yaw), -np.sin(yaw), -0.5 * way[1]], [np.sin(yaw), np.cos(yaw), 0.5 * way[0]], [0, 0, 1.0]]
         )
-        a = np.eye(size)
+        a = self._one.copy()
         a[0, 2], a[1, 2], a[LATE, LATE] = -way[1], way[0], 0.0
         a[:3, WHEELS:] = g @ step.by_wheels
         moved_noise = g @ step.covariance

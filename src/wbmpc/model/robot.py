@@ -16,6 +16,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.ball import BallBase
 from wbmpc.model.fixed import FixedBase
 from wbmpc.model.layout import Layout
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.swerve import SwerveBase
 from wbmpc.model.symbolic import FramePose
 from wbmpc.model.tree import read_tree
@@ -182,6 +183,10 @@ class RobotModel:
     def _functions(self) -> dict[str, ca.Function]:
         return {}
 
+    @cached_property
+    def _numeric(self) -> dict[str, Numeric]:
+        return {}
+
     def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
         """Position (3) and quaternion (4) of a frame (the tool when left out) at a numeric state (nx)."""
         frame = frame or self.tool
@@ -207,28 +212,28 @@ class RobotModel:
     def mass_matrix(self, q: ArrayLike) -> Array:
         """M (nq, nq) of a ball robot."""
         base = self._ball()
-        if "M" not in self._functions:
+        if "M" not in self._numeric:
             s = ca.SX.sym("q", base.nq)
-            self._functions["M"] = ca.Function("M", [s], [ca.densify(base.mass_matrix(s))])
-        return np.array(self._functions["M"](np.asarray(q, float)))
+            self._numeric["M"] = Numeric(ca.Function("M", [s], [ca.densify(base.mass_matrix(s))]))
+        return self._numeric["M"](q)[0]
 
     def tool_moment(self, q: ArrayLike, moment: ArrayLike) -> Array:
         """Generalised forces (nq) of a moment (3) [N m] of the world on a ball robot's hand, world axes."""
         base = self._ball()
-        if "moment" not in self._functions:
+        if "moment" not in self._numeric:
             s, m = ca.SX.sym("q", base.nq), ca.SX.sym("m", 3)
-            self._functions["moment"] = ca.Function("moment", [s, m], [ca.densify(base.tool_moment(s, m))])
-        return np.array(self._functions["moment"](np.asarray(q, float), np.asarray(moment, float))).ravel()
+            function = ca.Function("moment", [s, m], [ca.densify(base.tool_moment(s, m))])
+            self._numeric["moment"] = Numeric(function)
+        return self._numeric["moment"](q, moment)[0].ravel()
 
     def tool_weight(self, q: ArrayLike) -> Array:
         """Generalised forces (nq) [N, N m] of the weight of 1 kg at a ball robot's tool."""
         base = self._ball()
-        if "weight" not in self._functions:
+        if "weight" not in self._numeric:
             s = ca.SX.sym("q", base.nq)
-            self._functions["weight"] = ca.Function(
-                "weight", [s], [ca.densify(base.tool_force(s, ca.SX([0, 0, -9.81])))]
-            )
-        return np.array(self._functions["weight"](np.asarray(q, float))).ravel()
+            function = ca.Function("weight", [s], [ca.densify(base.tool_force(s, ca.SX([0, 0, -9.81])))])
+            self._numeric["weight"] = Numeric(function)
+        return self._numeric["weight"](q)[0].ravel()
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """M a + h (nq): the generalised forces of a ball robot's motion."""

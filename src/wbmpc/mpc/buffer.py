@@ -126,11 +126,18 @@ class Mailbox:
             head, data = self._heads[number % self.slots], self._data[number % self.slots]
             if head[0] != number:
                 continue
-            copy, checksum = data.copy(), int(head[1])
+            copy, checksum = duplicate(data), int(head[1])
             if head[0] == number and (not self.checked or zlib.adler32(copy) == checksum):  # type: ignore[arg-type]
                 self._seen = number
                 return Message(number, _views(copy, self.fields))
         return None
+
+
+def duplicate(data: np.ndarray) -> np.ndarray:
+    """A copy (n). NumPy's own lets the interpreter go when it is long, and a control loop would wait to have it back."""
+    copy = np.empty_like(data)
+    memoryview(copy)[:] = memoryview(data)  # type: ignore[arg-type]
+    return copy
 
 
 def _slot_words(fields: Fields) -> int:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import heapq
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from wbmpc.errors import InputError
@@ -29,15 +31,37 @@ class Clock(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Turns:
+    """How long [s] another thread waits for Python's interpreter before it takes it: from a loop that works (``work``), and from
+    anybody else while that loop waits (``rest``).
+
+    The interval holds for the process and for waits that begin later. So it changes in the moment in which the loop gets the
+    interpreter back: a thread that had begun a short wait after that would take it from the loop's first lines, and then the
+    loop would be the one who waits for long.
+    """
+
+    work: float
+    rest: float
+
+    def during(self, wait: Callable[[], object]) -> None:
+        """Wait."""
+        sys.setswitchinterval(self.rest)
+        wait()
+        sys.setswitchinterval(self.work)
+
+
 class WallClock:
     """The machine's steady clock, the same in all processes.
 
     Waiting is sleeping up to ``spin`` [s] before the end and then looking at the clock: sleeping alone is late by a timer slack
-    of some 50 µs. ``origin`` [s]: what counts as 0 (when left out: now).
+    of some 50 µs. ``origin`` [s]: what counts as 0 (when left out: now). ``turns`` of the loop that waits by this clock with the
+    other threads (left out: as they are in this process).
     """
 
-    def __init__(self, origin: float | None = None, spin: float = 1e-4) -> None:
+    def __init__(self, origin: float | None = None, spin: float = 1e-4, turns: Turns | None = None) -> None:
         self.origin, self.spin = time.perf_counter() if origin is None else origin, spin
+        self.turns = turns
 
     def restart(self) -> None:
         """Now is 0."""
@@ -49,9 +73,11 @@ class WallClock:
 
     def wait(self, until: float) -> None:
         """Return at the time ``until`` [s], at once if it has passed."""
-        left = until - self.now()
-        if left > self.spin:
-            time.sleep(left - self.spin)
+        left = until - self.now() - self.spin
+        if self.turns is not None:
+            self.turns.during(lambda: time.sleep(max(left, 0.0)))
+        elif left > 0.0:
+            time.sleep(left)
         while self.now() < until:
             pass
 

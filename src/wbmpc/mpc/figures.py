@@ -29,6 +29,44 @@ class Spread:
         return cls(median, p95, p99, most, count)
 
 
+class Punctuality:
+    """Whether commands leave at their time, by the sender's own clock, and what took long before those that did not.
+
+    A command's time is its tick's plus what the way from there to the robot usually takes (a running mean). ``late``: how many
+    left more than :data:`LATE` after it; ``because``: the same by the part of the tick that exceeded its own usual time most.
+    """
+
+    #: Parts of a tick in their order; ``begin``: until it began.
+    PARTS = ("begin", "read", "estimate", "predict", "command", "write")
+    #: What is late [s], and the share by which one tick moves the means.
+    LATE, SHARE = 1e-3, 0.01
+
+    def __init__(self) -> None:
+        self.late, self.because = 0, dict.fromkeys(self.PARTS, 0)
+        self._usual: list[float] | None = None
+        self._last, self._parts = 0.0, [0.0]
+
+    def begin(self, due: float, now: float) -> None:
+        """A tick that was due at ``due`` [s] begins."""
+        self._last, self._parts = now, [now - due]
+
+    def over(self, now: float) -> None:
+        """The next part of the tick is over."""
+        self._parts.append(now - self._last)
+        self._last = now
+
+    def sent(self) -> float:
+        """The command has left, and all parts are over: how long after the tick's time [s]."""
+        parts, usual = self._parts, self._usual or self._parts
+        beyond = [a - b for a, b in zip(parts, usual, strict=True)]
+        if sum(beyond) > self.LATE:
+            self.late += 1
+            self.because[self.PARTS[beyond.index(max(beyond))]] += 1
+        else:
+            self._usual = [b + self.SHARE * d for b, d in zip(usual, beyond, strict=True)]
+        return sum(parts)
+
+
 @dataclass(frozen=True)
 class Report:
     """What was counted up to now.
@@ -36,7 +74,8 @@ class Report:
     ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
     ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
     planned for; ``clamped``: ticks at which the policy asked for more than the drives give. ``latency``: from observation to
-    policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin late; ``tick``: their duration.
+    policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin late; ``tick``: their duration; ``sent``:
+    from a tick's time to its command; ``late_commands``: by part of the tick, see :class:`Punctuality`.
     """
 
     state: str
@@ -54,6 +93,8 @@ class Report:
     ready: Spread
     jitter: Spread
     tick: Spread
+    sent: Spread
+    late_commands: dict[str, int]
     solve: Spread
     update: Spread
 

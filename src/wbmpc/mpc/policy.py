@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,7 +60,7 @@ class Policy:
         return float(self.times[-1])
 
     def _interval(self, t: float) -> int:
-        k = int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
+        k = bisect_right(self.times, t + 1e-9) - 1  # type: ignore[type-var]  # (NumPy's search lets the interpreter go)
         return min(max(k, 0), len(self.u) - 1)
 
     def state(self, t: float) -> np.ndarray:

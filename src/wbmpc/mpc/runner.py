@@ -23,7 +23,7 @@ import numpy as np
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
-from wbmpc.mpc.figures import Report, Spread
+from wbmpc.mpc.figures import Punctuality, Report, Spread
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.plans import Agent, Plans
 from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
@@ -78,8 +78,9 @@ class Runner:
         mailbox, board = (Mailbox.shared, Board.shared) if self.remote else (Mailbox, Board)
         self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
         self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
-        own = ("latency", "ready", "jitter", "tick")
+        own = ("latency", "ready", "jitter", "tick", "sent")
         self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
+        self.punctuality = Punctuality()
         self.plans, self.latency = Plans(), Latency(self.settings)
         self.ticker = Ticker(self.settings.period)
         self.state, self.error = "not started", None  # type: str, BaseException | None
@@ -191,17 +192,14 @@ class Runner:
 
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
-        own, clock, turns, usual = self.own, self.clock, self.settings.turns, sys.getswitchinterval()
+        own, clock, usual = self.own, self.clock, sys.getswitchinterval()
         while not self.orders["end"]:
             due = self.ticker.due
-            if turns is not None:
-                sys.setswitchinterval(turns[1])
             yield due
-            if turns is not None:
-                sys.setswitchinterval(turns[0])
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
+            self.punctuality.begin(due, start)
             if not self._stopped.is_set():
                 try:
                     self._tick(due)
@@ -215,16 +213,20 @@ class Runner:
             own.sample("tick", end - start)
             own.count("ticks")
             own.count("misses", self.ticker.over(end))
-        sys.setswitchinterval(usual)
+        sys.setswitchinterval(usual)  # the clock may have changed it
 
     def _tick(self, due: float) -> None:
+        now, over = self.clock.now, self.punctuality.over
         measurement = self.robot.read()
         self._check_measurement(measurement)
         self._check_worker()
+        over(now())
         self.agent.measure(measurement)
+        over(now())
         self._collect()
         self._activate(due)
         self._observe(due)
+        over(now())
         if not self._in_force(due):
             self._stop_robot()
             return
@@ -235,7 +237,10 @@ class Runner:
             raise SafeStop(f"{bad} is not finite")
         if self._stopped.is_set():  # by the watchdog, while this tick hung
             return
+        over(now())
         self.robot.write(command)
+        over(now())
+        self.own.sample("sent", self.punctuality.sent())
         # agents that cut in their own way say so; else the policy knows
         self.own.count("clamped", int(getattr(self.agent, "clamped", self._cuts() > before)))
         if self.watch is not None:
@@ -398,4 +403,6 @@ class Runner:
             ready=spread("ready"),
             jitter=spread("jitter"),
             tick=spread("tick"),
+            sent=spread("sent"),
+            late_commands=dict(self.punctuality.because),
         )

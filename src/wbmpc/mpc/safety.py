@@ -24,8 +24,7 @@ class RealTime:
     hangs longer than this stops the robot from another thread. Latency: the ``percentile`` of the last ``window`` delays from
     observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's
     ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
-    ``turns``: how long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else (left
-    out: as it is in this process). ``priority`` of the control thread in the kernel's real-time class (0: as the process).
+    ``priority`` of the control thread in the kernel's real-time class (0: as the process).
     ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its agent goes on with
     the last policy.
     """
@@ -41,7 +40,6 @@ class RealTime:
     max_latency: float = 0.1
     offset: float | None = None
     records: int = 100_000
-    turns: tuple[float, float] | None = None
     priority: int = 0
     keep: bool = False
 
@@ -80,8 +78,8 @@ class Latency:
         self._ring[self._count % s.window] = delay
         self._count += 1
         if self._count < 20 or self._count % 10 == 0:
-            wait = np.sort(self._ring[: min(self._count, s.window)])
-            high = float(wait[math.ceil(s.percentile / 100.0 * wait.size) - 1])
+            wait = sorted(self._ring[: min(self._count, s.window)].tolist())
+            high = wait[math.ceil(s.percentile / 100.0 * len(wait)) - 1]
             ticks = math.ceil((min(high + s.margin, s.max_latency)) / s.period - 1e-9)
             self.ticks = max(ticks, 1)
 

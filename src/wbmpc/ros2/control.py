@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,6 +16,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Observation, RealTime, Runner, WallClock
+from wbmpc.mpc.clock import Turns
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
@@ -40,7 +42,7 @@ AHEAD = 0.02
 #: How often young garbage is collected [s]: it takes some 10 µs then, and cycles are rare.
 COLLECT = 1.0
 #: How long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else.
-TURNS = (5e-3, 1e-5)
+TURNS = Turns(work=5e-3, rest=1e-5)
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 OFFSET, GAP = 0.5, (0.4, 0.75)
 #: Samples kept of the runner's figures.
@@ -67,7 +69,7 @@ class ControlNode:
         settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
         self.period = 1.0 / settings.rates.control
-        self.clock: WallClock | BusClock = WallClock()
+        self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
             self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
         elif settings.use_sim_time:
@@ -102,6 +104,8 @@ class ControlNode:
         gc.collect()
         gc.freeze()
         gc.disable()
+        usual = sys.getswitchinterval()
+        sys.setswitchinterval(TURNS.rest)
         collected = time.monotonic()
         try:
             while not ended():
@@ -112,6 +116,7 @@ class ControlNode:
                     collected = time.monotonic()
                 time.sleep(LOOK)
         finally:
+            sys.setswitchinterval(usual)
             gc.enable()
             gc.unfreeze()
             self.close()
@@ -356,7 +361,6 @@ class ControlNode:
             watchdog=watchdog,
             records=_RECORDS,
             keep=pilot.keeps,
-            turns=TURNS,
             priority=_priority(),
             offset=OFFSET * self.period,
         )
@@ -460,7 +464,10 @@ class ControlNode:
             "constraint violation": f"{self.pilot.mpc.figures['violation']:.2e}",
             "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
             "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
-            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: 99 % [ms]": _ms(r.tick.p99),
+            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
+            "tick takes: 99 % [ms]": _ms(r.tick.p99), "command after its tick's time: median [ms]": _ms(r.sent.median),
+            "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
+            **{f"late commands: {part}": count for part, count in r.late_commands.items()},
         }  # fmt: skip
 
 

@@ -1,0 +1,60 @@
+"""A tick and Python's interpreter. Truth: a thread that wants it all the time, and gets it only when it is let go."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from needs import MISSING, needs_dds
+
+from wbmpc.mpc import Runner
+
+pytestmark = needs_dds
+if not MISSING:
+    from standin import drive
+
+
+def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who lets it go, if for a microsecond, may wait for milliseconds to have it back: NumPy does in its search, in copies of
+    more than 500 numbers and in some 20 other functions."""
+    p = pair()
+    drive(p)
+    ticking: list[int] = []
+    where: Counter[str] = Counter()
+    ticks = [0]
+    tick = Runner._tick
+
+    def told(self: Runner, due: float) -> None:
+        ticking.append(threading.get_ident())
+        try:
+            tick(self, due)
+        finally:
+            ticking.clear()
+            ticks[0] += 1
+
+    def want(ended: threading.Event) -> None:
+        while not ended.is_set():
+            time.sleep(2e-5)
+            if ticking:
+                frame = sys._current_frames()[ticking[0]]
+                where[f"{frame.f_code.co_filename}:{frame.f_lineno}"] += 1
+
+    monkeypatch.setattr(Runner, "_tick", told)
+    usual, ended = sys.getswitchinterval(), threading.Event()
+    thread = threading.Thread(target=want, args=(ended,), daemon=True)
+    try:
+        sys.setswitchinterval(1.0)
+        thread.start()
+        p.run(0.5)
+    finally:
+        sys.setswitchinterval(usual)
+        ended.set()
+        thread.join()
+    assert ticks[0] > 150
+    # a message that comes while a tick begins may have asked for its turn before
+    assert sum(where.values()) < 0.05 * ticks[0], where.most_common(5)
