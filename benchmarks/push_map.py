@@ -109,10 +109,11 @@ def draw(todo: dict[str, list[Point]], done: Table, path: Path) -> None:
     for axis, mode in zip(axes[0], modes, strict=True):
         for (name, points_), style in zip(todo.items(), ("-", "--", ":", "-."), strict=False):
             for length, colour in zip(lengths, colours, strict=True):
-                chosen = [p for p in points_ if (p.mode, p.length) == (mode, length) and p.key in done]
+                asked = [p for p in points_ if (p.mode, p.length) == (mode, length)]
+                chosen = [p for p in asked if p.key in done]
                 if not chosen:
                     continue
-                ring = [*chosen, chosen[0]] if len(chosen) > 2 else chosen
+                ring = [*chosen, chosen[0]] if chosen == asked else chosen  # no line across what is missing
                 stands = [done[p.key][0] or 0.0 for p in ring]
                 axis.plot(
                     [p.direction for p in ring], stands, style, color=colour, marker=".", label=f"{length:g} s, {name}"
