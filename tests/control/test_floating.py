@@ -66,7 +66,7 @@ def test_legs_may_pass_h_quickly_but_not_turn_all_parallel() -> None:
     with pytest.raises(InputError, match=r"on the way to .* nothing would hold the base against .* for more than 1 s"):
         refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), OPEN, fast)
     refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), [1, 1, 1, 0], fast)
-    with pytest.raises(InputError, match="against (turning|sideways) for"):
+    with pytest.raises(InputError, match=r"against (turning|sideways) for"):
         refuse_floating_way(G, x, -x, OPEN, 0.03 * fast)
 
 
