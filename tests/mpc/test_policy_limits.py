@@ -97,7 +97,7 @@ def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
     policy = mpc.update(Observation(2.0, START))
     box = Mailbox(Sizes.of(mpc.ocp).policy())
     box.write(
-        observed=0.0, valid_from=0.0, ready=0.0, observation=1, times=policy.times, x=policy.x, u=policy.u,
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, passed=0.0, times=policy.times, x=policy.x, u=policy.u,
         gain=policy.gain, lower=mpc.limits.lower, upper=mpc.limits.upper,
     )  # fmt: skip
     taken = TimedPolicy.take(box)

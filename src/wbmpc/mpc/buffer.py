@@ -167,9 +167,10 @@ class Sizes:
         return {"observed": (), "valid_from": (), "t": (), "x": (self.nx,), "parameters": (self.parameters,)}
 
     def policy(self) -> Fields:
-        """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was."""
+        """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was;
+        ``passed``: as of a :class:`Policy`."""
         n, nx, nu = self.n, self.nx, self.nu
-        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": ()}
+        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": (), "passed": ()}
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
 
     def limits(self) -> Fields:
@@ -197,7 +198,8 @@ class TimedPolicy(Policy):
         start, seen, ready = (float(v[name]) for name in ("valid_from", "observed", "ready"))
         number = int(v["observation"])
         limits = InputLimits(v["lower"], v["upper"])
-        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, ready, number, message.number, limits=limits)
+        own = (start, seen, ready, number, message.number)
+        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, passed=float(v["passed"]))
 
 
 class Board:
@@ -207,25 +209,26 @@ class Board:
     ``memory`` as for :class:`Mailbox`.
     """
 
-    TEXT = 256
+    TEXT, TEXTS = 256, 2  # words each
 
     def __init__(
         self, names: tuple[str, ...], records: tuple[str, ...] = (), capacity: int = 1, memory: Any = None
     ) -> None:
         self.names, self.records, self.capacity = names, records, capacity
-        size = len(names) + len(records) * (1 + capacity) + self.TEXT
+        size = len(names) + len(records) * (1 + capacity) + self.TEXT * self.TEXTS
         self.memory = np.zeros(size, np.int64) if memory is None else memory
         words = np.frombuffer(self.memory, np.int64)
         self._numbers = words[: len(names) + len(records)].view(np.float64)
         self._place = {name: i for i, name in enumerate((*names, *records))}
-        rings = words[self._numbers.size : size - self.TEXT].view(np.float64)
+        end = size - self.TEXT * self.TEXTS
+        rings = words[self._numbers.size : end].view(np.float64)
         self._rings = {name: rings[i * capacity : (i + 1) * capacity] for i, name in enumerate(records)}
-        self._text = words[size - self.TEXT : size].view(np.uint8)
+        self._texts = words[end:size].view(np.uint8).reshape(self.TEXTS, -1)
 
     @classmethod
     def shared(cls, names: tuple[str, ...], records: tuple[str, ...] = (), capacity: int = 1) -> Board:
         """A board that can be an argument of a process that is started."""
-        words = len(names) + len(records) * (1 + capacity) + cls.TEXT
+        words = len(names) + len(records) * (1 + capacity) + cls.TEXT * cls.TEXTS
         return cls(names, records, capacity, shared_words(words))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -255,11 +258,27 @@ class Board:
 
     @property
     def text(self) -> str:
-        """A sentence from the writer."""
-        return bytes(self._text).split(b"\0", 1)[0].decode(errors="replace")
+        """A sentence from the writer: what went wrong."""
+        return self._read(0)
 
     @text.setter
     def text(self, sentence: str) -> None:
-        data = sentence.encode()[: self._text.size - 1]
-        self._text[: len(data)] = np.frombuffer(data, np.uint8)
-        self._text[len(data)] = 0
+        self._write(0, sentence)
+
+    @property
+    def note(self) -> str:
+        """Another one: what was not as it should be, and went on."""
+        return self._read(1)
+
+    @note.setter
+    def note(self, sentence: str) -> None:
+        self._write(1, sentence)
+
+    def _read(self, i: int) -> str:
+        return bytes(self._texts[i]).split(b"\0", 1)[0].decode(errors="replace")
+
+    def _write(self, i: int, sentence: str) -> None:
+        room = self._texts[i]
+        data = sentence.encode()[: room.size - 1]
+        room[: len(data)] = np.frombuffer(data, np.uint8)
+        room[len(data)] = 0

@@ -37,6 +37,7 @@ class Policy:
     hold over an interval, as in the transcription (interpolated inputs would violate rolling between nodes); the state is
     linear between nodes. Before the first and after the last node the end values hold.
 
+    ``passed``: by how much planned states, from node 1 on, are outside hard limits as a share of the range; 0 up to 0.1 %.
     ``limits``: bounds that the problem gives single inputs by hard constraints in all modes (None: it gives none). After a push
     the feedback asks for more than the plan, which knows nothing of it yet. Other hard rows (several inputs, inputs and states,
     some modes only) hold in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
@@ -47,11 +48,12 @@ class Policy:
     u: np.ndarray
     gain: np.ndarray
     limits: InputLimits | None = field(default=None, kw_only=True, compare=False)
+    passed: float = field(default=0.0, kw_only=True)
 
     @classmethod
-    def of(cls, solution: Solution, t0: float, limits: InputLimits | None = None) -> Policy:
+    def of(cls, solution: Solution, t0: float, limits: InputLimits | None = None, passed: float = 0.0) -> Policy:
         """The policy of a solution whose horizon starts at ``t0`` [s]."""
-        return cls(t0 + solution.times, solution.x, solution.u, solution.gain, limits=limits)
+        return cls(t0 + solution.times, solution.x, solution.u, solution.gain, limits=limits, passed=passed)
 
     @property
     def end(self) -> float:

@@ -50,6 +50,7 @@ from wbmpc.solver.places import (
     TAU,
     THETA,
     TOLERANCE,
+    UNDUE,
     UNEQUAL,
     VIOLATION,
     WATCHED,
@@ -60,7 +61,7 @@ from wbmpc.solver.places import (
     X,
 )
 from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residual
-from wbmpc.solver.row_table import forget_outside
+from wbmpc.solver.row_table import forget_outside, start_outside
 from wbmpc.solver.rows import rows_step, start_rows, take_rows
 from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import row_count
@@ -70,6 +71,8 @@ from wbmpc.solver.workspace import LOG
 CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED, EQUALITY_MISSED = range(7)
 
 LOG_COLUMNS = len(LOG)
+#: A step that the slacks cut to less than this, with the measured state outside a limit, is not worth taking.
+JAMMED = 0.25
 
 
 @compiled(NUM, NUM, NUM, NUM, NUM)
@@ -203,6 +206,24 @@ def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     return EQUALITY_MISSED if misses_equality(m, o, s) else status
 
 
+@compiled(BOOL, NUMS, INTS, NUMS, NUMS)
+def starts_anew(m, o, x0, s):  # type: ignore[no-untyped-def]
+    """In real time, where the measured state is outside a hard limit and the slacks hardly let the plan go there: the plan becomes
+    a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
+
+    Steps from a plan that is inside would be cut again and again, and the plan would not start where the robot is.
+    """
+    state = o[STATE]
+    if m[state + PRIMAL] > JAMMED or start_outside(m, o) <= LIMIT_TOLERANCE:
+        return False
+    hold = m[state + HOLD]
+    m[state + HOLD] = max(hold, 1.0)
+    roll_out(m, o, x0)
+    m[state + HOLD] = hold
+    start_rows(m, o, s[LEAST_SLACK], True, False)
+    return True
+
+
 @compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
 def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
@@ -212,6 +233,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     hold = m[state + HOLD]
+    again = rows and s[KEEP] * s[EXTRA] > 0.0 and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -235,6 +257,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
                 return CONVERGED, it
             level = max(0.2 * mu, s[MU_FLOOR]) if last else level
             m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
+            continue
+        if again and starts_anew(m, o, x0, s):
+            again, limit = False, limit + 1
             continue
         drop = violation - m[state + LEFT]
         if drop > 1e-10:
@@ -273,7 +298,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if hold > 0.0:
             m[state + HOLD] = hold
         o[POLICY] = 1
-        short = alpha < 0.9 * first or m[state + MISSED] > LIMIT_TOLERANCE
+        short = alpha < 0.9 * first or max(m[state + MISSED], m[state + UNDUE]) > LIMIT_TOLERANCE
         most = int(s[ITERATIONS]) + int(s[EXTRA])
         if it == limit and limit < most and (short or misses_equality(m, o, s)):
             limit += 1

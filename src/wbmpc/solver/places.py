@@ -44,11 +44,12 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
 #: last step length and the longest one to try (0: not known, 1), which outlives a solve; whether rows of the inputs are watched at
 #: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row;
-#: by how much the violation without wishes is less than the 1-norm with all equalities.
+#: by how much the violation without wishes is less than the 1-norm with all equalities; by how much planned states are outside
+#: hard rows (0 up to the tolerance), where most (as above), and the same of the rows whose L1 slack is not what gives way there.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
-WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED = range(20, 24)
-#: By how much planned inputs may be outside a hard row [its range].
+WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED, PASSED, PASSED_AT, UNDUE = range(20, 27)
+#: By how much planned inputs and states may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
 
 #: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.

@@ -24,6 +24,9 @@ from wbmpc.solver.places import (
     LONGEST,
     MISSED,
     MOST_AT,
+    PASSED,
+    PASSED_AT,
+    UNDUE,
     UNEQUAL,
     UNEQUAL_ROW,
     VIOLATION,
@@ -313,17 +316,27 @@ class Solver:
         )
 
     def missed(self, status: Status) -> str:
-        """The equality of the first input, or the hard row of inputs, that the last plan misses most; empty where none is missed.
+        """The equality of the first input, or the hard row, that the last plan misses most; empty where none is missed.
 
-        Equalities are looked at in real time, hard rows there and where inputs are held within them (curved rows).
+        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (curved rows).
         """
         state = self.ws.state
         if status is Status.EQUALITY_MISSED:
             name = self.problem.equality_names()[int(state[UNEQUAL_ROW])]
             return f"{name} by {100.0 * state[UNEQUAL]:.3g} % of the row's size, at the first input"
-        if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
+        by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
+        if by <= LIMIT_TOLERANCE:
             return ""
-        node, row = divmod(int(state[MOST_AT]), self.ws.rows_h.shape[1])
-        limit = self.problem.path.rows[row]
-        by = max(state[MISSED], state[GIVEN_WAY]) * limit.unit
-        return f"hard limit missed: {limit.name} by {by:.3g} at node {node}"
+        node, row = divmod(int(state[MOST_AT if of_inputs == by else PASSED_AT]), self.ws.rows_h.shape[1])
+        limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
+        sentence = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
+        if of_inputs == by:
+            return sentence
+        return f"{sentence}, {'not yet reached' if state[UNDUE] == by else 'where its slack gives way'}"
+
+    @property
+    def passed(self) -> float:
+        """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
+        and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
+        worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
+        return worst if worst > LIMIT_TOLERANCE else 0.0

@@ -109,7 +109,7 @@ BLOCKS = (
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (24,): μ, shift of the Hessian, … (see places.py)
+    "state",  # (32,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
     "wish",  # (N, equalities): what wishes are to be, and by how much that changes
     "wish_step",
@@ -272,7 +272,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
-        "state": (24,),
+        "state": (32,),
         "filter": (64, 2),
         "wish": (n, max(s.ng, 1)) if problem.wishes else (1,),
         "wish_step": (n, max(s.ng, 1)) if problem.wishes else (1,),
