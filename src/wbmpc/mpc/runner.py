@@ -26,7 +26,7 @@ from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow
 from wbmpc.mpc.figures import Report, Spread
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.plans import Agent, Plans
-from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
+from wbmpc.mpc.safety import CommandCheck, Latency, RealTime, SafeStop, not_finite
 from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
 
 _LOG = logging.getLogger("wbmpc")
@@ -80,7 +80,7 @@ class Runner:
         self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
         own = ("latency", "ready", "jitter", "tick")
         self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
-        self.plans, self.latency = Plans(), Latency(self.settings)
+        self.plans, self.latency, self._check_command = Plans(), Latency(self.settings), CommandCheck()
         self.ticker = Ticker(self.settings.period)
         self.state, self.error = "not started", None  # type: str, BaseException | None
         self._no_parameters = np.zeros(size.parameters)
@@ -230,9 +230,7 @@ class Runner:
             return
         before = self._cuts()
         command = self.agent.command(due, self.plans)
-        bad = not_finite("command", command)
-        if bad is not None:
-            raise SafeStop(f"{bad} is not finite")
+        self._check_command(command)
         if self._stopped.is_set():  # by the watchdog, while this tick hung
             return
         self.robot.write(command)

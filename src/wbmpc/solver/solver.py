@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
-from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
+from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
@@ -79,9 +80,8 @@ class Solver:
         else:
             self.twin = InterpretedSolver(self.problem)
             self.ws = self.twin.ws
-        nothing = Mode("default")
         self.references: dict[str, Reference] = {}
-        self.schedule = ModeSchedule((nothing,))
+        self.schedule = DEFAULT
         self._tables = None
         self.log = np.zeros((self.settings.most_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
@@ -198,6 +198,8 @@ class Solver:
             for name, term in self.ocp.terms.items():
                 if isinstance(term.residual, FramePose) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
+            if self.schedule is DEFAULT:
+                self.problem.check_schedule(DEFAULT)
             self._tables = make_tables(self.problem, self.references, self.schedule)
         return self._tables
 
