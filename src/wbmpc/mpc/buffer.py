@@ -21,7 +21,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import OptimalControlProblem
+from wbmpc.ocp import OptimalControlProblem, Transcription
 
 SLOTS = 4
 #: Whether stores become visible in the order of the program.
@@ -148,18 +148,21 @@ def _views(data: np.ndarray, fields: Fields) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Numbers of states, inputs, intervals and model parameters of a problem: what its messages need."""
+    """Numbers of states, inputs, intervals, model parameters and straight hard rows of several inputs (or of some modes) of a
+    problem: what its messages need."""
 
     nx: int
     nu: int
     n: int
     parameters: int = 0
+    rows: int = 0
 
     @classmethod
     def of(cls, ocp: OptimalControlProblem) -> Sizes:
         """The sizes of a problem."""
-        d = ocp.dynamics
-        return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size)
+        d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
+        rows = Transcription(ocp).input_planes().offset.size if hard else 0
+        return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size, rows)
 
     def observation(self) -> Fields:
         """An observation: measured at ``observed`` [s]; state ``x`` (nx) predicted for time ``t`` [s] of the plan's clock,
@@ -174,8 +177,9 @@ class Sizes:
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
 
     def limits(self) -> Fields:
-        """Hard bounds of the inputs, the same in every policy."""
-        return {"lower": (self.nu,), "upper": (self.nu,)}
+        """Hard bounds and rows of the inputs, the same in every policy; and which rows count in each interval's mode."""
+        nu, r = self.nu, self.rows
+        return {"lower": (nu,), "upper": (nu,), "matrix": (r, nu), "offset": (r,), "active": (self.n, r)}
 
 
 @dataclass(frozen=True)
@@ -197,9 +201,10 @@ class TimedPolicy(Policy):
         v = message.values
         start, seen, ready = (float(v[name]) for name in ("valid_from", "observed", "ready"))
         number = int(v["observation"])
-        limits = InputLimits(v["lower"], v["upper"])
+        limits = InputLimits(v["lower"], v["upper"], v["matrix"], v["offset"])
+        active = v["active"] if v["offset"].size else None
         own = (start, seen, ready, number, message.number)
-        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, passed=float(v["passed"]))
+        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, active=active, passed=float(v["passed"]))
 
 
 class Board:

@@ -103,8 +103,11 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
-        #: hard bounds of the inputs, which all policies hold
-        self.limits = InputLimits(*self.solver.problem.input_bounds())
+        planes = self.solver.problem.input_planes()
+        #: bounds and straight hard rows of the inputs, which all policies hold
+        self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
+        switch = self.solver.problem.node.slices["switch"].start
+        self._always, self._switches = planes.switches < 0, np.maximum(planes.switches, 0) + switch
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -175,8 +178,14 @@ class MPC:
         self.statistics.no_step += int(stuck)
         if self.passed:
             self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
-        self._policy = Policy.of(solution, observation.t, self.limits, self.passed)
+        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
         return self._policy
+
+    def active_rows(self) -> np.ndarray | None:
+        """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
+        if not self._always.size:
+            return None
+        return np.where(self._always, 1.0, self.solver.ws.p[:-1, self._switches])
 
     @property
     def passed(self) -> float:

@@ -110,7 +110,11 @@ class Worker:
         np.add(ws.grid, values["t"], out=slot["times"])
         slot["x"][...], slot["u"][...] = ws.x, ws.u
         slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
-        slot["lower"][...], slot["upper"][...] = self.mpc.limits.lower, self.mpc.limits.upper
+        limits, active = self.mpc.limits, self.mpc.active_rows()
+        for name in ("lower", "upper", "matrix", "offset"):
+            slot[name][...] = getattr(limits, name)
+        if active is not None:
+            slot["active"][...] = active
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]

@@ -22,6 +22,7 @@ from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
 from wbmpc.ocp.rows import (
     BoxRow,
+    InputPlanes,
     Place,
     bent_by_inputs,
     curved_in_inputs,
@@ -29,6 +30,7 @@ from wbmpc.ocp.rows import (
     equality_rows,
     inequality_rows,
     input_bounds,
+    input_planes,
 )
 from wbmpc.ocp.schedule import DEFAULT, ModeSchedule
 from wbmpc.ocp.sets import Box
@@ -176,6 +178,11 @@ class Transcription:
     def input_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """(lower, upper) (nu): bounds of single inputs by hard constraints of all modes; infinite where there is none."""
         return input_bounds(self.path, self.x, self.u)
+
+    def input_planes(self) -> InputPlanes:
+        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only."""
+        switch = self.node.slices["switch"]
+        return input_planes(self.path, self.u, [self.p[i] for i in range(switch.start, switch.stop)])
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM6, NUMS, compiled
+from wbmpc.solver.contradiction import contradicts
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.places import (
     CERTIFY,
@@ -203,7 +204,11 @@ def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
         return LIMIT_MISSED
-    return EQUALITY_MISSED if misses_equality(m, o, s) else status
+    if misses_equality(m, o, s):
+        return EQUALITY_MISSED
+    if s[KEEP] > 0.0:
+        return EQUALITY_MISSED if contradicts(m, o, s) else status
+    return status
 
 
 @compiled(BOOL, NUMS, INTS, NUMS, NUMS)

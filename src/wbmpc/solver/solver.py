@@ -19,6 +19,7 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
+    CONTRADICTED,
     COST,
     GIVEN_WAY,
     LIMIT_TOLERANCE,
@@ -184,7 +185,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[LONGEST] = 0.0
+        self.ws.state[[LONGEST, CONTRADICTED]] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
@@ -324,8 +325,7 @@ class Solver:
         """
         state = self.ws.state
         if status is Status.EQUALITY_MISSED:
-            name = self.problem.equality_names()[int(state[UNEQUAL_ROW])]
-            return f"{name} by {100.0 * state[UNEQUAL]:.3g} % of the row's size, at the first input"
+            return self._unequal()
         by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
         if by <= LIMIT_TOLERANCE:
             return ""
@@ -335,6 +335,15 @@ class Solver:
         if of_inputs == by:
             return sentence
         return f"{sentence}, {'not yet reached' if state[UNDUE] == by else 'where its slack gives way'}"
+
+    def _unequal(self) -> str:
+        names, row = self.problem.equality_names(), int(self.ws.state[UNEQUAL_ROW])
+        by = f"by {100.0 * self.ws.state[UNEQUAL]:.3g} % of the row's size"
+        if row < len(names):
+            return f"{names[row]} {by}, at the first input"
+        node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
+        own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
+        return f"{own.name} {by} at node {node}: it cannot be met together with others"
 
     @property
     def passed(self) -> float:
