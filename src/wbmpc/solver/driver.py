@@ -57,6 +57,7 @@ from wbmpc.solver.places import (
     WATCHED,
     WISHED,
     WISHES,
+    K,
     N,
     U,
     X,
@@ -211,21 +212,43 @@ def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     return status
 
 
+@compiled(BOOL, NUMS, INTS)
+def is_minimum(m, o):  # type: ignore[no-untyped-def]
+    """Whether the exact Hessian is positive definite where dynamics and equalities let the step go, hard rows counted by their
+    barrier: the recursion's factors, with all second derivatives and without shift, are then finite. Keeps the gains.
+    """
+    state, found = o[STATE], True
+    theta, shift = m[state + THETA], m[state + SHIFT]
+    if theta == 1.0 and shift == 0.0:  # as it was solved
+        return True
+    m[state + THETA], m[state + SHIFT] = 1.0, 0.0
+    backward(m, o, False)
+    for i in range(o[N] * o[NU] * o[LX]):
+        found = found and np.isfinite(m[o[K] + i])
+    m[state + THETA], m[state + SHIFT] = theta, shift
+    backward(m, o, False)
+    return found
+
+
 @compiled(BOOL, NUMS, INTS, NUMS, NUMS)
 def starts_anew(m, o, x0, s):  # type: ignore[no-untyped-def]
-    """In real time, where the measured state is outside a hard limit and the slacks hardly let the plan go there: the plan becomes
-    a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
+    """Where the measured state is outside a hard limit, the iterate starts inside, and its slacks hardly let it go there: it
+    becomes a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
 
-    Steps from a plan that is inside would be cut again and again, and the plan would not start where the robot is.
+    Steps from inside would be cut again and again, and in real time the plan would not start where the robot is.
     """
     state = o[STATE]
     if m[state + PRIMAL] > JAMMED or start_outside(m, o) <= LIMIT_TOLERANCE:
         return False
     hold = m[state + HOLD]
     m[state + HOLD] = max(hold, 1.0)
-    roll_out(m, o, x0)
+    cost, violation = trial(m, o, x0, 0.0, True)
     m[state + HOLD] = hold
-    start_rows(m, o, s[LEAST_SLACK], True, False)
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        return False
+    take(m, o)
+    start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, False)
+    m[state + FILTERED] = 0.0
     return True
 
 
@@ -238,7 +261,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     hold = m[state + HOLD]
-    again = rows and s[KEEP] * s[EXTRA] > 0.0 and s[SINGLE] == 0.0
+    again = rows and (certify or s[EXTRA] > 0.0) and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -264,7 +287,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
             continue
         if again and starts_anew(m, o, x0, s):
-            again, limit = False, limit + 1
+            again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
         drop = violation - m[state + LEFT]
         if drop > 1e-10:

@@ -160,7 +160,7 @@ class InterpretedSolver(InterpretedDirections):
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
-        again = self.has_rows and bool(c.keep_multipliers * c.extra_when_cut) and not c.single_shooting
+        again = self.has_rows and bool(c.certify or c.extra_when_cut) and not c.single_shooting
         run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
         while run.count < run.limit:
             self.shift = run.shift
@@ -213,7 +213,7 @@ class InterpretedSolver(InterpretedDirections):
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
         if run.again and self._starts_anew(x0, c):
-            run.again, run.limit = False, run.limit + 1
+            run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
         if alpha == 0.0:
@@ -240,13 +240,17 @@ class InterpretedSolver(InterpretedDirections):
 
         rows = self.own[0]
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
+        ahead[-rows.change <= 0.5 * ahead] = 0.0
         reach = min(r.reach(c.tau)[0] for r in self.own)
         if reach > JAMMED or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
             return False
         hold, self.hold = self.hold, max(self.hold, 1)
-        self.ws.x[:], self.ws.u[:] = self._trial({}, 0.0, x0, True)
+        x, u = self._trial({}, 0.0, x0, True)
         self.hold = hold
-        self._start_rows(self.mu, c.least_slack, True, False)
+        if not (np.isfinite(x).all() and np.isfinite(u).all()):
+            return False
+        self.ws.x[:], self.ws.u[:] = x, u
+        self._start_rows(self.mu, c.least_slack, bool(c.keep_multipliers), False)
         return True
 
     def _step_length(

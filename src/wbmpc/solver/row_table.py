@@ -133,12 +133,14 @@ def tell_passed(m, o, k):  # type: ignore[no-untyped-def]
 
 @compiled(NUM, NUMS, INTS)
 def start_outside(m, o):  # type: ignore[no-untyped-def]
-    """By how much the measured state is outside hard rows of the state, after a direction; 0 inside. They do not count there."""
+    """By how much the measured state is outside hard rows of the state of which the iterate's start is inside, or nearly, after a
+    direction; 0 where there is none. (The rows do not count there.)"""
     _, boxes, general = node_rows(o, 0)
     worst = 0.0
     for j in range(boxes + general):
         if kind_of(m, o, j) == HARD and counts(m, o, j, 1) and not bounds_inputs(m, o, j):
-            worst = max(worst, -(m[o[ROW_H] + j] + m[o[ROW_D] + j]))
+            outside, change = -(m[o[ROW_H] + j] + m[o[ROW_D] + j]), -m[o[ROW_D] + j]
+            worst = max(worst, outside if change > 0.5 * outside else 0.0)
     return worst
 
 
