@@ -156,3 +156,8 @@ def test_bad_input_is_one_sentence(run: Path, arguments: tuple[str, ...], capsys
     assert main(list(arguments)) == 2
     err = capsys.readouterr().err
     assert BAD[arguments] in err and err.count("\n") == 1
+
+
+def test_a_directory_that_cannot_be_made_is_named_by_its_option(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "export", ".", "--out", "/proc/x"]) == 2
+    assert capsys.readouterr().err.startswith("wbmpc: --out: '/proc/x' cannot be made (")

@@ -65,7 +65,7 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     plan = np.tile(robot.home, (PLAN, 1))
     message = {
         "plan": plan, "reference": np.zeros((REFERENCE, 3)), "goal": np.array([*robot.pose(robot.home)[0], 1.0, 0, 0, 0]),
-        "base_goal": np.zeros(3), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
     }  # fmt: skip
     shown = picture(message)
     np.testing.assert_allclose(shown["forces"][0], arrow - [0.5, 0, 0], atol=1e-9)

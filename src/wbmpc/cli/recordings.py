@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import Force, new_directory, new_file, refuse_existing
+from wbmpc.cli.directories import Force, new_directory, new_file, refuse_existing, writable_directory
 
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
@@ -98,7 +98,12 @@ def export(
 
     recording = read(file)
     directory = new_directory("--out", out, recording.path.with_name("export"), force)
-    paths = write(recording, to, directory, topics or (), lambda files: refuse_existing("--out", files, force))
+
+    def check(files: list[Path]) -> None:
+        refuse_existing("--out", files, force)
+        writable_directory("--out", directory)
+
+    paths = write(recording, to, directory, topics or (), check)
     if as_json:
         typer.echo(json.dumps({"files": [str(p) for p in paths]}))
     else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 
 import zstandard
@@ -21,9 +21,10 @@ from mcap.stream_reader import CRCValidationError, breakup_chunk
 MAGIC = b"\x89MCAP0\r\n"
 #: Kind (1 byte) and length of a record.
 _HEAD = struct.Struct("<BQ")
-_READ = {
-    Opcode.HEADER: Header, Opcode.FOOTER: Footer, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.CHUNK: Chunk,
-    Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata, Opcode.DATA_END: DataEnd,
+_READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+    Opcode.HEADER: Header.read, Opcode.FOOTER: Footer.read, Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read,
+    Opcode.CHUNK: Chunk.read, Opcode.ATTACHMENT: Attachment.read, Opcode.METADATA: Metadata.read,
+    Opcode.DATA_END: DataEnd.read,
 }  # fmt: skip
 #: Kinds from here on are other programs' own.
 _PRIVATE = 0x80
@@ -73,7 +74,7 @@ def _record(kind: int, body: bytes) -> McapRecord | None:
     if kind == Opcode.MESSAGE:
         return Message.read(ReadDataStream(BytesIO(body)), len(body))
     if kind in _READ:
-        return _READ[Opcode(kind)].read(ReadDataStream(BytesIO(body)))
+        return _READ[kind](ReadDataStream(BytesIO(body)))
     if kind not in list(Opcode) and kind < _PRIVATE:
         raise ValueError("the format has no such record")
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -20,6 +21,8 @@ from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
 Array = np.ndarray
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
 _EVERY, _EVERY_PLOT = 3, 6
+#: How long a run may take to follow a click [s].
+_ANSWER = 1.0
 #: Lines of the drives' groups: name and colour.
 _LINES = {
     "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
@@ -88,18 +91,29 @@ class Panel:
                 names = tuple(CONFIGURATIONS)
                 group = gui.add_button_group("Configuration", names)
                 group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
-                brakes = gui.add_checkbox("Brakes open", False)
-                brakes.on_update(lambda _: self._click("brake_clicks", brakes_open=float(brakes.value)))
+                self._brakes, self._brakes_clicked = gui.add_checkbox("Brakes open", False), -np.inf
+                self._brakes.on_update(self._click_brakes)
         if not self.controls.pushes:
             return
         with gui.add_folder("Push"):
             force = gui.add_slider("Force [N]", 0.0, 300.0, 5.0, 60.0)
             angle = gui.add_slider("Direction [deg]", -180.0, 180.0, 5.0, 0.0)
-            time = gui.add_slider("Time [s]", 0.05, 2.0, 0.05, 0.2)
+            length = gui.add_slider("Time [s]", 0.05, 2.0, 0.05, 0.2)
             direction = lambda: (
                 force.value * np.array([np.cos(np.radians(angle.value)), np.sin(np.radians(angle.value)), 0])
             )
-            self._button("Push", "pushes", lambda: {"push": direction(), "push_time": time.value})
+            self._button("Push", "pushes", lambda: {"push": direction(), "push_time": length.value})
+
+    def _click_brakes(self, event: Any) -> None:
+        if event.client is None:  # the panel itself showed how they are
+            return
+        self._brakes_clicked = time.monotonic()
+        self._click("brake_clicks", brakes_open=float(self._brakes.value))
+
+    def _show_brakes(self, is_open: float) -> None:
+        """How the run's brakes are; after a click only once the run has had the time to follow it, or to refuse."""
+        if self.controls.legs and np.isfinite(is_open) and time.monotonic() > self._brakes_clicked + _ANSWER:
+            self._brakes.value = bool(is_open)
 
     def _weights(self) -> None:
         with self.server.gui.add_folder("Weights (powers of ten)", expand_by_default=False):
@@ -118,21 +132,23 @@ class Panel:
         self._goal = scene.add_transform_controls(
             "/goal", scale=0.3, line_width=1.5, opacity=0.7, disable_sliders=True, visible=False
         )
-        self._goal.on_drag_start(lambda _: self._hold(True))
-        self._goal.on_update(
-            lambda _: self._click("goals", goal=np.concatenate([self._goal.position, self._goal.wxyz]))
-        )
-        self._goal.on_drag_end(lambda _: self._hold(False))
+        hand = lambda: np.concatenate([self._goal.position, self._goal.wxyz])
+        self._on_drag(self._goal, lambda: self._click("goals", goal=hand()))
         if self.controls.base:
             self._base = scene.add_transform_controls(
                 "/base_goal", scale=0.6, disable_sliders=True, active_axes=(True, True, False), visible=False
             )
-            self._base.on_drag_start(lambda _: self._hold(True))
-            self._base.on_update(lambda _: self._click("base_goals", base_goal=self._planar()))
-            self._base.on_drag_end(lambda _: self._hold(False))
+            self._on_drag(self._base, lambda: self._click("base_goals", base_goal=self._planar()))
 
-    def _hold(self, dragged: bool) -> None:
-        self._dragged = dragged
+    def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
+        """Do ``order`` where a handle is moved; not where it is only grasped or let go."""
+
+        async def dragged(event: Any) -> None:  # the server waits for it: what follows cannot pass it
+            self._dragged = event.phase != "end"
+            if event.phase == "update":
+                order()
+
+        handle.on_update(dragged)
 
     def _planar(self) -> Array:
         w, _, _, z = self._base.wxyz
@@ -168,6 +184,7 @@ class Panel:
                 self._place(self._base, np.array([x, y, 0.02, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]))
         if self._count % _EVERY:
             return
+        self._show_brakes(float(s["brakes"]))
         value = dict(zip(NUMBERS, numbers, strict=True))
         digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
         self._about = f", {value['t']:.{digits}f} s{spoken(value)}"

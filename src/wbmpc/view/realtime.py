@@ -74,6 +74,7 @@ class RealtimeView(Window):
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,)})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
+            "brakes": (),
         }  # fmt: skip
         drawer = partial(Picture, self.robot_name, self.moments, seen)
         self.start(scene.scene, controls, shown, drawer)
@@ -110,7 +111,7 @@ class RealtimeView(Window):
             self.wants_reset = int(self._orders["resets"]) != counts["resets"]
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
-                self.shown.write(**_plan(mpc, t, lift))
+                self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
             if before is not None:
                 before(solver, t, x0)
 
@@ -214,7 +215,7 @@ class Picture:
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": poses, "goal": plan["goal"],
-            "base_goal": plan["base_goal"], "reference": plan["reference"],
+            "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
             **{name: filled(way, (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[self._reader.scene.index]),
         }  # fmt: skip
 

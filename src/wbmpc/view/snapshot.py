@@ -30,7 +30,10 @@ GROUND: dict[str, tuple[int, ...]] = {
 
 
 def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Shapes of a snapshot. What there is less of is filled with nan; positions are in ``map`` [m]."""
+    """Shapes of a snapshot. What there is less of is filled with nan; positions are in ``map`` [m].
+
+    ``brakes``: 1 if all are open.
+    """
     return {
         "numbers": (len(NUMBERS),),
         "poses": (len(scene.bodies), 7),
@@ -40,6 +43,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         **{name: GROUND[name] for name in ("forces", "support", "triangle", "pressure")},
         "goal": (7,),
         "base_goal": (3,),
+        "brakes": (),
     }
 
 
