@@ -45,7 +45,7 @@ class Inbox:
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
         self._twist_at = -np.inf
-        self._moving = False
+        self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
         self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
@@ -64,6 +64,15 @@ class Inbox:
             self._slow_down()
         with self._lock:
             return self._requests.pop(next(iter(self._requests))) if self._requests else None
+
+    def stop(self) -> None:
+        """The robot has stopped: what waits is refused, and a stream of speeds that goes on is no new goal: it counts again after
+        a zero, or after a pause as long as a speed holds."""
+        with self._lock:
+            waiting, self._requests = bool(self._requests), {}
+        self._moving, self._latched = False, True
+        if waiting:
+            self.refuse("a goal is refused: the robot has stopped meanwhile")
 
     def wrench(self) -> Array:
         """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
@@ -155,7 +164,11 @@ class Inbox:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         wanted = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(wanted) / self._fastest))
-        self._twist_at = self.now()
+        before, self._twist_at = self._twist_at, self.now()
+        pause = self.settings.safety.cmd_vel
+        self._latched = self._latched and np.any(wanted) and self._twist_at - before <= pause
+        if self._latched:
+            raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
         if np.any(wanted):
             self._limit(wanted if over > 1.0 + 1e-9 else None)
             self._put_speed(wanted / max(over, 1.0))

@@ -211,6 +211,12 @@ class BusRobot:
             scaled["brake"] = self._last["brake"] if left > 0.0 else self.pilot.rest()["brake"]
         self._send(scaled)
 
+    @property
+    def ramping(self) -> bool:
+        """Whether a stop has not brought the robot to rest yet."""
+        since = self._stopping
+        return since is not None and time.perf_counter() - since < self.settings.safety.ramp
+
     def rest(self) -> None:
         """Zero at once."""
         self._send(self.pilot.rest())
