@@ -19,8 +19,10 @@ if not MISSING:
     from rosbags.typesys import Stores, get_typestore
     from standin import ROBOT
 
+    from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.messages import types
+    from wbmpc.ros2.settings import RosSettings, Safety
 
 
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
@@ -111,3 +113,20 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
     pose = p.control.pilot.snapshot()[1][:3]
     np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
     assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3, 1.0, 20.0])
+def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: 400 messages in each second of the bus, at times of the wall's clock that are the test's; 0.1 s of silence of a
+    simulator in real time, or of a faster one, is too long, and of a slower one as much of its own time."""
+    wall = [5.0]
+    monkeypatch.setattr("wbmpc.ros2.clock.time.monotonic", lambda: wall[0])
+    clock = BusClock()
+    for k in range(4000):
+        wall[0] = 5.0 + 0.0025 * k / speed
+        clock.set(1.7e9 * (k > 10) + 0.0025 * k)
+    assert min(clock.speed, 1.0) == pytest.approx(min(speed, 1.0), rel=0.02)
+    limit = RosSettings(use_sim_time=True).silence(clock.speed)
+    assert limit == pytest.approx(min(0.1 / min(speed, 1.0), 1.0), rel=0.02)
+    assert RosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
+    assert RosSettings(lockstep=True).silence(clock.speed) == 30.0

@@ -389,8 +389,9 @@ class ControlNode:
             self.inbox.running = None
             if self.legs is not None:
                 self.legs.stop()
-        clock, limit = self.clock, self.settings.patience
+        clock = self.clock
         if isinstance(clock, BusClock) and clock.heard is not None:
+            limit = self.settings.silence(clock.speed)
             silent = time.monotonic() - clock.heard
             gone = silent > min(GONE, limit) and not self.node.publishers("/clock")
             if (silent > limit or gone) and self.running:

@@ -140,9 +140,10 @@ class Goals(Settings):
 
 class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
-    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: 1 s; in
-    lockstep 30 s, for a busy machine takes its time, or 1 s when nobody publishes it any more). ``jump`` [m, rad]: how
-    far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
+    as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
+    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localisation may be off from what the robot's own
+    motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
     policy: float = Field(0.5, gt=0, le=10)
@@ -216,6 +217,13 @@ class RosSettings(Settings):
     def patience(self) -> float:
         """How long [s of the wall] simulated time, or the answers to it, may stay away: see ``safety.clock``."""
         return self.safety.clock or (LOCKSTEP_PATIENCE if self.lockstep else GONE)
+
+    def silence(self, speed: float) -> float:
+        """How long [s of the wall] ``/clock`` may stand while the robot moves, if its time has passed ``speed`` times as fast as
+        the wall's: joint states have stopped then too, and would be older than the watchdog allows. In lockstep: ``patience``."""
+        if self.lockstep or self.safety.clock is not None:
+            return self.patience
+        return min(self.safety.watchdog / min(max(speed, 1e-3), 1.0), GONE)
 
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
