@@ -233,7 +233,7 @@ def test_a_goal_after_a_stop_starts_again(pair: Callable[..., Any], caplog: pyte
 def test_a_stream_of_speeds_is_no_new_goal_after_a_stop(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As beside Nav2: 20 Hz without a pause, and one bad message of the robot. It ramps down and rests; after a zero it may go on."""
+    """As beside Nav2: 20 Hz without a pause, and one bad message of the robot. It ramps down and rests; after a zero it goes on."""
     p = pair(safety={"ramp": 0.3})
     p.ready()
     speeds = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")

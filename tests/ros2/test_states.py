@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
-from wbmpc.model import rolling_inverse_kinematics
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot, rolling_inverse_kinematics
 
 pytestmark = needs_dds
 if not MISSING:
@@ -21,8 +22,9 @@ if not MISSING:
 
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
+    from wbmpc.ros2.joints import JointReader
     from wbmpc.ros2.messages import types
-    from wbmpc.ros2.settings import RosSettings, Safety
+    from wbmpc.ros2.settings import RosSettings, Safety, settings_of
 
 
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
@@ -130,3 +132,25 @@ def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch:
     assert limit == pytest.approx(min(0.1 / min(speed, 1.0), 1.0), rel=0.02)
     assert RosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
     assert RosSettings(lockstep=True).silence(clock.speed) == 30.0
+
+
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confirmed: bool) -> None:
+    """Joints of a robot that is hit move faster than their drives can; without their states it would be let go."""
+    robot = load_robot("rezero")
+    reader = JointReader(robot, settings_of(robot)(), confirmed)
+    positions = np.zeros(len(reader.names))
+
+    def read(k: int, elbow: float) -> bool:
+        values = positions.copy()
+        values[-1] = elbow
+        at = SimpleNamespace(sec=5, nanosec=2_500_000 * k)
+        message = SimpleNamespace(name=reader.names, position=values, header=SimpleNamespace(stamp=at))
+        try:
+            return reader.read(message).groups["arm"][-1] == elbow
+        except InputError as error:
+            assert "jumped by" in str(error)
+            return False
+
+    taken = [read(k, elbow) for k, elbow in enumerate([0.0, 0.001, 1.0, 0.002, 0.5, 0.58, 0.66, 0.74])]
+    assert taken == [True, True, False, True, False, confirmed, False, confirmed]

@@ -60,6 +60,8 @@ def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float
     except ValueError:
         choices = [*CONFIGURATIONS, f"{legs} angles in rad such as {','.join(['0.1'] * legs)}"]
         raise unknown_name("configuration", str(configuration), choices) from None
-    if angles.shape != (legs,) or not np.isfinite(angles).all():
+    if not np.isfinite(angles).all():
+        raise InputError("configuration: an angle is not a finite number")
+    if angles.shape != (legs,):
         raise InputError(f"configuration: {legs} angles [rad] are needed, one per leg, got {angles.size}")
     return angles
