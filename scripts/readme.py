@@ -18,7 +18,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from wbmpc.reproduce import Job, summarise
+from wbmpc.reproduce import finished, summarise
 
 ROOT = Path(__file__).parents[1]
 MARK = re.compile(r"(<!--= (?P<what>[^>]*?) -->)(?P<text>.*?)(<!--/-->)")
@@ -28,17 +28,11 @@ CLIP = "swerve-track"
 SPEED, SIZE, LONGEST = 6.0, (360, 200), 60.0
 
 
-def jobs_of(site: Path) -> list[Job]:
-    """All finished runs of a site."""
-    found = [Job(f.parent.parent.name, int(f.parent.name[4:]), f.parent) for f in site.glob("*/seed*/finished")]
-    return sorted(found, key=lambda job: (job.name, job.seed))
-
-
 def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
     """By experiment and metric: median, worst, and the values of all runs."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for site in sites:
-        for name, entry in summarise(jobs_of(site)).items():
+        for name, entry in summarise(finished(site)).items():
             runs = [run["metrics"] for run in entry["runs"].values()]
             values = {m: [r[m]["value"] for r in runs if m in r] for m in entry["metrics"]}
             found[name] = {m: {**figures, "values": values[m]} for m, figures in entry["metrics"].items()}
@@ -86,7 +80,7 @@ def clip(sites: list[Path], path: Path) -> None:
     from wbmpc.view.render import render
     from wbmpc.view.replay import Film
 
-    runs = [job for site in sites for job in jobs_of(site) if job.name == CLIP]
+    runs = [job for site in sites for job in finished(site) if job.name == CLIP]
     if runs:
         render(Film(read(runs[0].directory)), path, (0.0, LONGEST), SIZE, SPEED)
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ import pytest
 import wbmpc
 from fake_experiment import REGISTRY
 from wbmpc.cli import _table, app, main
+from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.report import page
 from wbmpc.result import Metric, RunResult
@@ -44,6 +46,37 @@ def shell(*arguments: str, code: str | None = None) -> subprocess.CompletedProce
 FAKE_MAIN = (
     "import sys; from fake_experiment import REGISTRY; from wbmpc.cli import main; sys.exit(main(None, REGISTRY))"
 )
+
+
+# ---------------------------------------------------------------------- where files go
+def test_a_path_that_cannot_be_made_is_named_by_its_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for out in ("/proc/x", "/proc/x/y"):
+        assert call("run", "fake", "--out", out) == call("bench", "--out", out) == 2
+        for line in capsys.readouterr().err.splitlines():
+            assert line.startswith(f"wbmpc: --out: '{out}' cannot be made (")
+    assert call("run", "fake", "--out", "a", "--quiet") == 0
+    assert call("compare", "a", "a", "--out", "/proc/x.html") == 2
+    assert capsys.readouterr().err.startswith("wbmpc: --out: '/proc/x.html' cannot be written (")
+    (tmp_path / "runs").write_text("")
+    assert call("run", "fake") == 2
+    assert "'runs/fake-seed200' cannot be made" in capsys.readouterr().err
+
+
+def test_of_a_run_that_never_began_nothing_stays(tmp_path: Path) -> None:
+    def fail(settings: Any, seed: int, progress: Any) -> Any:
+        raise InputError("the problem has no solution")
+
+    registry = {"fake": replace(REGISTRY["fake"], run=fail)}
+    for out in ([], ["--out", "a/b"]):
+        assert main(["run", "fake", *out], registry) == 2
+        assert list(tmp_path.iterdir()) == []
+    (tmp_path / "mine").mkdir()  # what was there stays
+    assert main(["run", "fake", "--out", "mine"], registry) == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["mine"]
+    assert call("run", "fake", "--quiet") == 0 and main(["run", "fake"], registry) == 2
+    assert [p.name for p in (tmp_path / "runs").iterdir()] == ["fake-seed200"]
 
 
 # ---------------------------------------------------------------------- what works

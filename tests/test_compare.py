@@ -65,11 +65,14 @@ def test_quiet_says_nothing(runs: list[dict], capsys: pytest.CaptureFixture[str]
 
 
 def test_what_is_no_run_is_said(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
-    assert main(["compare", "a", "nowhere"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "wbmpc: nowhere: is not the directory of a run: there is no metrics.json and no run.mcap\n"
-    )
+    Path("empty").mkdir()
+    for path, why in (
+        ("nowhere", "there is no such run; give its directory or its recording (run.mcap)"),
+        ("empty", "is not the directory of a run: there is no metrics.json and no run.mcap"),
+        ("a/log.npz", "is not a recording (MCAP): it does not begin like one"),
+    ):
+        assert main(["compare", "a", path]) == 2
+        assert capsys.readouterr().err == f"wbmpc: {path}: {why}\n"
     Path("b/metrics.json").write_text("{")
     assert main(["compare", "a", "b"]) == 2
     assert "metrics.json or log.npz cannot be read" in capsys.readouterr().err
@@ -102,6 +105,43 @@ def test_of_a_killed_run_what_there_is(runs: list[dict], killed: Path, capsys: p
     assert main(["compare", "a", "killed"]) == 0
     out = capsys.readouterr().out
     assert "killed left no metrics" in out and "the runs share no signals; compare-2.html is without plots" in out
+
+
+def test_recordings_are_taken_as_runs(killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """run.mcap of a directory is its run; a recording on its own gives the figures that it holds."""
+    assert main(["compare", str(killed / "run.mcap"), str(killed), "--json", "--out", str(tmp_path / "a.html")]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert all("left no metrics; its recording ends at 2.99 s" in note for note in notes) and len(notes) == 2
+    file = McapFile(tmp_path / "mailed.mcap")
+    file.metadata("run", {"experiment": "fake", "seed": 4, "settings": "{}"})
+    file.put("/mpc/solve_time", "std_msgs/Float64", 0.0, [0.001])
+    file.metadata("result", {"completed": "true", "reason": "", "metrics": json.dumps({"fell": 0.0, "error": 0.5})})
+    file.close()
+    assert main(["run", "fake", "--out", str(tmp_path / "a"), "--quiet"], REGISTRY) == 0
+    runs = [str(tmp_path / "a"), str(tmp_path / "mailed.mcap")]
+    assert main(["compare", *runs, "--json", "--out", str(tmp_path / "b.html")]) == 0
+    data = json.loads(capsys.readouterr().out)
+    rows = {row["metric"]: (row["values"], row["unit"]) for row in data["metrics"]}
+    assert rows["fell"] == ([0.0, 0.0], "1") and rows["error"] == ([None, 0.5], "") and data["notes"] == []
+
+
+def test_settings_are_told_on_a_screen(
+    runs: list[dict],  # type: ignore[type-arg]
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of different experiments as a number, of others not more than 20; what matters comes after them."""
+    path = Path("b/metrics.json")
+    known = json.loads(path.read_text())
+    known["settings"] = {**known["settings"], **{f"key{k}": k for k in range(50)}}
+    path.write_text(json.dumps(known))
+    assert main(["compare", "a", "b"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(" and " in line for line in lines) == 20 and "32 more settings differ: --json names them" in lines
+    path.write_text(json.dumps({**known, "experiment": "other"}))
+    assert main(["compare", "a", "b"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-3] == "52 settings differ: --json names them" and "different experiments" in lines[-2]
+    assert "key1: " not in "".join(lines)
 
 
 def test_two_killed_runs_are_compared_by_their_recordings(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:

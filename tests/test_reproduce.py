@@ -8,11 +8,14 @@ import re
 import statistics
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
+from fake_experiment import FAKE as EXPERIMENT
+from wbmpc import reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.reproduce import Job, parse_seeds, plan, run_all, summarise, write_site
@@ -164,15 +167,24 @@ def test_a_site_without_any_result(tmp_path: Path) -> None:
 def test_seeds() -> None:
     assert parse_seeds("200-203") == [200, 201, 202, 203]
     assert parse_seeds("1,5-7, 6") == [1, 5, 6, 7]
-    for bad in ("", "a", "3-1", "1-", "-2", "1,,2"):
+    for bad in ("", "a", "3-1", "1-", "-2", "1,,2", "²", "1-²", "9" * 5000):
         with pytest.raises(InputError, match="valid: 200-219, 3 or 1,5-7"):
             parse_seeds(bad)
+    assert len(parse_seeds("0-999")) == 1000
+    for many in ("0-1000", "0-999999999", "0-600,700-1200"):
+        with pytest.raises(InputError, match="these are more than 1000 seeds"):
+            parse_seeds(many)
 
 
 def test_bad_input_of_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["reproduce", "--only", "swerve-trak", "--out", str(tmp_path / "x")]) == 2
     assert "did you mean 'swerve-track'" in capsys.readouterr().err
     assert main(["reproduce", "--seeds", "b"]) == 2
+    (tmp_path / "file").write_text("")
+    for out in ("file", "file/below"):
+        capsys.readouterr()
+        assert main(["reproduce", "--out", str(tmp_path / out)]) == 2
+        assert capsys.readouterr().err.startswith(f"wbmpc: --out: '{tmp_path / out}' ")
     assert not (tmp_path / "x").exists()
 
 
@@ -209,3 +221,32 @@ def test_the_readme_gets_its_figures(site, tmp_path: Path) -> None:  # type: ign
     arguments = ["--study", str(study), "--readme", str(readme)]
     subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
     assert "<!--= other hand_error_max m -->0.0012 m (12)<!--/--> of it" in readme.read_text()
+
+
+def test_the_site_has_what_earlier_calls_have_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two experiments, one call for each, then another seed of the first: the site, the page and the object have all."""
+    registry = {name: replace(EXPERIMENT, name=name) for name in ("first", "second")}
+    monkeypatch.chdir(tmp_path)
+    here = "from dataclasses import replace; from fake_experiment import FAKE\n"
+    here += "REGISTRY = {n: replace(FAKE, name=n) for n in ('first', 'second')}\n"
+    real = reproduce.run_all
+
+    def make(job: Job) -> list[str]:
+        whole = fake(job, here)
+        return [job.name if part == "fake" else part for part in whole]
+
+    monkeypatch.setattr(reproduce, "run_all", lambda jobs, workers, progress: real(jobs, workers, progress, make))
+    call = lambda *arguments: main(["reproduce", "--out", "site", "--no-clips", "--json", *arguments], registry)
+    assert call("--only", "second", "--seeds", "3") == 0
+    capsys.readouterr()
+    assert call("--only", "first", "--seeds", "3") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert list(said["experiments"]) == ["first", "second"]
+    body = Path("site/index.html").read_text()
+    assert -1 < body.index(">first</a>") < body.index(">second</a>")
+    assert call("--only", "first", "--seeds", "1") == 0
+    page = Path("site/first/index.html").read_text()
+    assert "seed1/report.html" in page and "seed3/report.html" in page
+    assert "2 of 2 runs completed" in Path("site/index.html").read_text()

@@ -27,12 +27,12 @@ _SIGNALS = ("/hand/", "/odom", "/command/", "/joint_states", "/mpc/")
 
 @dataclass(frozen=True)
 class Run:
-    """What there is of a run: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
+    """What there is of a run at a ``path``: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
 
     ``labels``: names of a channel's components, where the recording has told them.
     """
 
-    directory: Path
+    path: Path
     figures: dict[str, Any]
     log: dict[str, np.ndarray]
     note: str = ""
@@ -48,19 +48,22 @@ def load_both(first: Path, second: Path) -> tuple[Run, Run]:
     return a, b
 
 
-def load(directory: Path) -> Run:
-    """metrics.json and log.npz of a run; of one that was killed what its recording says (no signals yet).
+def load(path: Path) -> Run:
+    """A run by its directory or its recording: metrics.json and log.npz; without these what the recording says (no signals yet).
 
     Raises :class:`InputError` if there is neither.
     """
+    if not path.exists():
+        raise InputError(f"{path}: there is no such run; give its directory or its recording ({RECORDING})")
+    directory = path.parent if path.name == RECORDING else path
     missing = [name for name in ("metrics.json", "log.npz") if not (directory / name).is_file()]
-    if missing and (directory / RECORDING).is_file():
-        return _killed(directory)
+    if missing and (path.is_file() or (path / RECORDING).is_file()):
+        return _recorded(path)
     if missing:
-        raise InputError(f"{directory}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
+        raise InputError(f"{path}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
     figures, log = _files(directory)
     reason = "" if figures.get("completed", True) else f"did not complete: {figures.get('reason', 'unknown')}"
-    return Run(directory, figures, log, reason)
+    return Run(path, figures, log, reason)
 
 
 def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -72,20 +75,28 @@ def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         raise InputError(f"{directory}: metrics.json or log.npz cannot be read: {error}") from error
 
 
-def _killed(directory: Path) -> Run:
-    recording = read(directory)
-    about = recording.metadata.get("run", {})
-    seed = int(about["seed"]) if str(about.get("seed", "")).isdigit() else None
-    settings = json.loads(about.get("settings", "{}"))
-    figures = {"experiment": about.get("experiment"), "seed": seed, "settings": settings, "metrics": {}}
-    return Run(directory, figures, {}, f"left no metrics; its recording ends at {recording.duration:.2f} s")
+def _recorded(path: Path) -> Run:
+    """What a recording alone says. That of a run that ended holds its figures, without their units."""
+    recording = read(path)
+    about, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
+    try:
+        seed = int(about["seed"]) if "seed" in about else None
+        settings, values = json.loads(about.get("settings", "{}")), json.loads(result.get("metrics", "{}"))
+        metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
+    except (ValueError, AttributeError) as error:
+        raise InputError(f"{recording.path}: what it says of its run cannot be read: {error}") from error
+    figures = {"experiment": about.get("experiment"), "seed": seed, "settings": settings, "metrics": metrics}
+    note = f"did not complete: {result['reason']}" if result.get("reason") else ""
+    if not metrics:
+        note = f"left no metrics; its recording ends at {recording.duration:.2f} s"
+    return Run(path, figures, {}, note)
 
 
 def _from_recording(run: Run) -> Run:
     """The same with the signals of its recording, if it has one: numbers of a topic are a channel."""
-    if not (run.directory / RECORDING).is_file():
+    if run.path.is_dir() and not (run.path / RECORDING).is_file():
         return run
-    recording, log, labels = read(run.directory), {}, {}
+    recording, log, labels = read(run.path), {}, {}
     for topic in [t for t in recording.topics if t.startswith(_SIGNALS)]:
         found = recording.table(topic)
         columns = {name: values for name, values in found.columns.items() if values.dtype.kind == "f"}
@@ -104,7 +115,7 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         found = [run["metrics"].get(name, {}) for run in runs]
         a, b = (m.get("value") for m in found)
         change = (b - a) / abs(a) if a not in (None, 0) and b is not None else None
-        unit = next(m["unit"] for m in found if m)
+        unit = max(m["unit"] for m in found if m)  # a recording alone knows none
         rows.append({"metric": name, "unit": unit, "values": [a, b], "change": change})
     return rows
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import html
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ from wbmpc.errors import InputError
 from wbmpc.report import RUN_FILES, document, goal_text, number, table
 from wbmpc.result import Metric
 
+#: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
+MOST_SEEDS = 1000
+_SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
 _POLL = 0.05
@@ -48,20 +52,37 @@ class Job:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """``200-219``, ``3`` or ``1,5-7`` as numbers. Raises :class:`InputError`."""
-    seeds: list[int] = []
+    """``200-219``, ``3`` or ``1,5-7`` as numbers, :data:`MOST_SEEDS` at most. Raises :class:`InputError`."""
+    seeds: dict[int, None] = {}
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
-            raise InputError(f"--seeds: '{text}': valid: 200-219, 3 or 1,5-7")
-        seeds += range(int(first), int(last or first) + 1)
-    return list(dict.fromkeys(seeds))
+        found = _SEEDS.fullmatch(part)
+        if found is None or int(found["last"] or found["first"]) < int(found["first"]):
+            raise InputError(f"--seeds: '{text}': valid: 200-219, 3 or 1,5-7, numbers of up to nine digits")
+        wanted = range(int(found["first"]), int(found["last"] or found["first"]) + 1)
+        if len(seeds) + len(wanted) > MOST_SEEDS:
+            raise InputError(f"--seeds: '{text}': these are more than {MOST_SEEDS} seeds; give fewer in one call")
+        seeds |= dict.fromkeys(wanted)
+    return list(seeds)
 
 
 def plan(names: Iterable[str], seeds: Iterable[int], out: Path) -> list[Job]:
     """All runs, seed by seed, so that every experiment has something to show early."""
     names = list(names)
     return [Job(name, seed, out / name / f"seed{seed}") for seed in seeds for name in names]
+
+
+def finished(site: Path) -> list[Job]:
+    """All finished runs in a directory of :func:`plan`, whoever ordered them, by experiment and seed."""
+    places = [mark.parent for mark in site.glob("*/seed*/finished") if re.fullmatch("seed[0-9]+", mark.parent.name)]
+    jobs = [Job(place.parent.name, int(place.name.removeprefix("seed")), place) for place in places]
+    return sorted(jobs, key=lambda job: (job.name, job.seed))
+
+
+def whole_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> list[Job]:
+    """``jobs`` and what else is finished there, by experiment (as in ``order``, others after them) and seed."""
+    places = {name: k for k, name in enumerate(order)}
+    found = dict.fromkeys([*jobs, *finished(site)])
+    return sorted(found, key=lambda job: (places.get(job.name, len(places)), job.name, job.seed))
 
 
 def command(job: Job) -> list[str]:
@@ -166,7 +187,10 @@ def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
 
 
 def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:
-    """The index and a page for each experiment; links are relative, nothing comes from a network. Returns the index."""
+    """The index and a page for each experiment; links are relative, nothing comes from a network. Returns the index.
+
+    ``jobs``: all that it shows (see :func:`whole_site`).
+    """
     found, sections = summarise(jobs), []
     names = list(dict.fromkeys(j.name for j in jobs))
     for name in names:

@@ -59,6 +59,8 @@ def test_the_plan_takes_a_faulty_brake_as_it_is() -> None:
     assert planned(brakes.schedule(), 2.0) == [1, 1, 0, 1]
     brakes.accept(BrakeFault(1.5, 0, "leg_LF", "does not hold", 0.1))
     assert planned(brakes.schedule(), 0.0) == [1, 0, 0, 0]
+    brakes.accept(BrakeFault(1.6, 2, "leg_LB", "opens after all", 0.01))
+    assert planned(brakes.schedule(), 2.0) == [1, 1, 1, 1]
 
 
 def test_the_mpc_moves_open_legs_only() -> None:

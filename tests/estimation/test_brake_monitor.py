@@ -12,9 +12,9 @@ NAMES = ["a", "b", "c", "d"]
 COUNT = 2.0 * np.pi / 2**14
 
 
-def watch(leg, brake, rate, end: float = 6.0) -> BrakeMonitor:  # type: ignore[no-untyped-def]
+def watch(leg, brake, rate, end: float = 6.0, **settings: float) -> BrakeMonitor:  # type: ignore[no-untyped-def]
     """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each) at 400 Hz."""
-    monitor = BrakeMonitor(NAMES)
+    monitor = BrakeMonitor(NAMES, **settings)
     for t in np.arange(0.0, end, 0.0025):
         monitor.update(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t))
     return monitor
@@ -41,16 +41,38 @@ def test_a_closed_leg_that_moves() -> None:
 
 
 def test_an_open_leg_that_does_not_move() -> None:
-    stuck = lambda t: SINE(t) * np.array([1.0, 1.0, 1.0, 0.0])
-    (fault,) = watch(stuck, lambda t: OPEN, RATE).faults
+    ramp = np.array([0.4, -0.4, 0.4, -0.4])
+    stuck = lambda t: ramp * t * [1.0, 1.0, 1.0, 0.0]
+    (fault,) = watch(stuck, lambda t: OPEN, lambda t: ramp, patience=0.1).faults
     assert (fault.leg, fault.kind) == (3, "does not open")
-    # 0.3 sin t of the plan reach 0.16 rad, a little later for what is forgotten
-    assert np.arcsin(0.16 / 0.3) < fault.time < np.arcsin(0.16 / 0.3) + 0.1
+    # 0.32 rad/s of 0.4 count and reach 0.2 rad, a little later for what is forgotten
+    assert 0.2 / 0.32 < fault.time < 0.2 / 0.32 + 0.1
+    (fault,) = watch(stuck, lambda t: OPEN, lambda t: ramp).faults
+    assert fault.time == pytest.approx(1.3, abs=0.01)
+
+
+def test_a_leg_that_stands_for_a_second_is_no_fault() -> None:
+    """As on a bump, where two wheels carry the robot and it turns in place of its legs; the plan asks for 0.4 rad/s."""
+    stands = lambda t: 0.2 * np.array([min(t, 2.0) + max(t - 3.2, 0.0), 1.0 + t, t, t])
+    assert watch(stands, lambda t: OPEN, lambda t: 0.4 + STILL).faults == []
 
 
 def test_a_leg_that_is_held_by_small_rates_is_no_fault() -> None:
     """Encoder offsets make the plan turn a leg all the time that in fact stands: 5 mrad/s for two minutes."""
     assert watch(lambda t: STILL, lambda t: OPEN, lambda t: 0.005 + STILL, end=120.0).faults == []
+    # and 0.06 rad/s, as the plan asks for to hold a leg against wheels that slip a little sideways
+    assert watch(lambda t: STILL, lambda t: OPEN, lambda t: 0.06 + STILL, end=120.0).faults == []
+
+
+def test_a_leg_that_moves_after_all_is_taken_back_and_judged_again() -> None:
+    """A leg stands while its wheel hangs in the air, from 0 to 2 s and from 4 s on, and moves in between."""
+    rate = lambda t: np.array([0.4, 0.0, 0.0, 0.0])
+    leg = lambda t: np.array([0.2 * np.clip(t - 2.0, 0.0, 2.0), 0.0, 0.0, 0.0])
+    monitor = watch(leg, lambda t: OPEN, rate)
+    assert [f.kind for f in monitor.faults] == ["does not open"] * 2
+    (back,) = monitor.withdrawn
+    assert back.kind == "opens after all" and "opens after all: the leg moved by 0.010 rad" in str(back)
+    assert monitor.faults[0].time < 2.0 < back.time < 2.1 and monitor.faults[1].time > 4.0
 
 
 def test_brakes_take_their_time() -> None:

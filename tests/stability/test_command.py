@@ -57,6 +57,8 @@ def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         (["swerve-ur10", "--configuration", "1,2"], "4 angles"),
         (["swerve-ur10", "--wrench", "1,2"], "3 or 6"),
         (["swerve-ur10", "--arm", "1,2"], "--arm: 6"),
+        (["swerve-ur10", "--arm", "100,0,0,0,0,0"], "shoulder_pan_joint at 100 rad is outside its limits"),
+        (["swerve-ur10", "--configuration", "nan,0,0,0"], "finite, one per leg, got 'nan,0,0,0'"),
         (["swerve-ur10", "--slope", "2"], "--slope"),
         (["swerve-ur10", "--plot", "a.bmp"], ".svg"),
         (["swerve-fixed-ur10", "--configuration", "H"], "fixed"),

@@ -110,6 +110,24 @@ def test_margins_of_a_square() -> None:
     assert float(stability.margin(SQUARE, [np.nan, np.nan])) == -np.inf
 
 
+def test_where_diagonals_cross_every_way_leaves_a_triangle() -> None:
+    """By symmetry the middle of a square is on the edge of all four triangles: a margin of 0, and of next to it nearly 0."""
+    assert stability.region_margin(SQUARE, [0.0, 0.0]) == 0.0
+    assert stability.region_margin(SQUARE, [0.4, 0.4]) == 0.0
+    assert stability.region_margin(SQUARE, [0.4, 0.39]) == pytest.approx(0.01 / np.sqrt(2.0))
+
+
+def test_points_without_load_are_outside() -> None:
+    square = stability.support_polygon(SQUARE)
+    assert list(stability.margin(square, [[np.nan, 0.0], [np.inf, 0.0], [0.0, -np.inf]])) == [-np.inf] * 3
+    assert stability.region_margin(SQUARE, [np.nan, np.nan]) == -np.inf
+
+
+def test_two_feet_in_one_place_count_once() -> None:
+    (region,) = stability.overlap_regions([[0, 0], [0, 0], [1, 0], [0, 1]])
+    assert region.area == pytest.approx(0.5) and len(region.triangles) == 2
+
+
 @pytest.mark.parametrize(
     "feet", [[[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [1, 0], [np.nan, 1]], [0.0, 1.0, 2.0]]
 )

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from wbmpc import stability
+from wbmpc.errors import InputError
 
 SQUARE = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])  # LF, RF, LB, RB
 
@@ -119,3 +120,23 @@ def _normal_forces(m: mujoco.MjModel, d: mujoco.MjData) -> np.ndarray:
         mujoco.mj_contactForce(m, d, c, f)
         out[max(d.contact[c].geom) - 2] += f[0]
     return out
+
+
+@pytest.mark.parametrize(
+    ("times", "points", "words"),
+    [
+        ([0.0, 1.0, 2.0], [[0.1, 0.0], [0.2, 0.0]], "one for each time"),
+        ([0.0, 1.0], [[0.1, 0.0], [np.nan, np.nan]], "finite points"),
+        ([0.0, 2.0, 1.0], [[0.1, 0.0]] * 3, "each larger than the one before"),
+        ([], np.zeros((0, 2)), "times"),
+    ],
+)
+def test_senseless_motions_are_refused(times: list, points: list, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        stability.crossings(times, points, [[1, 1], [1, -1], [-1, 1], [-1, -1]])
+
+
+@pytest.mark.parametrize("slope", [np.nan, 1.6, -2.0, np.inf])
+def test_slopes_on_which_nothing_stands_are_refused(slope: float) -> None:
+    with pytest.raises(InputError, match=r"slope: less than 1\.57 rad"):
+        stability.slope_gravity(slope)

@@ -8,7 +8,7 @@ import os
 import sys
 import traceback
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -168,34 +168,29 @@ def _attempt(
     from wbmpc.result import RunResult
 
     plain = settings.model_dump(mode="json")
-    existed = out is not None and out.exists()
-    directory = run_directory(out, name, seed)
-    ours = not existed or directory != out
-    _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
-    _LOG.info("settings: %s", json.dumps(plain))
-    recorder = Recorder(directory / RECORDING, about_run(name, seed, plain))
-    # the view first: if it cannot open, nothing has been written
-    watchers = (recorder,) if view is None else (view, recorder)
-    try:
-        with progress_bar(name, show) as progress:
-            try:
-                result = experiment.run(settings, seed, Watch(progress, watchers))
-            except (EndedByUser, KeyboardInterrupt) as error:
-                result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
-            except RunAborted as error:
-                result = RunResult.aborted(name, seed, str(error), plain)
-        if view is not None and view.steered:
-            result.idealisations = [*result.idealisations, STEERED]
-        recorder.close(outcome(result))
-        files = write_run(result, directory)
-        for kind, path in files.items():
-            _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
-        return result, files
-    finally:
-        recorder.close({"completed": "false", "reason": "an error of the program"})
-        if ours:
-            with suppress(OSError):
-                directory.rmdir()  # succeeds only if nothing was written
+    with run_directory(out, name, seed) as directory:
+        _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
+        _LOG.info("settings: %s", json.dumps(plain))
+        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain))
+        # the view first: if it cannot open, nothing has been written
+        watchers = (recorder,) if view is None else (view, recorder)
+        try:
+            with progress_bar(name, show) as progress:
+                try:
+                    result = experiment.run(settings, seed, Watch(progress, watchers))
+                except (EndedByUser, KeyboardInterrupt) as error:
+                    result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
+                except RunAborted as error:
+                    result = RunResult.aborted(name, seed, str(error), plain)
+            if view is not None and view.steered:
+                result.idealisations = [*result.idealisations, STEERED]
+            recorder.close(outcome(result))
+            files = write_run(result, directory)
+        finally:
+            recorder.close({"completed": "false", "reason": "an error of the program"})
+    for kind, path in files.items():
+        _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
+    return result, files
 
 
 def _table(results: list[RunResult]) -> None:
@@ -323,15 +318,15 @@ def bench(
     """Time the solver against others on the same discretised problems, on one core."""
     from wbmpc.benchmark import run_benchmark
 
-    directory = None if out is None else run_directory(out, "bench", 0)
     tell = not (as_json or context.obj.quiet)
-    with progress_bar("bench", tell) as bar:
-        show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
-        figures = run_benchmark(repeat, show, peers)
-    if directory is not None:
-        from wbmpc.benchmark.figure import write
+    with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:
+        with progress_bar("bench", tell) as bar:
+            show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
+            figures = run_benchmark(repeat, show, peers)
+        if directory is not None:
+            from wbmpc.benchmark.figure import write
 
-        figures["files"] = write(figures, directory)
+            figures["files"] = write(figures, directory)
     if as_json:
         typer.echo(json.dumps(figures, allow_nan=False))
     else:

@@ -7,7 +7,8 @@ a run. A file that the user names is refused when it is there, unless ``--force`
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import Annotated
@@ -28,7 +29,32 @@ def new_file(option: str, given: Path | None, default: Path, force: bool) -> Pat
         refuse_existing(option, [given], force)
         if not given.parent.is_dir():
             raise InputError(f"{option}: '{given}': there is no directory '{given.parent}'")
-    return given or (default if force else _free(default))
+    path = given or (default if force else _free(default))
+    _try_to_write(option, path)
+    return path
+
+
+def _try_to_write(option: str, path: Path) -> None:
+    """Before the work is done, not after it. A file that was not there is not there afterwards."""
+    existed = path.exists()
+    try:
+        path.open("ab").close()
+        if not existed:
+            path.unlink()
+    except OSError as error:
+        raise InputError(f"{option}: '{path}' cannot be written ({error.strerror})") from error
+
+
+def writable_directory(option: str, path: Path) -> None:
+    """Make it if it is not there. Raises :class:`InputError` naming the option if that, or writing into it, is impossible."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{option}: '{path}' is a file; give a directory")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option}: '{path}' cannot be made ({error.strerror})") from error
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise InputError(f"{option}: cannot write into '{path}'")
 
 
 def new_directory(option: str, given: Path | None, default: Path, force: bool) -> Path:
@@ -65,17 +91,31 @@ def _reserve(base: Path) -> Path:
     raise AssertionError("unreachable")
 
 
-def run_directory(out: Path | None, name: str, seed: int) -> Path:
-    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once."""
+@contextmanager
+def run_directory(out: Path | None, name: str, seed: int) -> Iterator[Path]:
+    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once.
+
+    What was made for it and stays empty is removed again.
+    """
+    wanted = out or Path("runs") / f"{name}-seed{seed}"
+    missing = [path for path in (wanted, *wanted.parents) if not path.exists()]
+    directory = _chosen(out, wanted)
+    try:
+        yield directory
+    finally:
+        for path in dict.fromkeys((directory, *missing) if directory != wanted else missing):
+            with suppress(OSError):
+                path.rmdir()  # succeeds only if nothing was written
+
+
+def _chosen(out: Path | None, wanted: Path) -> Path:
     from wbmpc.report import RUN_FILES
 
-    if out is None:
-        return _reserve(Path("runs") / f"{name}-seed{seed}")
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out: '{out}' is a file; give a directory")
-    out.mkdir(parents=True, exist_ok=True)
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise InputError(f"--out: cannot write into '{out}'")
-    if any((out / file).exists() for file in RUN_FILES):
-        return _reserve(out)
-    return out
+    if out is not None:
+        writable_directory("--out", out)
+        if not any((out / file).exists() for file in RUN_FILES):
+            return out
+    try:
+        return _reserve(wanted)
+    except OSError as error:
+        raise InputError(f"'{wanted}' cannot be made ({error.strerror}); give another directory with --out") from error

@@ -13,11 +13,20 @@ from wbmpc.cli.directories import Force, new_directory, new_file, refuse_existin
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
 
-log = typer.Typer(name="log", help="Look into the recording of a run.", no_args_is_help=True)
+log = typer.Typer(name="log", help="Look into the recording of a run.")
 
 File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
 Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
+#: Lines about settings, at most, that are printed.
+MOST_SETTINGS = 20
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+@log.callback(invoke_without_command=True)
+def log_options(context: typer.Context) -> None:
+    """Look into the recording of a run."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 def _summary(recording: Recording) -> dict[str, Any]:
@@ -27,6 +36,7 @@ def _summary(recording: Recording) -> dict[str, Any]:
         if topic.times
     }
     head = {"file": str(recording.path), "complete": recording.complete, "duration": recording.duration}
+    head["damage"] = recording.damage
     return {**head, "metadata": recording.metadata, "topics": topics}
 
 
@@ -41,7 +51,8 @@ def info(file: File, as_json: AsJson = False) -> None:
         typer.echo(json.dumps(summary))
         return
     run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
-    end = "" if recording.complete else "; it ends in the middle: the run was killed"
+    # of a damaged one a warning has told
+    end = "" if recording.complete or recording.damage else "; it ends in the middle: the run was killed"
     typer.echo(f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}")
     if result.get("reason"):
         typer.echo(f"did not complete: {result['reason']}")
@@ -99,8 +110,8 @@ def export(
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(help="Directory of a run.")],
-    second: Annotated[Path, typer.Argument(help="Directory of another run.")],
+    first: Annotated[Path, typer.Argument(help="Directory of a run, or its recording.")],
+    second: Annotated[Path, typer.Argument(help="Directory or recording of another run.")],
     out: Annotated[
         Path | None, typer.Option(help="The page with both runs' signals (default: a new compare.html).")
     ] = None,
@@ -118,7 +129,7 @@ def compare(
     names = [first.name or str(first), second.name or str(second)]
     if names[0] == names[1]:
         names = [str(first), str(second)]
-    notes = [f"{run.directory} {run.note}" for run in runs if run.note]
+    notes = [f"{run.path} {run.note}" for run in runs if run.note]
     notes = [note for note in (experiments(figures), *notes) if note]
     about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
     plots = overlay(runs, names, wheels(figures[0]))
@@ -129,11 +140,22 @@ def compare(
         return
     if rows:
         _compare_table(rows, names)
+    _tell_differences(figures, changed)
     for note in notes:
         typer.echo(note)
-    for key, (a, b) in changed.items():
-        typer.echo(f"{key}: {a} and {b}")
     typer.echo(f"the signals are in {out}" if plots else f"the runs share no signals; {out} is without plots")
+
+
+def _tell_differences(figures: list[dict[str, Any]], changed: dict[str, list[Any]]) -> None:
+    """The settings that differ; those of different experiments by their number, and not more than fit on a screen."""
+    from wbmpc.compare import experiments
+
+    shown = {} if experiments(figures) else dict(list(changed.items())[:MOST_SETTINGS])
+    for key, (a, b) in shown.items():
+        typer.echo(f"{key}: {a} and {b}")
+    left = len(changed) - len(shown)
+    if left:
+        typer.echo(f"{left} {'more ' if shown else ''}settings differ: --json names them")
 
 
 def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:

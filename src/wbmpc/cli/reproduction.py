@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from wbmpc.cli.directories import writable_directory
 from wbmpc.cli.terminal import INTERRUPTED, experiment_names, progress_bar
 
 
@@ -26,11 +27,15 @@ def reproduce(
     clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Draw a clip of each experiment.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page."""
-    from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, write_site
+    """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page.
+
+    The site shows all finished runs of its directory, also those of earlier calls.
+    """
+    from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, whole_site, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
+    writable_directory("--out", out)
     tell = not (as_json or context.obj.quiet)
     with progress_bar("reproduce", tell) as bar:
         # hours go by: in a pipe every finished run is a line
@@ -41,6 +46,7 @@ def reproduce(
             done = f"{sum(job.done for job in jobs)} of {len(jobs)} runs are finished"
             typer.echo(f"wbmpc: interrupted: {done}; the same command goes on from there", err=True)
             raise typer.Exit(INTERRUPTED) from None
+    jobs = whole_site(jobs, out, list(context.obj.registry))
     index = write_site(jobs, failed, out, clips)
     lost = [{"experiment": j.name, "seed": j.seed, "reason": reason} for j, reason in failed.items()]
     if as_json:

@@ -19,7 +19,10 @@ def stability(
         str | None, typer.Option(help="H, X, A, or one leg angle (rad) per leg: 0.1,-0.1,0,0 (default: home).")
     ] = None,
     wrench: Annotated[
-        str, typer.Option(help="What the world does to the hand: force (N), or force and moment (N m): 0,0,-50.")
+        str,
+        typer.Option(
+            help="What the world does to the hand: force (N), or force and moment (N m): 0,0,-50; z along the ground's normal."
+        ),
     ] = "0,0,0",
     arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints (rad; default: home).")] = None,
     slope: Annotated[float, typer.Option(help="Slope of the ground (rad).")] = 0.0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from contextlib import redirect_stdout, suppress
+from contextlib import nullcontext, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -71,17 +71,18 @@ def view(
     from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown, recorders, reason = open_view(robot, host, port, as_json=as_json), [], "an error of the program"
-    wanted = False
-    if out is not None:
-        recorders = [Recorder(run_directory(out, robot, seed) / RECORDING, about_run(f"view {robot}", seed, {}))]
-    try:
-        ending = run_session(robot, seed, shown, *recorders)
-        reason, wanted = ending.reason, ending.interrupted or shown.ended or not ending.reason
-    finally:
-        shown.close()
-        for recorder in recorders:
-            recorder.close({"completed": "false", "reason": reason})
+    shown, reason, wanted = open_view(robot, host, port, as_json=as_json), "an error of the program", False
+    with nullcontext() if out is None else run_directory(out, robot, seed) as directory:
+        recorders = []
+        if directory is not None:
+            recorders = [Recorder(directory / RECORDING, about_run(f"view {robot}", seed, {}))]
+        try:
+            ending = run_session(robot, seed, shown, *recorders)
+            reason, wanted = ending.reason, ending.interrupted or shown.ended or not ending.reason
+        finally:
+            shown.close()
+            for recorder in recorders:
+                recorder.close({"completed": "false", "reason": reason})
     typer.echo(reason, err=True)
     for recorder in recorders:
         typer.echo(f"the recording is {recorder.path}", err=True)

@@ -109,8 +109,12 @@ class BrakeControl:
         return self._states[bisect_right(self._times, t + 1e-9) - 1]
 
     def accept(self, fault: BrakeFault) -> None:
-        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free."""
-        self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
+        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free;
+        one that opens after all is as commanded again."""
+        if fault.kind == "opens after all":
+            self._known.pop(fault.leg, None)
+        else:
+            self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
         self._tell()
 
     def schedule(self) -> ModeSchedule:

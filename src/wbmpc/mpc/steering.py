@@ -14,13 +14,14 @@ turn by more than it can): up to there the plan is kept, and the stop in which t
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.model import RobotModel, rolling_inverse_kinematics, wheel_velocities
+from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.model.swerve import SwerveGeometry
 from wbmpc.solver import Solver
 
@@ -81,17 +82,17 @@ def plan_steering(
     times the speed there, nothing while the base rests; all wheels may turn round at it.
     """
     ways, speeds = _directions(geometry, leg, steer, twists)
+    speeds = speeds.max(axis=1)
     ways[0] = steer + _wrapped(ways[0] - steer)
     ways = np.unwrap(ways, axis=0, period=np.pi)
     cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
     low, high = _rounds(ways, *limits)
-    free = np.asarray((low <= high).all(axis=2))
-    kept = np.asarray(((low[0] <= 0) & (high[0] >= 0)).all(axis=1))
-    starts = _cheapest(cost, free, kept)
+    starts = _cheapest(cost, _reach(low, high), _first(np.any((low > 0) | (high < 0), axis=1)))
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
     for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
         # as few turns as possible; where the range is too small for a direction, the end is left to the limits
-        before, shift = shift, np.clip(shift, low[j, k - 1], np.maximum(high[j, k - 1], low[j, k - 1]))
+        least, most = low[j:k].max(axis=0), high[j:k].min(axis=0)
+        before, shift = shift, np.clip(shift, least, np.maximum(most, least))
         steered[j:k] = ways[j:k] + np.pi * shift
         if (shift != before).any() and cost[j] > STOP:
             stops.append(j)
@@ -104,44 +105,63 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def _rounds(ways: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest number (k, k, n) of half turns that keep a wheel in its range from node j to node k, k ≥ j."""
-    count = len(ways)
-    after = np.arange(count) >= np.arange(count)[:, None]
-    least = np.minimum.accumulate(np.where(after[:, :, None], ways, np.inf), axis=1)
-    most = np.maximum.accumulate(np.where(after[:, :, None], ways, -np.inf), axis=1)
-    least, most = np.where(after[:, :, None], least, 0.0), np.where(after[:, :, None], most, 0.0)
-    return np.ceil((lower - least) / np.pi - 1e-9), np.floor((upper - most) / np.pi + 1e-9)
+    """Least and largest number (k, n) of half turns that keep each wheel in its range at each node."""
+    return np.ceil((lower - ways) / np.pi - 1e-9), np.floor((upper - ways) / np.pi + 1e-9)
 
 
-def _cheapest(cost: np.ndarray, free: np.ndarray, kept: np.ndarray) -> list[int]:
-    """First nodes of the parts into which stops of ``cost`` (k) divide the way: shortest path over the nodes.
+def _first(flags: np.ndarray) -> int:
+    """Index of the first true one of ``flags`` (k), or k."""
+    return int(np.argmax(flags)) if flags.any() else len(flags)
 
-    ``free`` (k, k): whether a part from j to k needs no flip inside; ``kept`` (k): the same from the start on without one
-    before it.
+
+def _reach(low: np.ndarray, high: np.ndarray) -> list[int]:
+    """From each node the first one (k) up to which no numbers of half turns, one for each wheel, are good for all nodes between."""
+    count = len(low)
+    turns = np.arange(low.min(), high.max() + 1.0)
+    good = (low[:, :, None] <= turns) & (turns <= high[:, :, None])
+    ends = np.where(good, count, np.arange(count)[:, None, None])
+    ends = np.minimum.accumulate(ends[::-1], axis=0)[::-1]
+    reach: list[int] = ends.max(axis=2, initial=0).min(axis=1).tolist()
+    return reach
+
+
+def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
+    """First nodes of the parts into which stops of ``costs`` (k) divide the way: shortest path over the nodes.
+
+    ``reach`` (k): where a part from each node ends at the latest; ``kept``: the same from the start on without a stop before
+    it. Parts that can still reach on are a queue of rising cost: what comes later and is cheaper makes all before it useless.
     """
+    cost: list[float] = costs.tolist()
     count = len(cost)
-    best, source = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=int)
-    start = np.full(count, np.inf)
-    start[0] = cost[0]
-    for k in range(1, count + 1):
+    if kept == count:
+        return [0]
+    source = [0] * (count + 1)
+    starts, queue, best = [0.0] * count, deque[tuple[float, int]](), 0.0
+    for k in range(count):
+        start = best + cost[k]
+        value = start - LATER * k
+        while queue and queue[-1][0] > value:
+            queue.pop()
+        queue.append((value, k))
+        starts[k] = start
+        if k < kept:
+            continue
         # a part of one node is always possible: there may be no better way where the range is too small
-        ends = np.where(free[:k, k - 1], start[:k], np.inf)
-        ends[k - 1] = start[k - 1]
-        j = int((ends - LATER * np.arange(k)).argmin())
-        best[k], source[k] = (0.0, 0) if kept[k - 1] else (ends[j], j)
-        if k < count:
-            start[k] = best[k] + cost[k]
-    parts = [int(source[count])]
+        while queue[0][1] < k and reach[queue[0][1]] <= k:
+            queue.popleft()
+        source[k + 1] = queue[0][1]
+        best = starts[source[k + 1]]
+    parts = [source[count]]
     while parts[-1] > 0:
-        parts.append(int(source[parts[-1]]))
+        parts.append(source[parts[-1]])
     return parts[::-1]
 
 
 def _directions(
     geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steering angles (k, n) of the wheels' directions, and the speed (k) [m/s] of the fastest. A wheel that rests already
-    has the direction that comes next (or keeps its last)."""
+    """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
+    already has the direction that comes next (or keeps its last)."""
     s = geometry.steer_axes(leg)
     vx = twists[:, :1] - twists[:, 2:] * s[:, 1]
     vy = twists[:, 1:2] + twists[:, 2:] * s[:, 0]
@@ -153,7 +173,7 @@ def _directions(
     earlier = np.maximum.accumulate(np.where(moving, index, -1), axis=0)
     source = np.where(later < count, later, earlier)
     angle = np.where(source >= 0, np.take_along_axis(angle, np.maximum(source, 0), axis=0), steer)
-    return angle, np.where(moving, speeds, 0.0).max(axis=1)
+    return angle, np.where(moving, speeds, 0.0)
 
 
 class SteeringGuess:
@@ -204,8 +224,7 @@ class SteeringGuess:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
         leg, steer = self._angles(x0)
         geometry, grid = self.robot.base.geometry, solver.ws.grid
-        ways, _ = _directions(geometry, leg, steer, twists)
-        speeds = np.array([np.hypot(*wheel_velocities(geometry, leg, v).T) for v in twists])
+        ways, speeds = _directions(geometry, leg, steer, twists)
         off = np.abs(_wrapped(ways - solver.ws.x[:, self.robot.state["steer"]])) > OFF
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)

@@ -214,10 +214,16 @@ class _Writer:
 
 # ---------------------------------------------------------------------- from bytes
 def decode(kind: str, data: bytes) -> Any:
-    """The message in CDR bytes; sequences of float64 as arrays, types of float64 alone as one vector."""
+    """The message in CDR bytes; sequences of float64 as arrays, types of float64 alone as one vector.
+
+    Raises :class:`InputError` if they are not a whole message of this type.
+    """
     if data[:4] != _HEADER:
         raise InputError(f"message: only plain little-endian CDR can be read, got header {data[:4].hex()}")
-    return _read(data, 4, kind)[0]
+    try:
+        return _read(data, 4, kind)[0]
+    except (struct.error, ValueError) as error:
+        raise InputError(f"message: {len(data)} bytes are no {kind}: {error}") from error
 
 
 def _read(data: bytes, at: int, kind: str) -> tuple[Any, int]:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import json
-import struct
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Footer, McapRecord, Metadata, Schema
 from mcap.records import Message as Record
-from mcap.stream_reader import StreamReader
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
+from wbmpc.recording.records import MAGIC, records
 
+_LOG = logging.getLogger(__name__)
 #: Fields of a message's header and of its layout: no numbers of their own.
 _SKIPPED = ("header", "layout")
 
@@ -52,6 +52,7 @@ class Table:
 @dataclass
 class Recording:
     """A whole file. ``complete``: whether the run closed it; else it was killed and the last moments are missing.
+    ``damage``: what of it could not be read though it is there, or is not what was written; clauses.
 
     ``attachments``: for each name the time [s] from which it holds, and its bytes.
     """
@@ -61,6 +62,7 @@ class Recording:
     metadata: dict[str, dict[str, str]]
     attachments: dict[str, tuple[float, bytes]]
     complete: bool
+    damage: list[str] = field(default_factory=list)
 
     def __getitem__(self, topic: str) -> Topic:
         if topic not in self.topics:
@@ -82,7 +84,10 @@ class Recording:
         """A JSON file inside the recording."""
         if name not in self.attachments:
             raise InputError(f"{self.path}: holds no '{name}': it was not written by wbmpc")
-        return json.loads(self.attachments[name][1])
+        try:
+            return json.loads(self.attachments[name][1])
+        except ValueError as error:
+            raise InputError(f"{self.path}: its '{name}' is not JSON: it was not written by wbmpc") from error
 
     @property
     def scenes(self) -> list[tuple[float, Any]]:
@@ -138,43 +143,75 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
 
 
 def read(path: Path) -> Recording:
-    """Read a recording; of a file that ends in the middle everything before that.
+    """Read a recording; of a file that ends in the middle everything before that, of a damaged one all that is whole.
 
-    Raises :class:`InputError` when there is no such file, or it is not MCAP.
+    Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not
+    MCAP, or nothing of it can be read.
     """
     if path.is_dir():
         path = path / "run.mcap"
     if not path.is_file():
         raise InputError(f"{path}: there is no such recording")
-    out = Recording(path, {}, {}, {}, False)
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Topic | None] = {}
-    with path.open("rb") as file:
-        try:
-            for record in StreamReader(file).records:
-                _take(out, record, schemas, channels)
-        except (McapError, struct.error, ValueError) as error:
-            if not (out.topics or out.metadata):
-                raise InputError(f"{path}: is not a recording (MCAP): {error or type(error).__name__}") from error
+    data, damage = path.read_bytes(), []  # type: bytes, list[str]
+    if not data.startswith(MAGIC):
+        raise InputError(
+            f"{path}: is not a recording (MCAP): {'it does not begin like one' if data else 'it is empty'}"
+        )
+    out = _Assembly(Recording(path, {}, {}, {}, False, damage)).of(records(data, damage))
+    if not (out.topics or out.metadata):
+        raise InputError(
+            f"{path}: nothing can be read of this recording: {damage[0] if damage else 'it holds nothing yet'}"
+        )
+    if damage:
+        more = f"; and {len(damage) - 1} more like it" if len(damage) > 1 else ""
+        _LOG.warning("%s is damaged, and read without what is not whole: %s%s", path, damage[0], more)
     return out
 
 
-def _take(out: Recording, record: McapRecord, schemas: dict[int, Schema], channels: dict[int, Topic | None]) -> None:
-    if isinstance(record, Schema):
-        schemas[record.id] = record
-    elif isinstance(record, Channel) and record.id not in channels:
-        kind = schemas[record.schema_id].name.replace("/msg/", "/")
-        # other programs' topics may be of types that are not known here
-        known = kind in DEFINITIONS and record.message_encoding == "cdr"
-        channels[record.id] = out.topics.setdefault(record.topic, Topic(kind)) if known else None
-    elif isinstance(record, Record):
-        topic = channels[record.channel_id]
+class _Assembly:
+    """Puts records where they belong."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._out = recording
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, Topic | None] = {}
+        #: Messages whose topic was in a damaged chunk: the file's end says it once more.
+        self._waiting: list[Record] = []
+
+    def of(self, found: Iterable[McapRecord]) -> Recording:
+        """All records, the file's own in their order."""
+        for record in found:
+            self._take(record)
+        for record in self._waiting:
+            self._message(record)
+        lost = sum(record.channel_id not in self._channels for record in self._waiting)
+        if lost:
+            self._out.damage.append(f"{lost} messages are of topics that it does not name")
+        self._out.topics = {name: topic for name, topic in self._out.topics.items() if topic.times}
+        return self._out
+
+    def _take(self, record: McapRecord) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel) and record.id not in self._channels:
+            kind = self._schemas.get(record.schema_id, "").replace("/msg/", "/")
+            # other programs' topics may be of types that are not known here
+            known = kind in DEFINITIONS and record.message_encoding == "cdr"
+            self._channels[record.id] = self._out.topics.setdefault(record.topic, Topic(kind)) if known else None
+        elif isinstance(record, Record):
+            if record.channel_id in self._channels:
+                self._message(record)
+            else:
+                self._waiting.append(record)
+        elif isinstance(record, Metadata):
+            self._out.metadata[record.name] = record.metadata
+        elif isinstance(record, Attachment):
+            self._out.attachments[record.name] = (record.log_time / 1e9, record.data)
+        elif isinstance(record, Footer):
+            self._out.complete = True
+
+    def _message(self, record: Record) -> None:
+        topic = self._channels.get(record.channel_id)
         if topic is not None:
             topic.times.append(record.log_time / 1e9)
             topic.data.append(record.data)
-    elif isinstance(record, Metadata):
-        out.metadata[record.name] = record.metadata
-    elif isinstance(record, Attachment):
-        out.attachments[record.name] = (record.log_time / 1e9, record.data)
-    elif isinstance(record, Footer):
-        out.complete = True

@@ -38,7 +38,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = path.open("wb")
-        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}

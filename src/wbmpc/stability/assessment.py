@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
-from wbmpc.stability.configurations import leg_angles
+from wbmpc.stability.configurations import leg_angles, refuse_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
@@ -111,6 +112,15 @@ def _plain(value: ArrayLike) -> Any:
     return [_plain(v) for v in array]
 
 
+def _arm_angles(robot: RobotModel, arm: ArrayLike) -> Array:
+    angles = np.asarray(arm, float)
+    size = len(robot.state.groups["arm"])
+    if angles.shape != (size,) or not np.isfinite(angles).all():
+        raise InputError(f"arm: {size} finite angles [rad] are needed, got {angles}")
+    refuse_beyond(robot, "arm", angles, "arm")
+    return angles
+
+
 def assess(
     robot: RobotModel,
     configuration: str | Sequence[float] | None = None,
@@ -119,8 +129,9 @@ def assess(
     arm: ArrayLike | None = None,
 ) -> Assessment:
     """The robot at rest: at its home, but with the legs in a ``configuration`` (H, X, A or angles [rad]) and the arm at the
-    angles ``arm`` [rad] if given; the world's ``wrench`` (6) on the hand (force [N], moment [N m]), ``gravity`` (3) [m/s²]
-    in the frame of the ground."""
+    angles ``arm`` [rad] if given; the world's ``wrench`` (6) on the hand (force [N], moment [N m]), ``gravity`` (3) [m/s²],
+    both in the frame of the ground (z along its normal, also on a slope). Raises :class:`InputError` for angles outside the
+    limits."""
     standing(robot)
     x = robot.home.copy()
     name = "home"
@@ -131,6 +142,6 @@ def assess(
         x[leg] = angles
         name = configuration.upper() if isinstance(configuration, str) and len(configuration) == 1 else "angles"
     if arm is not None:
-        x[robot.state["arm"]] = arm
+        x[robot.state["arm"]] = _arm_angles(robot, arm)
     stance = StanceOf(robot)(x, wrench, gravity)
     return Assessment(robot, name, x, stance, overlap_regions(stance.feet))

@@ -31,13 +31,17 @@ def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArr
     if isinstance(configuration, str) and configuration.upper() in CONFIGURATIONS:
         return _named(robot, configuration.upper())
     angles = _parsed(configuration, geometry.modules)
-    part = robot.state["leg"]
-    for name, value, low, high in zip(
-        robot.state.groups["leg"], angles, robot.limits.state_lower[part], robot.limits.state_upper[part], strict=True
-    ):
-        if not low <= value <= high:
-            raise InputError(f"configuration: {name} at {value:g} rad is outside its limits {low:g} to {high:g}")
+    refuse_beyond(robot, "leg", angles, "configuration")
     return angles
+
+
+def refuse_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], what: str) -> None:
+    """Raise :class:`InputError` where an angle [rad] of a joint of the group is outside its limits."""
+    part, names = robot.state[group], robot.state.groups[group]
+    limits = robot.limits.state_lower[part], robot.limits.state_upper[part]
+    for name, value, low, high in zip(names, angles, *limits, strict=True):
+        if not low <= value <= high:
+            raise InputError(f"{what}: {name} at {value:g} rad is outside its limits {low:g} to {high:g}")
 
 
 def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
@@ -60,8 +64,6 @@ def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float
     except ValueError:
         choices = [*CONFIGURATIONS, f"{legs} angles in rad such as {','.join(['0.1'] * legs)}"]
         raise unknown_name("configuration", str(configuration), choices) from None
-    if not np.isfinite(angles).all():
-        raise InputError("configuration: an angle is not a finite number")
-    if angles.shape != (legs,):
-        raise InputError(f"configuration: {legs} angles [rad] are needed, one per leg, got {angles.size}")
+    if angles.shape != (legs,) or not np.isfinite(angles).all():
+        raise InputError(f"configuration: {legs} angles [rad] are needed, finite, one per leg, got {configuration!r}")
     return angles

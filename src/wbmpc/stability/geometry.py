@@ -18,13 +18,16 @@ from wbmpc.errors import InputError
 Array = NDArray[np.float64]
 Triangle = tuple[int, int, int]
 
-#: Twice the area [m²] below which three feet stand on one line.
-_FLAT = 1e-9
+#: Twice the area [m²] below which three feet stand on one line; distance [m] at which a point is on a line, by rounding.
+_FLAT, _ON_LINE = 1e-9, 1e-9
 
 
 def checked_feet(feet: ArrayLike) -> Array:
     """``feet`` as (n, 2) [m], n ≥ 3 and not all on one line, or :class:`InputError`."""
-    points = np.asarray(feet, float)
+    try:
+        points = np.asarray(feet, float)
+    except (TypeError, ValueError):
+        raise InputError(f"feet: at least 3 points (x, y) of finite numbers are needed, got {feet!r}") from None
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
         raise InputError(f"feet: at least 3 points (x, y) of finite numbers are needed, got shape {points.shape}")
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) < 2:
@@ -74,15 +77,17 @@ def edge_distances(polygon: ArrayLike, points: ArrayLike) -> Array:
 def margin(polygon: ArrayLike, points: ArrayLike) -> Array:
     """Signed distance (...) [m] of points (..., 2) to the border of a convex, counter-clockwise polygon (m, 2).
 
-    Positive inside, negative outside; minus infinity for points that are not numbers (no load on the ground).
+    Positive inside, negative outside; minus infinity for points that are not finite (no load on the ground).
     """
     p, q = np.asarray(polygon, float), np.asarray(points, float)
+    known = np.isfinite(q).all(axis=-1)
+    q = np.where(known[..., None], q, 0.0)
     inside = edge_distances(p, q).min(axis=-1)
     along = np.roll(p, -1, axis=0) - p
     offset = q[..., None, :] - p
     share = np.clip(np.sum(offset * along, axis=-1) / np.sum(along * along, axis=-1), 0.0, 1.0)
     outside = np.linalg.norm(offset - share[..., None] * along, axis=-1).min(axis=-1)
-    return np.asarray(np.where(np.isnan(inside), -np.inf, np.where(inside >= 0.0, inside, -outside)))
+    return np.asarray(np.where(known, np.where(inside >= 0.0, inside, -outside), -np.inf))
 
 
 def support_triangles(feet: ArrayLike) -> list[Triangle]:
@@ -122,6 +127,8 @@ def overlap_regions(feet: ArrayLike) -> list[Region]:
     points, triangles = checked_feet(feet), support_triangles(feet)
     pieces = [support_polygon(points)]
     for i, j in combinations(range(len(points)), 2):
+        if np.hypot(*(points[j] - points[i])) < _ON_LINE:  # two feet in one place
+            continue
         pieces = [part for piece in pieces for part in _cut(piece, points[i], points[j])]
     members: dict[tuple[Triangle, ...], list[Array]] = {}
     for piece in pieces:
@@ -135,7 +142,7 @@ def overlap_regions(feet: ArrayLike) -> list[Region]:
 def _cut(polygon: Array, a: Array, b: Array) -> list[Array]:
     """The parts of a convex polygon left and right of the line through a and b; the polygon itself if it does not cut."""
     side = cross(b - a, polygon - a) / np.linalg.norm(b - a)
-    tolerance = 1e-9
+    tolerance = _ON_LINE
     if side.min() > -tolerance or side.max() < tolerance:
         return [polygon]
     left: list[Array] = []
@@ -162,10 +169,10 @@ def triangle_margins(feet: ArrayLike, points: ArrayLike) -> dict[Triangle, Array
 def region_margin(feet: ArrayLike, points: ArrayLike) -> Array:
     """How far (...) [m] points (..., 2) may move in any direction before the robot can change its support triangle.
 
-    The smallest distance to an edge of the triangles the point is in: to the border of its region if that is convex.
-    Negative outside the support polygon (the distance to it), as of :func:`margin`.
+    The smallest distance to an edge of the triangles the point is in: to the border of its region if that is convex. On an
+    edge, as where two diagonals cross, it is 0. Negative outside the support polygon (the distance to it), as of :func:`margin`.
     """
     inside = np.array(list(triangle_margins(feet, points).values()))
-    nearest = np.where(inside > 0.0, inside, np.inf).min(axis=0)
+    nearest = np.where(inside > -_ON_LINE, np.maximum(inside, 0.0), np.inf).min(axis=0)
     outer = margin(support_polygon(feet), points)
     return np.asarray(np.where(outer > 0.0, np.minimum(nearest, outer), outer))

@@ -91,9 +91,15 @@ def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Cros
     """Where zero-moment points (k, 2) at times (k,) leave and enter support triangles, on nominally level ground.
 
     There the robot may rock: it does if one of the triangles that are left has carried it. Linear between samples. A
-    crossing that enters nothing and after which no triangle is left tips the robot over.
+    crossing that enters nothing and after which no triangle is left tips the robot over. Raises :class:`InputError` for
+    times that do not rise and points that are not finite (no load on the ground).
     """
-    t, p, corners = np.asarray(times, float), np.asarray(points, float), checked_feet(feet)
+    t, corners = _rising(times), checked_feet(feet)
+    p = np.asarray(points, float)
+    if p.shape != (t.size, 2) or not np.isfinite(p).all():
+        raise InputError(
+            f"zero-moment points: {t.size} finite points (x, y) are needed, one for each time, got {p.shape}"
+        )
     triangles = support_triangles(corners)
     distances = np.stack([edge_distances(corners[list(k)], p).min(axis=-1) for k in triangles], axis=-1)
     inside = distances > 0.0
@@ -105,6 +111,14 @@ def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Cros
             gone, come = ((triangles[n],), ()) if inside[k, n] else ((), (triangles[n],))
             found.append(Crossing(when, gone, come))
     return _merged(sorted(found, key=lambda c: c.time))
+
+
+def _rising(times: ArrayLike) -> Array:
+    """``times`` (k,) [s], finite and each later than the one before, or :class:`InputError`."""
+    t = np.asarray(times, float)
+    if t.ndim != 1 or not t.size or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
+        raise InputError("times: finite numbers are needed, each larger than the one before")
+    return t
 
 
 def _merged(found: list[Crossing]) -> list[Crossing]:
@@ -138,7 +152,7 @@ def support_switches(
     Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
     its zero-moment point before it tilted, or else on the one that it stands on more firmly.
     """
-    t, points = np.asarray(times, float), checked_feet(feet)
+    t, points = _rising(times), checked_feet(feet)
     faces = resting_triangles(points, heights)
     forces: dict[Triangle, Array] = {}
     for face in faces:

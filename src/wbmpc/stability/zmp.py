@@ -21,7 +21,10 @@ _NOTHING = (0.0, 0.0, 0.0)
 
 
 def _vector(name: str, value: ArrayLike) -> Array:
-    vector = np.asarray(value, float)
+    try:
+        vector = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: 3 finite numbers are needed, got {value!r}") from None
     if vector.shape[-1:] != (3,) or not np.isfinite(vector).all():
         raise InputError(f"{name}: 3 finite numbers are needed, got {np.array2string(vector, threshold=8)}")
     return vector
@@ -60,7 +63,14 @@ class Load:
 
 
 def slope_gravity(slope: float, uphill: float = 0.0, size: float = 9.81) -> Array:
-    """Gravity (3) [m/s²] in the frame of ground that rises by ``slope`` [rad] towards the direction ``uphill`` [rad]."""
+    """Gravity (3) [m/s²] in the frame of ground that rises by ``slope`` [rad] towards the direction ``uphill`` [rad].
+
+    Raises :class:`InputError` for slopes of a quarter turn or more, on which nothing stands.
+    """
+    if not (abs(slope) < 0.5 * np.pi and np.isfinite(uphill) and 0.0 < size < np.inf):
+        raise InputError(
+            f"slope: less than 1.57 rad and a finite direction are needed, got {slope:g}, {uphill:g} rad ({size:g} m/s²)"
+        )
     s = np.sin(slope)
     return -size * np.array([s * np.cos(uphill), s * np.sin(uphill), np.cos(slope)])
 

@@ -58,7 +58,10 @@ class Film:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        scenes = [(t, Scene.of_plain(plain)) for t, plain in recording.scenes]
+        try:
+            scenes = [(t, Scene.of_plain(plain)) for t, plain in recording.scenes]
+        except (KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"{recording.path}: its scene was not written by wbmpc ({error})") from error
         if not recording.topics.get("/tf") or not scenes:
             raise InputError(f"{recording.path}: holds no frames (/tf) or no scene to draw")
         self._stages = Stages(tuple(t for t, _ in scenes), tuple(scene for _, scene in scenes))
