@@ -82,7 +82,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         if poses is not None:
             poses.look()
             silent = max(silent, time.monotonic() - max(poses.at, begin))
-        time.sleep(0.02)
+        time.sleep(0.02 if poses is not None else max(listen, _DISCOVERY))
     found: list[Finding] = []
     for topic, (kind, _) in wanted.items():
         if topic == "/clock" and not settings.use_sim_time:
