@@ -122,6 +122,12 @@ def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
     legs.stop()
     answer = ask(robot, {"leg": list(LEGS), "brake_open": [True] * 4})
     assert not answer.success and "nothing would hold the base against sideways" in answer.message
+    answer = ask(robot, {"leg": list(LEGS), "angle": [0.6] * 4})  # all parallel on the whole way
+    assert (
+        not answer.success
+        and "nothing would hold the base against" in answer.message
+        and "on the way" in answer.message
+    )
     robot.said.clear()
     told = lambda: [s.message for m in robot.said for s in m.status]
     assert robot.until(lambda: any("nothing would hold the base" in text for text in told()))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.control import BrakeControl
-from wbmpc.control.brakes import refuse_floating
+from wbmpc.control.brakes import refuse_floating, refuse_floating_way
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
@@ -153,11 +153,19 @@ class Legs:
                 goal = np.where(np.isnan(goal), self._order[0], goal)
                 brake = np.where(np.isnan(brake), self._order[1], brake)
             if (now := self._now()) is not None:
-                moving, state = self._outcome(goal, brake, now[0])
-                if not moving.any():
-                    refuse_floating(self.robot.base.geometry, now[1], state)
+                self._refuse(goal, *self._outcome(goal, brake, now[0]), now[1])
             self._order = goal, brake
         self.refused = ""
+
+    def _refuse(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
+        """Raise :class:`InputError` where open legs would hold the base against nothing, at rest or for long on the way."""
+        geometry = self.robot.base.geometry
+        if not moving.any():
+            refuse_floating(geometry, leg, state)
+            return
+        before = leg if self.angles is None else self.angles
+        there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
+        refuse_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
         """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""
