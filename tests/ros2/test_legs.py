@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -170,3 +170,21 @@ def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
     assert got[0][4:20] == struct.pack("<Qq", 0x1122334455667788, 7) and got[0][20] == 0  # not done: there is no Q
     length = struct.unpack_from("<I", got[0], 24)[0]
     assert b"unknown configuration 'Q'" in got[0][28 : 28 + length]
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "message"),
+    [
+        ("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_LF"], "position": [np.nan]}),
+        ("/leg_configuration", "std_msgs/msg/String", {"data": "nan,nan,nan,nan"}),
+    ],
+)
+def test_an_angle_that_is_no_number_starts_nobody(
+    pair: Callable[..., Any], topic: str, kind: str, message: dict[str, Any]
+) -> None:
+    p = pair()
+    p.ready()
+    p.send(topic, kind, message)
+    assert p.until(lambda: "finite" in p.control.legs.refused), p.control.legs.refused
+    p.run(0.05)
+    assert p.control.runner is None

@@ -97,7 +97,7 @@ class Legs:
         self.refused = sentence
 
     def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
-        """A configuration by name or angles, or single legs: ``angles`` (not a number: as it is), brakes; what will be done."""
+        """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
         n = len(self.names)
         goal, brake = np.full(n, np.nan), np.full(n, np.nan)
         if configuration:
@@ -114,6 +114,8 @@ class Legs:
                 or open_.size not in (0, len(legs))
             ):
                 raise InputError("legs: a configuration, or different legs with as many angles or brakes, are needed")
+            if not np.isfinite(angle).all():
+                raise InputError("legs: an angle is not a finite number")
             if angle.size:
                 goal[places] = angle
             if open_.size:
