@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball ball-rivals ball-robustness door push-map rates frequency lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -84,7 +84,11 @@ ball: $(VENV)/.installed
 	  rezero-steps rezero-push-ball rezero-push-hand rezero-wholebody rezero-taskspace rezero-circle rezero-door \
 	  rezero-frequency $(BALL_ARGS)
 
-# gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on)
+# gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on);
+# `make regulators`: those of the regulators of the push map, most of it on the model alone
+regulators: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/regulator_search.py --file runs/regulators.jsonl $(REGULATORS_ARGS)
+
 ball-rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --search all --file runs/ball-rivals.jsonl
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rezero_rivals.py --file runs/ball-rivals.jsonl $(RIVALS_ARGS)
@@ -112,6 +116,10 @@ push-map: $(VENV)/.installed
 # the MPC's rate, 80 to 1000 Hz: push recovery and hand error of the ball robot (minutes; goes on where it stopped)
 rates: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rates.py $(RATES_ARGS)
+
+# the weight of the hand's twist, 0.1 to 100 times the default: rise time, steady error, tilt (minutes; goes on where it stopped)
+twist: $(VENV)/.installed
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/twist.py $(TWIST_ARGS)
 
 # torque tracking of elastic drives, plain and frequency-aware, against the hand's rise time (minutes; goes on where it stopped)
 frequency: $(VENV)/.installed

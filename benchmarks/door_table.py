@@ -17,6 +17,7 @@ import numpy as np
 
 from wbmpc.experiments.rezero_door import DOORS, RezeroDoorSettings, push_door, trial_metrics
 from wbmpc.experiments.rezero_door_problem import DoorScheme
+from wbmpc.reproduce import parse_seeds
 
 #: Which parts of the scheme are on. "paper": the wrench is a free input (Minniti et al. 2019).
 SCHEMES = {
@@ -75,19 +76,18 @@ def tables(runs: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", default="200-200", help="first-last")
+    parser.add_argument("--seeds", default="200-200", help="as 200-203 or 200,205")
     parser.add_argument("--doors", nargs="+", choices=list(DOORS), default=list(DOORS))
     parser.add_argument("--forces", nargs="+", type=float, default=[8.0, 16.0, 24.0])
     parser.add_argument("--schemes", nargs="+", choices=list(SCHEMES), default=list(SCHEMES))
     parser.add_argument("--file", type=Path, default=Path("door_table.jsonl"))
     given = parser.parse_args()
-    first, last = (int(s) for s in given.seeds.split("-"))
     runs = [json.loads(line) for line in given.file.read_text().splitlines()] if given.file.exists() else []
     key = lambda r: (r["scheme"], r["door"], r["force"], r["seed"])
     done = {key(r) for r in runs}
     todo = [
         (scheme, door, force, seed)
-        for seed in range(first, last + 1)
+        for seed in parse_seeds(given.seeds)
         for door in given.doors
         for force in given.forces
         for scheme in given.schemes

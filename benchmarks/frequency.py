@@ -9,11 +9,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from study import Figures, Kept, drawing, seeds_of
+from study import Figures, Kept, drawing
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
 from wbmpc.experiments.rezero_frequency import RezeroFrequencySettings, torque_error
+from wbmpc.reproduce import parse_seeds
 
 NAME = "rezero-frequency"
 PLAIN = (1.0, 3.0, 10.0, 30.0)
@@ -47,7 +48,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="200-202")
     parser.add_argument("--out", type=Path, default=Path("runs/frequency"))
     given = parser.parse_args()
-    kept, seeds = Kept(given.out / "frequency.json"), seeds_of(given.seeds)
+    kept, seeds = Kept(given.out / "frequency.json"), parse_seeds(given.seeds)
     found: dict[str, dict[str, list[Figures]]] = {}
     for curve, settings in variants().items():
         found[curve] = {label: [kept.run(NAME, s, seed) for seed in seeds] for label, s in settings.items()}

@@ -11,9 +11,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from study import Figures, Kept, drawing, seeds_of
+from study import Figures, Kept, drawing
 
 from wbmpc.experiments.push_map import Point, impulse_at_failure, simulated
+from wbmpc.reproduce import parse_seeds
 
 RATES = (80.0, 200.0, 400.0, 1000.0)
 DELAYS = {"delay of one period": None, "same delay, 10 ms": 0.010}
@@ -38,7 +39,7 @@ def limits(kept: Kept, given: list[str], seed: int) -> list[float]:
     return [kept.get(p.key, lambda p=p: {"stands": impulse_at_failure(p, simulated)[0]})["stands"] for p in points]
 
 
-def measured(kept: Kept, rate: float, delay: float | None, seeds: range) -> Figures:
+def measured(kept: Kept, rate: float, delay: float | None, seeds: list[int]) -> Figures:
     """Medians over the seeds."""
     given, rows = settings(rate, delay), []
     for seed in seeds:
@@ -67,7 +68,7 @@ def main() -> None:
     parser.add_argument("--same-delay", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("runs/rates"))
     given = parser.parse_args()
-    kept, seeds = Kept(given.out / "rates.json"), seeds_of(given.seeds)
+    kept, seeds = Kept(given.out / "rates.json"), parse_seeds(given.seeds)
     found: dict[str, list[Figures]] = {}
     for name, delay in list(DELAYS.items())[: 2 if given.same_delay else 1]:
         found[name] = []

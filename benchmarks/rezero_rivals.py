@@ -1,7 +1,7 @@
 """The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square] [--draws 3] [--first 0] [--seeds 200-203]
-       [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
+Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square | map-hand | map-ball] [--draws 3]
+       [--first 0] [--seeds 200-203] [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
 """
 
@@ -17,9 +17,13 @@ import numpy as np
 
 from wbmpc.configuration import configure
 from wbmpc.experiments import REGISTRY
+from wbmpc.experiments.push_map import Point, impulse_at_failure, simulated
 from wbmpc.reproduce import parse_seeds
 
-REGULATOR = {"hand": (0.01, 1.0), "torque": (0.3, 30.0), "damping": (0.3, 30.0), "most": (0.03, 0.5)}
+REGULATOR = {
+    "hand": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),
+    "most": (0.03, 1.0),
+}  # fmt: skip
 SEPARATE = {
     "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.01, 2.0), "pace": (4.0, 40.0),
     "integral": (0.1, 6.0),
@@ -93,6 +97,17 @@ class Store:
                 file.write(json.dumps(self.done[self._key(row)]) + "\n")
         return self.done[self._key(row)]
 
+    def stands(self, point: Point) -> float:
+        """Impulse [N s] that a robot stands, to ``ROUGH``, from the file if it is there."""
+        push = [f"{point.direction:.4f} rad", f"{point.length:g} s", *point.given]
+        row: dict[str, Any] = {"name": f"push-map-{point.mode}", "seed": point.seed, "settings": push}
+        if self._key(row) not in self.done:
+            least = impulse_at_failure(point, simulated, ROUGH)[0]
+            self.done[self._key(row)] = row | {"reason": "", "metrics": {"stands": least}}
+            with self._file.open("a") as file:
+                file.write(json.dumps(self.done[self._key(row)]) + "\n")
+        return value(self.done[self._key(row)], "stands")
+
 
 def value(row: dict[str, Any], metric: str) -> float:
     """A figure of a run; infinite for one that is not finite."""
@@ -119,18 +134,34 @@ def square_loss(store: Store, given: list[str], seed: int) -> float:
     return float(20.0 * value(run, "fell") + sum(min(e / 0.02, 20.0) for e in errors))
 
 
-#: What a search makes small, by task: its loss, and an experiment whose settings have the gains that there are.
-TASKS: dict[str, tuple[Callable[[Store, list[str], int], float], str]] = {
-    "pushes": (pushes_loss, "rezero-push-hand"),
-    "square": (square_loss, "rezero-wholebody"),
+def map_loss(mode: str) -> Callable[[Store, list[str], int], float]:
+    """Of the push map with hand or ball held: minus the mean impulse [N s] that the robot stands."""
+
+    def loss(store: Store, given: list[str], seed: int) -> float:
+        return -float(np.mean([store.stands(Point(mode, a, LENGTH, seed, tuple(given))) for a in DIRECTIONS]))
+
+    return loss
+
+
+#: Pushes of the search for the map: directions [rad] between axes and diagonals, length [s], where a bisection ends [N s].
+DIRECTIONS, LENGTH, ROUGH = tuple(np.deg2rad([22.5, 112.5, 202.5, 292.5]).tolist()), 0.2, 20.0
+NOISY = ("estimator=truth",)
+#: What a search makes small, by task: its loss, an experiment whose settings have the gains that there are, settings of its runs.
+TASKS: dict[str, tuple[Callable[[Store, list[str], int], float], str, tuple[str, ...]]] = {
+    "pushes": (pushes_loss, "rezero-push-hand", NOISY),
+    "square": (square_loss, "rezero-wholebody", NOISY),
+    "map-hand": (map_loss("hand"), "rezero-push-hand", ()),
+    "map-ball": (map_loss("ball"), "rezero-push-ball", ()),
 }
 
 
 def loss(store: Store, task: str, controller: str, gains: dict[str, float], seed: int) -> float:
     """Of a task with these gains."""
     key = controller.replace("-", "_")
-    given = [f"controller={controller}", "estimator=truth", *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())]
-    return TASKS[task][0](store, given, seed)
+    function, _, settings = TASKS[task]
+    return function(
+        store, [f"controller={controller}", *settings, *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())], seed
+    )
 
 
 def candidate(

@@ -14,12 +14,6 @@ from wbmpc.experiments import REGISTRY
 Figures = dict[str, float]
 
 
-def seeds_of(text: str) -> range:
-    """``first-last`` as a range."""
-    first, last = (int(s) for s in text.split("-"))
-    return range(first, last + 1)
-
-
 class Kept:
     """Figures of runs by name in a JSON file."""
 

@@ -7,7 +7,7 @@ import pytest
 
 from toys import robot
 from wbmpc.control import BrakeControl
-from wbmpc.control.brakes import FLOATING, floating
+from wbmpc.control.brakes import FLOATING, floating, refuse_floating_way
 from wbmpc.errors import InputError
 from wbmpc.experiments.mission import Mission, Reconfiguration
 from wbmpc.model import wheel_velocities
@@ -55,6 +55,19 @@ def test_opening_in_h_is_refused_unless_the_legs_move() -> None:
     assert not brakes.commanded(2.0).any()
     brakes.set(1.0, OPEN, leg=leg_angles(SWERVE, "A"))
     assert brakes.commanded(2.0).all()
+
+
+def test_legs_may_pass_h_quickly_but_not_turn_all_parallel() -> None:
+    """Legs that turn by the same angle from H are parallel all the way; to the mirror of X they pass H quickly."""
+    x, fast = leg_angles(SWERVE, "X"), np.full(4, 0.4)
+    refuse_floating_way(G, x, -x, OPEN, fast)
+    refuse_floating_way(G, np.zeros(4), x, OPEN, fast)
+    refuse_floating_way(G, np.zeros(4), np.zeros(4), OPEN, fast)  # there already: its brakes close
+    with pytest.raises(InputError, match=r"on the way to .* nothing would hold the base against .* for more than 1 s"):
+        refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), OPEN, fast)
+    refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), [1, 1, 1, 0], fast)
+    with pytest.raises(InputError, match=r"against (turning|sideways) for"):
+        refuse_floating_way(G, x, -x, OPEN, 0.03 * fast)
 
 
 def test_a_mission_may_pass_h_but_not_stay_there() -> None:

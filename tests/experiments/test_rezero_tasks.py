@@ -38,6 +38,8 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
         now = np.argmin(np.abs(t - (1.5 + 6.0 * k + 0.2)))
         assert 0.1 < state[now, speed + axis] < 0.9
         assert abs(state[now, speed + 1 - axis]) < 0.1
+    (shown,) = (p for p in result.plots if p.title.startswith("Pushes"))
+    assert [np.trapezoid(s.y, s.x) for s in shown.series] == pytest.approx([12.0, 12.0], rel=0.01)
 
 
 @pytest.mark.parametrize("controller", ["lqr", "scheduled-lqr"])
@@ -107,6 +109,12 @@ def test_unknown_load_leaves_no_offset() -> None:
     assert 1e-4 < m["steady_hand_error_max"] < 0.006
     assert m["steady_ball_offset_max"] < 0.02
     assert 0.0 < m["feedback_share"] < 0.3
+    joint, ratio = (p for p in result.plots if "Fig. 7" in p.title)
+    whole, forward, back = (s.y for s in joint.series)
+    np.testing.assert_allclose(forward + back, whole, atol=1e-9)
+    large = np.abs(whole) > 1.0
+    assert large.mean() > 0.5
+    np.testing.assert_allclose(ratio.series[0].y[large], 100.0 * np.abs(back / whole)[large])
 
 
 def test_the_square_has_sides_of_25_cm() -> None:

@@ -71,6 +71,13 @@ def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[
     assert 0.5 < m["wheel_torque_max"] <= 4.0 + 1e-9
     assert 1e-3 < m["steady_orientation_error_max"] < 0.5
     assert 0.1 < m["unreachable_rotation_error"] < np.pi / 6 + 0.1
+    (turns,) = (p for p in steps.plots if "orientation against home" in p.title)
+    before_it_leaves = (
+        STEPS.settle + 7 * STEPS.hold - STEPS.mpc.horizon - 0.2
+    )  # the seventh step is 30 degrees about the vertical
+    at = {s.name: float(np.interp(before_it_leaves, s.x, s.y)) for s in turns.series}
+    assert at["about z asked"] == pytest.approx(30.0) and at["about x asked"] == pytest.approx(0.0, abs=1e-9)
+    assert at["about z"] == pytest.approx(30.0, abs=3.0) and abs(at["about y"]) < 3.0
 
 
 def same(a, b) -> None:  # type: ignore[no-untyped-def]

@@ -97,8 +97,9 @@ def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
     policy = mpc.update(Observation(2.0, START))
     box = Mailbox(Sizes.of(mpc.ocp).policy())
     box.write(
-        observed=0.0, valid_from=0.0, ready=0.0, observation=1, times=policy.times, x=policy.x, u=policy.u,
-        gain=policy.gain, lower=mpc.limits.lower, upper=mpc.limits.upper,
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, passed=0.0, times=policy.times, x=policy.x, u=policy.u,
+        gain=policy.gain, lower=mpc.limits.lower, upper=mpc.limits.upper, matrix=mpc.limits.matrix, offset=mpc.limits.offset,
+        active=np.zeros((20, 0)),
     )  # fmt: skip
     taken = TimedPolicy.take(box)
     assert taken is not None and taken.limits is not None
@@ -145,3 +146,96 @@ def test_the_runner_holds_the_bounds_and_counts(caplog: pytest.LogCaptureFixture
     outside = (asked > UPPER + 1e-8) | (asked < LOWER - 1e-8)
     assert sent.min() == LOWER and sent.max() <= UPPER
     assert 0 < report.clamped == outside.sum() < 20
+
+
+# ---------------------------------------------------------------------- rows of several inputs, bounds of some modes
+SUM = 1.2
+
+
+def planes() -> OptimalControlProblem:
+    """u0 + 2 u1 ≤ SUM always, |u1| ≤ 0.1 in mode "narrow", u0² + u1² ≤ 9 (curved: in the plan only)."""
+    return trolley(
+        Constraint("sum", Rows(1, lambda s: SUM - s.u[0] - 2.0 * s.u[1]), NonNegative(), hard=True),
+        Constraint("mode", Rows(1, lambda s: s.u[1]), Box(-0.1, 0.1), hard=True, modes=("narrow",)),
+        Constraint("disc", Rows(1, lambda s: 9.0 - s.u[0] ** 2 - s.u[1] ** 2), NonNegative(), hard=True),
+        Constraint("with state", Rows(1, lambda s: 9.0 - s.u[0] - s.x[0]), NonNegative(), hard=True),
+    )
+
+
+@pytest.fixture(scope="module")
+def several() -> MPC:
+    found = MPC(planes(), rate=50.0, first_iterations=10)
+    found.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
+    found.reset(START)
+    return found
+
+
+def slacks(u: np.ndarray, narrow: bool) -> np.ndarray:
+    """As typed in above; bounds of u0 last."""
+    return np.array(
+        [
+            SUM - u[0] - 2.0 * u[1],
+            0.1 - u[1] if narrow else 1.0,
+            0.1 + u[1] if narrow else 1.0,
+            u[0] - LOWER,
+            UPPER - u[0],
+        ]
+    )
+
+
+@pytest.mark.parametrize("t", [0.0, 0.7])
+def test_feedback_is_scaled_back_to_rows_of_several_inputs(several: MPC, t: float) -> None:
+    """By as little as holds them, and each time is counted; a push that asks for nothing outside is left alone."""
+    policy, narrow, cut = several.update(Observation(0.0, START)), t > 0.5, 0
+    k = int(np.searchsorted(policy.times, t + 1e-9, side="right")) - 1
+    for push in ([2.0, 8.0], [-2.0, -8.0], [-0.3, -0.5], [0.0, 1e-4]):
+        x = policy.state(t) + np.array(push)
+        asked = np.clip(policy.law(t, x), [LOWER, -np.inf], [UPPER, np.inf])
+        outside = slacks(asked, narrow).min() < -1e-9
+        before, given = several.limits.count, policy(t, x)
+        assert slacks(given, narrow).min() > -1e-9
+        assert several.limits.count - before == (outside or not np.allclose(asked, policy.law(t, x)))
+        cut += outside
+        shares = (given - policy.u[k])[asked != policy.u[k]] / (asked - policy.u[k])[asked != policy.u[k]]
+        np.testing.assert_allclose(shares, shares[0], rtol=1e-9)  # along the line from the plan
+        if outside:
+            assert slacks(given, narrow).min() < 1e-9 and 0.0 <= shares[0] < 1.0  # not more than needed
+        else:
+            np.testing.assert_array_equal(given, asked)
+    assert cut >= 1
+
+
+def test_the_plan_itself_is_not_cut(several: MPC) -> None:
+    policy = several.update(Observation(0.0, START))
+    before = several.limits.count
+    for t in np.linspace(0.0, 1.0, 30):
+        np.testing.assert_array_equal(policy(t), policy.feedforward(t))
+    assert several.limits.count == before
+
+
+def test_rows_travel_with_the_policy(several: MPC) -> None:
+    policy = several.update(Observation(0.0, START))
+    sizes = Sizes.of(several.ocp)
+    assert sizes.rows == 3
+    box = Mailbox(sizes.policy())
+    box.write(
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, passed=0.0, times=policy.times, x=policy.x, u=policy.u,
+        gain=policy.gain, lower=several.limits.lower, upper=several.limits.upper, matrix=several.limits.matrix,
+        offset=several.limits.offset, active=policy.active,
+    )  # fmt: skip
+    taken = TimedPolicy.take(box)
+    assert taken is not None and taken.limits is not None
+    for t in (0.0, 0.7):
+        x = policy.state(t) + [-2.0, -8.0]
+        np.testing.assert_array_equal(taken(t, x), policy(t, x))
+    assert taken.limits.count == 2
+
+
+def test_a_plan_at_its_row_gives_nothing_and_one_beyond_is_not_made_worse() -> None:
+    limits = InputLimits(np.full(2, -9.0), np.full(2, 9.0), np.array([[-1.0, -1.0]]), np.array([1.0]))
+    for planned in ([0.5, 0.5], [0.5, 0.5005]):
+        np.testing.assert_array_equal(limits.hold(np.array([3.0, 0.5]), np.array(planned)), planned)
+        inside = np.array([0.2, 0.2])
+        np.testing.assert_array_equal(limits.hold(inside.copy(), np.array(planned)), inside)
+    np.testing.assert_allclose(limits.hold(np.array([2.0, 0.0]), np.zeros(2)), [1.0, 0.0])
+    assert limits.count == 3

@@ -262,6 +262,36 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
         "0.500 s: command.u is not finite",
         False,
     ),
+    "command NaN": (
+        lambda r: late_command(r, lambda: Force(np.array([np.nan]))),
+        "0.500 s: command.u is not finite",
+        False,
+    ),
+    "command of another size": (
+        lambda r: late_command(r, lambda: Force(np.zeros(2))),
+        r"0.500 s: command.u has shape \(2,\), the first one had \(1,\)",
+        False,
+    ),
+    "no numbers at all": (
+        lambda r: late_command(r, lambda: Force(np.zeros(0))),
+        r"0.500 s: command.u has shape \(0,\), the first one had \(1,\)",
+        False,
+    ),
+    "no command": (
+        lambda r: late_command(r, lambda: None),
+        "0.500 s: the agent gave no command",
+        False,
+    ),
+    "no numbers": (
+        lambda r: late_command(r, lambda: Force("fast")),  # type: ignore[arg-type]
+        "0.500 s: command.u is not made of numbers, got 'fast'",
+        False,
+    ),
+    "another kind of command": (
+        lambda r: late_command(r, lambda: np.zeros(1)),
+        "0.500 s: command is of type ndarray, the first one was a Force",
+        False,
+    ),
 }
 
 

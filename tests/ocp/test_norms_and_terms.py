@@ -100,8 +100,8 @@ def test_bad_norms(make) -> None:  # type: ignore[no-untyped-def]
 ROW = Rows(2, lambda s: s.u[0:2])
 
 
-def problem(*terms) -> OptimalControlProblem:  # type: ignore[no-untyped-def]
-    ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 2)
+def problem(*terms, **more) -> OptimalControlProblem:  # type: ignore[no-untyped-def]
+    ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 2, **more)
     for term in terms:
         ocp.add(term)
     return ocp
@@ -221,18 +221,43 @@ def test_modes_are_checked() -> None:
 
 
 def test_terms_and_schedules_agree_on_the_modes() -> None:
-    """Checked when a schedule is set; before that there is none to compare with."""
-    ocp = problem(Cost("a", ROW), Cost("b", ROW, modes=("opn",)))
-    ocp.add(Cost("c", ROW, modes=("half", "open")))
-    solver = Solver(ocp, SQP(backend="interpreted"))
-    solver.solve(np.zeros(2))
+    """Checked when a schedule is set, and before the first solve without one: every name, for one that is never there is silent."""
     closed, opened = Mode("closed"), Mode("open")
+    for modes in (("opn",), ("closed", "opn")):
+        solver = Solver(problem(Cost("a", ROW), Cost("b", ROW, modes=modes)), SQP(backend="interpreted"))
+        with pytest.raises(
+            InputError, match=r"term 'b', modes: unknown mode 'opn' \(did you mean 'open'\?\); valid: closed, open"
+        ):
+            solver.set_schedule(ModeSchedule((closed, opened, closed), (1.0, 2.0)))
+        with pytest.raises(
+            InputError, match=r"term 'b', modes \(no mode schedule is set\): unknown mode .*; valid: default"
+        ):
+            solver.solve(np.zeros(2))
+    Solver(problem(Cost("b", ROW, modes=("open", "closed"))), SQP(backend="interpreted")).set_schedule(
+        ModeSchedule((closed, opened), (1.0,))
+    )
+
+
+def test_declared_modes_may_come_later() -> None:
+    """A problem that says which modes there are takes any schedule of them, one after the other."""
+    closed, opened, half = Mode("closed"), Mode("open"), Mode("half")
+    ocp = problem(Cost("b", ROW, modes=("half", "open")), modes=("closed", "half", "open"))
+    solver = Solver(ocp, SQP(backend="interpreted"))
+    solver.solve(np.zeros(2))  # in none of them
+    for schedule in (ModeSchedule((closed,)), ModeSchedule((closed, half), (1.0,)), ModeSchedule((opened,))):
+        solver.set_schedule(schedule)
+        assert solver.schedule is schedule
     with pytest.raises(
-        InputError, match=r"term 'b', modes: unknown mode 'opn' \(did you mean 'open'\?\); valid: closed, open"
+        InputError, match=r"mode schedule: unknown mode 'opn' \(did you mean 'open'\?\); valid: closed, half, open"
     ):
-        solver.set_schedule(ModeSchedule((closed, opened, closed), (1.0, 2.0)))
-    del ocp.terms["b"]
-    Solver(ocp, SQP(backend="interpreted")).set_schedule(ModeSchedule((closed, opened), (1.0,)))
+        solver.set_schedule(ModeSchedule((Mode("opn"),)))
+    ocp.add(Cost("c", ROW, modes=("hafl",)))
+    with pytest.raises(
+        InputError, match=r"term 'c', modes: unknown mode 'hafl' \(did you mean 'half'\?\); valid: closed, half"
+    ):
+        Solver(ocp, SQP(backend="interpreted")).set_schedule(ModeSchedule((half,)))
+    with pytest.raises(InputError, match="modes: a sequence of names is needed, got 'open'"):
+        problem(modes="open")
 
 
 def test_brakes_are_open_or_closed() -> None:

@@ -94,7 +94,7 @@ def test_a_good_robot(robot: Any, looker: Any) -> None:
     known(looker, ("/joint_states",), commands(*GROUPS))
     f = found(looker)
     end.set()
-    assert f["/joint_states"][0] in ("ok", "warning")  # a busy machine may be irregular
+    assert f["/joint_states"][0] in ("ok", "warning"), f["/joint_states"]  # a busy machine may be irregular
     assert "missing" not in f["/joint_states"][1]
     assert all(f[f"/{g}_controller/commands"] == ("ok", "1 listening") for g in GROUPS)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -122,6 +122,12 @@ def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
     legs.stop()
     answer = ask(robot, {"leg": list(LEGS), "brake_open": [True] * 4})
     assert not answer.success and "nothing would hold the base against sideways" in answer.message
+    answer = ask(robot, {"leg": list(LEGS), "angle": [0.6] * 4})  # all parallel on the whole way
+    assert (
+        not answer.success
+        and "nothing would hold the base against" in answer.message
+        and "on the way" in answer.message
+    )
     robot.said.clear()
     told = lambda: [s.message for m in robot.said for s in m.status]
     assert robot.until(lambda: any("nothing would hold the base" in text for text in told()))
@@ -164,3 +170,21 @@ def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
     assert got[0][4:20] == struct.pack("<Qq", 0x1122334455667788, 7) and got[0][20] == 0  # not done: there is no Q
     length = struct.unpack_from("<I", got[0], 24)[0]
     assert b"unknown configuration 'Q'" in got[0][28 : 28 + length]
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "message"),
+    [
+        ("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_LF"], "position": [np.nan]}),
+        ("/leg_configuration", "std_msgs/msg/String", {"data": "nan,nan,nan,nan"}),
+    ],
+)
+def test_an_angle_that_is_no_number_starts_nobody(
+    pair: Callable[..., Any], topic: str, kind: str, message: dict[str, Any]
+) -> None:
+    p = pair()
+    p.ready()
+    p.send(topic, kind, message)
+    assert p.until(lambda: "finite" in p.control.legs.refused), p.control.legs.refused
+    p.run(0.05)
+    assert p.control.runner is None

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+import time
 
 import pytest
-from needs import needs_dds, private, wait_until
+from needs import everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
 from wbmpc.ros2 import LATCHED, Network, open_node
@@ -28,6 +31,7 @@ def test_ranges_become_settings_of_the_middleware() -> None:
     assert "<AllowMulticast>false<" in local and '<Peer address="localhost"/>' in local
     off = Network(reach="OFF").cyclone()
     assert "<Tag>ros_discovery_off_" in off and "Peer " not in off
+    assert "<LeaseDuration>3 s</LeaseDuration><SPDPInterval>0.5 s</SPDPInterval>" in off
     assert Network(reach="SYSTEM_DEFAULT", extra="file:///x.xml").cyclone() == "file:///x.xml"
     assert Network(peers=("192.0.2.7",), extra="<X/>").cyclone().endswith("</CycloneDDS>,<X/>")
 
@@ -73,3 +77,31 @@ def test_one_process_has_one_configuration_of_a_domain() -> None:
     open_node("first", "dds", Network.of(one)).close()
     with pytest.raises(InputError, match="domain 43 is open in this process with other settings"):
         open_node("second", "dds", Network.of({**one, "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}))
+
+
+VICTIM = """
+import time
+from wbmpc.ros2 import open_node
+node = open_node("victim", "dds")
+publisher = node.publisher("/victim", "std_msgs/msg/String")
+time.sleep(600.0)
+"""
+
+
+@needs_dds
+def test_a_killed_process_leaves_the_bus_soon() -> None:
+    """SIGKILL: nobody says goodbye. DDS's own default is 10 s; by the wall's clock, so with room for a busy machine."""
+    environment = everything()
+    node = open_node("looks", "dds", Network.of(environment))
+    victim = subprocess.Popen([sys.executable, "-c", VICTIM], env=environment)
+    try:
+        assert wait_until(lambda: node.publishers("/victim"))
+        time.sleep(1.0)
+        victim.kill()
+        begin = time.monotonic()
+        assert wait_until(lambda: not node.publishers("/victim"))
+        assert time.monotonic() - begin < 6.0
+    finally:
+        victim.kill()
+        victim.wait()
+        node.close()

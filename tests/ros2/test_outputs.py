@@ -171,6 +171,8 @@ def test_a_wrench_in_a_wrong_frame_or_without_numbers_is_refused(made: Callable[
         ("hand", {}, "the wrench is in the frame 'hand'; valid: odom"),
         ("odom", {"torque": {"x": float("nan")}}, "not finite"),
         ("odom", {"force": {"x": float("inf")}}, "not finite"),
+        ("odom", {"force": {"x": 20.0}}, "a force of 20 N is too much; valid: 0 to 10 (key 'wrench.force')"),
+        ("odom", {"torque": {"z": -3.0}}, "a moment of 3 N m is too much; valid: 0 to 2 (key 'wrench.moment')"),
     ):
         s.send("/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": head}, "wrench": wrench})
         assert s.until(lambda t=says: t in s.control.inbox.refused), s.control.inbox.refused

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -186,3 +187,29 @@ def test_a_controller_and_a_driver_that_hang_in_real_time() -> None:
         bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 60.0)
         assert "stopped" in bus.said
         assert np.ptp(np.array(recorder.rows["base"])[-20:, 1]) < 1e-3
+
+
+@pytest.mark.wallclock
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_killed_simulator_in_real_time(simulated: bool) -> None:
+    """SIGKILL of the process while the base drives, by the wall's clock and with simulated time: by the controller's own steady
+    clock it stops when states have been missing for the watchdog's 0.3 s, and is at rest after the ramp. Another process sees the
+    last state and the last command that is not zero; 0.3 s are for a busy machine."""
+    settings = {"use_sim_time": simulated, "rates": {"control": 100}, "safety": {"watchdog": 0.3, "policy": 10.0}}
+    with open_bus(75 + simulated, SEED, lockstep=False, settings=settings) as bus:
+        states, moving = [], []
+        bus.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", lambda m: states.append(time.monotonic()))
+        wheel = lambda m: moving.append(time.monotonic()) if np.abs(m.data).max() > 0.0 else None
+        bus.node.subscribe("/wheel_controller/commands", "std_msgs/msg/Float64MultiArray", wheel)
+        drive(bus, 30.0)()
+        bus.wait_for(lambda: len(moving) > 100, 60.0)
+        bus.sim.kill()
+        bus.sim.wait()
+        bus.wait_for(lambda: "stopped" in bus.said and bus.level == 2, 60.0)
+        says = (
+            r"/clock has stopped for (\d\.\d) s" if simulated else r"measurement is (\d\.\d+) s old, the limit is 0.3 s"
+        )
+        found = re.search(says, bus.said)
+        assert found and 0.3 <= float(found[1]) < 0.6, bus.said
+        time.sleep(1.0)
+        assert 0.3 < moving[-1] - states[-1] < 0.3 + 0.2 + 0.3

@@ -212,3 +212,20 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
     speeds.send(0.1, x=0.2)
     assert p.control.inbox.limited == "" and p.control.refused() == {}
+
+
+def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_refused(pair: Callable[..., Any]) -> None:
+    p = pair()
+    drive(p)
+    task = p.control._task
+    pose = lambda i, frame="": {
+        "header": {"stamp": {"sec": i}, "frame_id": frame},
+        "pose": {"position": {"x": 0.2 * i}},
+    }
+    for poses, says in (
+        ([pose(1_700_000_000), pose(1_700_000_001)], "s from now; valid: at most 60 s (are its stamps of this clock?)"),
+        ([pose(0, "odom"), pose(0, "map")], "pose 1 of the path is in the frame 'map', the path in 'odom'"),
+    ):
+        p.send("/base_path", "nav_msgs/msg/Path", {"header": {"frame_id": "odom"}, "poses": poses})
+        assert p.until(lambda t=says: t in p.control.inbox.refused), p.control.inbox.refused
+        assert p.control._task is task and p.control.running

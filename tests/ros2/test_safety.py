@@ -228,3 +228,52 @@ def test_a_goal_after_a_stop_starts_again(pair: Callable[..., Any], caplog: pyte
         moved = max(moved, p.standin.speed if "standing by" in p.control.state else 0.0)
     assert moved == 0.0
     assert p.until(lambda: p.standin.speed > 0.5), p.control.state
+
+
+def test_a_stream_of_speeds_is_no_new_goal_after_a_stop(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """As beside Nav2: 20 Hz without a pause, and one bad message of the robot. It ramps down and rests; after a zero it goes on."""
+    p = pair(safety={"ramp": 0.3})
+    p.ready()
+    speeds = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+    assert p.until(lambda: speeds._writer.get_matched_subscriptions())
+    wheels: list[float] = []
+
+    def stream(count: int, x: float = 0.3) -> None:
+        for _ in range(count):
+            speeds.publish({"linear": {"x": x}})
+            p.run(0.05)
+            wheels.append(p.standin.speed)
+
+    stream(20)
+    assert wheels[-1] > 2.0, p.control.state
+    broken = iter([lambda m: {**m, "position": m["position"] * np.nan}])
+    p.standin.change = lambda m: next(broken, lambda same: same)(m)
+    wheels.clear()
+    stream(40)
+    assert "is not finite" in p.control.state and p.control.runner.stopped
+    assert p.until(lambda: p.standin.speed == 0.0)
+    assert np.all(np.diff(wheels[2:]) <= 1e-9)
+    assert sum("is not finite" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
+    says = "/cmd_vel: the robot has stopped: speeds count again after a zero or a pause of 0.5 s"
+    assert sum(r.getMessage() == says for r in caplog.records) == 1
+    stream(1, 0.0)
+    stream(20)
+    assert p.standin.speed > 2.0, p.control.state
+
+
+def test_a_new_goal_waits_for_the_end_of_the_ramp(pair: Callable[..., Any]) -> None:
+    """Speeds that are cut off in the middle of a ramp would make the wheels slip."""
+    p = pair(safety={"ramp": 1.0})
+    drive(p)
+    broken = iter([lambda m: {**m, "position": m["position"] * np.nan}])
+    p.standin.change = lambda m: next(broken, lambda same: same)(m)
+    runner = p.control.runner
+    assert p.until(lambda: runner.stopped)
+    began = p.control.body._stopping  # by the same clock
+    p.control.step()
+    p.go(3.0)
+    assert p.until(lambda: p.control.runner is not runner, 20.0)
+    assert time.perf_counter() - began > 1.0
+    assert p.until(lambda: p.standin.speed > 0.5), p.control.state

@@ -72,6 +72,10 @@ controllers:
         ("node: a\nnode: b", "not valid YAML: key 'node' is there twice (line 2)"),
         ("topics: {odom: /a, imu: /b, odom: /c}", "not valid YAML: key 'odom' is there twice (line 1)"),
         ("frames: {world: ''}", "frames.world='': a name is needed"),
+        ("frames: {world: /odom}", "frames.world='/odom': a frame's name begins with no / and has no spaces"),
+        ("speeds: {base: .inf}", "speeds.base=inf"),
+        ("topics: {odom: /a__b}", "topics.odom='/a__b': a topic's name has no two _ in a row"),
+        ("joints: {wheel_LF: ''}", "key 'joints': 'wheel_LF' has no name on the bus"),
         ("frames: {world: base_link}", "world and base are both called 'base_link'"),
         ("controllers: {w: {topic: '', joints: [wheel_LF]}}", "controllers.w.topic='': a name is needed"),
         ("goals: {base: 0}", "goals.base=0"),
@@ -152,6 +156,9 @@ def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: 
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"
     assert main(["ros2", "check", "swerve-ur10", "--config", str(tmp_path)]) == 2
     assert capsys.readouterr().err == f"wbmpc: --config: '{tmp_path}' is a directory, a YAML file is needed\n"
+    (tmp_path / "latin.yaml").write_bytes(b"node: gr\xfcn")
+    assert main(["ros2", "check", "swerve-ur10", "--config", str(tmp_path / "latin.yaml")]) == 2
+    assert "latin.yaml: not a text file in UTF-8 (invalid start byte at byte 8)" in capsys.readouterr().err
     assert main(["ros2"]) == 0
 
 

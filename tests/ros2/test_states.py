@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
-from wbmpc.model import rolling_inverse_kinematics
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot, rolling_inverse_kinematics
 
 pytestmark = needs_dds
 if not MISSING:
@@ -19,8 +20,11 @@ if not MISSING:
     from rosbags.typesys import Stores, get_typestore
     from standin import ROBOT
 
+    from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
+    from wbmpc.ros2.joints import JointReader
     from wbmpc.ros2.messages import types
+    from wbmpc.ros2.settings import RosSettings, Safety, settings_of
 
 
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
@@ -111,3 +115,42 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
     pose = p.control.pilot.snapshot()[1][:3]
     np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
     assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3, 1.0, 20.0])
+def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: 400 messages in each second of the bus, at times of the wall's clock that are the test's; 0.1 s of silence of a
+    simulator in real time, or of a faster one, is too long, and of a slower one as much of its own time."""
+    wall = [5.0]
+    monkeypatch.setattr("wbmpc.ros2.clock.time.monotonic", lambda: wall[0])
+    clock = BusClock()
+    for k in range(4000):
+        wall[0] = 5.0 + 0.0025 * k / speed
+        clock.set(1.7e9 * (k > 10) + 0.0025 * k)
+    assert min(clock.speed, 1.0) == pytest.approx(min(speed, 1.0), rel=0.02)
+    limit = RosSettings(use_sim_time=True).silence(clock.speed)
+    assert limit == pytest.approx(min(0.1 / min(speed, 1.0), 1.0), rel=0.02)
+    assert RosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
+    assert RosSettings(lockstep=True).silence(clock.speed) == 30.0
+
+
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confirmed: bool) -> None:
+    """Joints of a robot that is hit move faster than their drives can; without their states it would be let go."""
+    robot = load_robot("rezero")
+    reader = JointReader(robot, settings_of(robot)(), confirmed)
+    positions = np.zeros(len(reader.names))
+
+    def read(k: int, elbow: float) -> bool:
+        values = positions.copy()
+        values[-1] = elbow
+        at = SimpleNamespace(sec=5, nanosec=2_500_000 * k)
+        message = SimpleNamespace(name=reader.names, position=values, header=SimpleNamespace(stamp=at))
+        try:
+            return reader.read(message).groups["arm"][-1] == elbow
+        except InputError as error:
+            assert "jumped by" in str(error)
+            return False
+
+    taken = [read(k, elbow) for k, elbow in enumerate([0.0, 0.001, 1.0, 0.002, 0.5, 0.58, 0.66, 0.74])]
+    assert taken == [True, True, False, True, False, confirmed, False, confirmed]

@@ -134,3 +134,31 @@ def test_what_it_does_not_go_with() -> None:
         Solver(pendulum().ocp, SQP(hessian="exact", backend="interpreted"))
     with pytest.raises(InputError, match=r"unknown hessian 'exakt'.*did you mean 'exact'"):
         SQP(hessian="exakt")  # type: ignore[arg-type]
+
+
+def double_well() -> OptimalControlProblem:
+    """ẋ = u, cost (x² − 1)² / 2 + 0.005 u²: from 0, staying there is stationary, and either well is better."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 4.0, 40)
+    ocp.add(Cost("well", Rows(1, lambda s: s.x**2 - 1.0), 1.0, at="all"))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.u), sets.Box(-5.0, 5.0), hard=True))
+    return ocp
+
+
+def test_a_saddle_is_told() -> None:
+    """Truth: the cost of a motion into a well, which is lower."""
+    solver = Solver(double_well(), SQP(hessian="exact"))
+    solver.guess(np.zeros(1))
+    saddle = solver.solve(np.zeros(1))
+    assert saddle.status is Status.CONVERGED and np.abs(saddle.x).max() < 1e-9
+    assert saddle.detail == (
+        "the curvature is not positive in every direction: a saddle or a maximum, no minimum; try another guess"
+    )
+    assert np.isfinite(solver.ws.k).all()
+    gains = saddle.gain
+    np.testing.assert_array_equal(solver.ws.k[:, :, :1], gains)  # looking has changed nothing
+    ramp = np.minimum(solver.ocp.grid, 1.0)
+    solver.guess(ramp[:, None], np.where(solver.ocp.grid[:-1] < 1.0, 1.0, 0.0)[:, None])
+    well = solver.solve(np.zeros(1))
+    assert well.status is Status.CONVERGED and well.detail == "" and well.cost < 0.5 * saddle.cost
+    assert abs(well.x[-1, 0]) == pytest.approx(1.0, abs=1e-2)

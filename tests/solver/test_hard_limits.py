@@ -324,3 +324,23 @@ def test_bad_settings() -> None:
     ):
         with pytest.raises(InputError, match=message):
             make()
+
+
+@pytest.mark.parametrize("n", [100, 400])
+@pytest.mark.parametrize("speed", [0.75, 1.5])
+@pytest.mark.parametrize("slack", [1e3, 1e5])
+def test_a_start_far_outside_a_limit_with_many_nodes(n: int, speed: float, slack: float) -> None:
+    """Truth: nothing brakes harder than −1, so that after t seconds the speed is at least ``speed`` − t: that, and no more.
+
+    From a guess that is inside this took up to 439 iterations, beyond the default.
+    """
+    ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, n)
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
+    ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-1.0, 1.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), sets.Box(-0.5, 0.5), hard=True, slack=slack))
+    found = Solver(ocp).solve(np.array([0.0, speed]))
+    assert found.status is Status.RELAXED and found.iterations < 80, str(found)
+    outside = found.times[:-1] < speed - 0.5 - 1.5 / n
+    np.testing.assert_allclose(found.u[outside], -1.0, atol=1e-5)
+    np.testing.assert_allclose(found.x[:-1][outside, 1], speed - found.times[:-1][outside], atol=1e-5)

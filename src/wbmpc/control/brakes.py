@@ -55,6 +55,25 @@ def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) 
         )
 
 
+def refuse_floating_way(
+    geometry: SwerveGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
+) -> None:
+    """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
+    against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel.
+    """
+    start, way = np.asarray(leg, float), np.asarray(goal, float) - np.asarray(leg, float)
+    step, since = 0.05, np.inf
+    for t in np.arange(0.0, float(np.max(np.abs(way) / rate)) + step, step):
+        at = start + np.sign(way) * np.minimum(np.abs(way), t * np.asarray(rate, float))
+        held, motion = floating(geometry, at, brake)
+        since = min(since, t) if held < FLOATING else np.inf
+        if t - since > PASS:
+            raise InputError(
+                f"brakes: on the way to {np.round(np.asarray(goal, float), 2)} rad nothing would hold the base against "
+                f"{described(motion)} for more than {PASS:g} s; valid: one leg after the other, or other leg angles"
+            )
+
+
 class BrakeControl:
     """Brakes of a robot's legs over time: events that are scheduled, or that come at any time.
 

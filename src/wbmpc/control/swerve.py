@@ -7,6 +7,7 @@ angles the rolling rows of four wheels are never exactly consistent, and their o
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -181,7 +182,8 @@ class SwerveAgent:
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed."""
         self._drive_arm(np.zeros(self.sag.size))
-        return SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
+        still = SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
+        return still if "leg" in self.robot.input else replace(still, brake=np.zeros(0))
 
     def command(self, t: float, plans: Plans) -> SwerveCommand:
         """Drive speeds for this tick; a stop once the plan has run out.

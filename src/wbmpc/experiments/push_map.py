@@ -45,15 +45,15 @@ def points(
     return [Point(mode, float(a), length, seed, given) for length in lengths for a in angles]
 
 
-def impulse_at_failure(point: Point, stands: Callable[[Point, float], bool]) -> tuple[float, float]:
-    """Largest impulse [N s] after which the robot stands, and the smallest after which it falls, by bisection.
+def impulse_at_failure(point: Point, stands: Callable[[Point, float], bool], fine: float = FINE) -> tuple[float, float]:
+    """Largest impulse [N s] after which the robot stands, and the smallest after which it falls, by bisection to ``fine``.
 
     (MOST, infinite) when it always stands. A robot that falls after less and stands after more is not looked for.
     """
     low, high = 0.0, MOST
     if stands(point, high):
         return high, float("inf")
-    while high - low > FINE:
+    while high - low > fine:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stands(point, middle) else (low, middle)
     return low, high
@@ -66,9 +66,9 @@ def simulated(point: Point, impulse: float) -> bool:
     return bool(result["stands"])
 
 
-def measure(point: Point) -> tuple[str, tuple[float, float]]:
-    """The push's key and its impulses [N s], simulated."""
-    return point.key, impulse_at_failure(point, simulated)
+def measure(point: Point, fine: float = FINE) -> tuple[str, tuple[float, float]]:
+    """The push's key and its impulses [N s], simulated, to ``fine``."""
+    return point.key, impulse_at_failure(point, simulated, fine)
 
 
 def push_map(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -76,6 +76,11 @@ class RezeroDoorSettings(RezeroSettings):
     patience: float = Field(9.0, ge=1.0, le=120.0)
     rest: float = Field(2.0, ge=0.1, le=60.0)
     misplaced: float = Field(0.01, ge=0, le=0.05)
+
+    unused: ClassVar[tuple[str, ...]] = (
+        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "lasting_after", "drive_dead_time",
+        "cost.lean", "cost.speed_slack", "cost.body.arm", "cost.hand.turn_limit",
+    )  # fmt: skip
 
 
 def make_plant(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -65,6 +65,10 @@ class RezeroFrequencySettings(RezeroSettings):
     hold: float = Field(5.0, ge=1.0, le=60.0)
     preview: bool = True
     variants: tuple[str, ...] = VARIANTS
+
+    unused: ClassVar[tuple[str, ...]] = (
+        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "lasting_after", "drive_dead_time",
+    )  # fmt: skip
 
     @field_validator("variants")
     @classmethod

@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
 from wbmpc.model import load_robot
-from wbmpc.result import Metric, Plot, RunResult
+from wbmpc.result import Metric, Plot, RunResult, Series
 
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
@@ -89,7 +89,12 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
         }
 
     def plots(log: Log) -> list[Plot]:
-        return common_plots(log, hand, ball)
+        t = log.times("state")
+        force = np.sum([np.outer((t >= p.start) & (t < p.start + p.length), p.force) for p in task.pushes], axis=0)
+        pushes = Plot("Pushes (Fig. 5, its grey areas)", "time [s]", "force [N]", [
+            Series(n, t, force[:, i]) for i, n in enumerate("xy")
+        ])  # fmt: skip
+        return [*common_plots(log, hand, ball), pushes]
 
     return run_task(name, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
 

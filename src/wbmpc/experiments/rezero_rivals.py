@@ -37,10 +37,12 @@ Controller = Literal[
 
 
 class RegulatorSettings(Settings):
-    """Factors of the MPC's weights of torques (``torque``), ball speed and tilt rate (``damping``), hand (``hand``); ``most`` [m]:
-    position errors beyond it are cut."""
+    """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
+    (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
 
     torque: float = Field(1.0, gt=0)
+    arm: float = Field(1.0, gt=0)
+    posture: float = Field(1.0, gt=0)
     damping: float = Field(1.0, gt=0)
     hand: float = Field(1.0, gt=0)
     most: float = Field(0.1, gt=0)
@@ -184,11 +186,13 @@ def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorS
     """The MPC's weights, times the rival's factors, for a regulator."""
     h, b, t = settings.cost.hand, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
+    arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5
     state = robot.state.vector({
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [b.arm] * (robot.base.nq - 5),
-        "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [b.arm_rate] * (robot.base.nq - 5),
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [arm[0]] * joints,
+        "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [arm[1]] * joints,
     })  # fmt: skip
     hand = r.hand * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     wheels = len(robot.input.groups["wheel"])
-    return LqrWeights(hand, twist, state, r.torque * np.array([t.wheel] * wheels + [t.arm] * (robot.base.nq - 5)))
+    torque = r.torque * np.array([t.wheel] * wheels + [r.arm * t.arm] * joints)
+    return LqrWeights(hand, twist, state, torque)

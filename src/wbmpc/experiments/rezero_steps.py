@@ -218,6 +218,18 @@ def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: 
     }
 
 
+def _turns(log: Log, schedule: Schedule) -> Plot:
+    """The hand's rotation vector against home, in world axes (Euler angles, as the paper has them, are singular there)."""
+    thin = slice(None, None, 8)
+    t, home = log.times("hand_quaternion")[thin], lie.quaternion_conjugate(schedule.quaternions[0])
+    vector = lambda q: np.rad2deg(lie.quaternion_log(lie.quaternion_multiply(q, home)))
+    is_ = np.array([vector(q) for q in log.array("hand_quaternion")[thin]])
+    asked = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
+    lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
+    goals = [Series(f"about {n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
+    return Plot("Hand orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals])
+
+
 def _plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
     t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
     asked = schedule.positions[[schedule.at(v) for v in t]]
@@ -228,7 +240,8 @@ def _plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
     ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
     degrees = np.rad2deg(state[:, 2:5])
     return [
-        Plot("Hand position and its reference", "time [s]", "position [m]", [*lines, *goals]),
+        Plot("Hand position and its reference (Fig. 4)", "time [s]", "position [m]", [*lines, *goals]),
+        _turns(log, schedule),
         Plot("Hand position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(hand - asked, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
         Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import reduce
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 
 from wbmpc import lie
@@ -78,6 +79,18 @@ class RezeroSettings(ExperimentSettings):
     controller: Controller = "mpc"
     rival: RivalsSettings = RivalsSettings()
     tracking: TrackingSettings = TrackingSettings()
+
+    #: Settings that the experiment has no use for: to change them is refused.
+    unused: ClassVar[tuple[str, ...]] = ("cost.torque.force", "cost.torque.moment")
+
+    @model_validator(mode="after")
+    def _used(self) -> Self:
+        for name in self.unused:
+            first, *rest = name.split(".")
+            usual = reduce(getattr, rest, type(self).model_fields[first].default)
+            if reduce(getattr, rest, getattr(self, first)) != usual:
+                raise ValueError(f"{name}: this experiment does not use it")
+        return self
 
 
 class AccurateSettings(RezeroSettings):

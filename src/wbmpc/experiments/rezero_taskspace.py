@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -40,6 +40,8 @@ class RezeroTaskspaceSettings(RezeroSettings):
 
     hold: float = Field(5.0, ge=1.0, le=600.0)
     settle: float = Field(4.0, ge=0.5, le=600.0)
+
+    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "lasting_after")
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

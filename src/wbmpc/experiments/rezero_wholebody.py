@@ -31,6 +31,8 @@ CORNERS = np.array(
 )
 #: The last second of every hold is judged as steady [s].
 STEADY = 1.0
+#: The share of the feedback in a torque below this [N m] is that in one of this.
+LEAST_TORQUE = 0.5
 IDEALISATIONS = ["the load is unknown to the controller"]
 
 
@@ -85,10 +87,15 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
 
     def plots(log: Log) -> list[Plot]:
         t, torque, feedback = log.times("state"), log.array("torque"), log.array("feedback")
-        joint = Plot("Torque of the second arm joint", "time [s]", "torque [N m]", [
-            Series("whole", t, torque[:, 4]), Series("feedback", t, feedback[:, 4]),
+        joint = Plot("Torque of the second arm joint (Fig. 7, above)", "time [s]", "torque [N m]", [
+            Series("whole", t, torque[:, 4]), Series("feedforward", t, torque[:, 4] - feedback[:, 4]),
+            Series("feedback", t, feedback[:, 4]),
         ])  # fmt: skip
-        return [*common_plots(log, wanted(t), np.zeros(2)), joint]
+        share = 100.0 * np.abs(feedback[:, 4]) / np.maximum(np.abs(torque[:, 4]), LEAST_TORQUE)
+        ratio = Plot(
+            "Feedback over the whole torque (Fig. 7, below)", "time [s]", "share [%]", [Series("share", t, share)]
+        )
+        return [*common_plots(log, wanted(t), np.zeros(2)), joint, ratio]
 
     task = Task(BENT_ARM, float(ends[-1]), {"hand": Reference.poses(times, places, quaternion)})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

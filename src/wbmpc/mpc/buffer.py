@@ -21,7 +21,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import OptimalControlProblem
+from wbmpc.ocp import OptimalControlProblem, Transcription
 
 SLOTS = 4
 #: Whether stores become visible in the order of the program.
@@ -155,18 +155,21 @@ def _views(data: np.ndarray, fields: Fields) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Numbers of states, inputs, intervals and model parameters of a problem: what its messages need."""
+    """Numbers of states, inputs, intervals, model parameters and straight hard rows of several inputs (or of some modes) of a
+    problem: what its messages need."""
 
     nx: int
     nu: int
     n: int
     parameters: int = 0
+    rows: int = 0
 
     @classmethod
     def of(cls, ocp: OptimalControlProblem) -> Sizes:
         """The sizes of a problem."""
-        d = ocp.dynamics
-        return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size)
+        d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
+        rows = Transcription(ocp).input_planes().offset.size if hard else 0
+        return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size, rows)
 
     def observation(self) -> Fields:
         """An observation: measured at ``observed`` [s]; state ``x`` (nx) predicted for time ``t`` [s] of the plan's clock,
@@ -174,14 +177,16 @@ class Sizes:
         return {"observed": (), "valid_from": (), "t": (), "x": (self.nx,), "parameters": (self.parameters,)}
 
     def policy(self) -> Fields:
-        """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was."""
+        """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was;
+        ``passed``: as of a :class:`Policy`."""
         n, nx, nu = self.n, self.nx, self.nu
-        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": ()}
+        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": (), "passed": ()}
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
 
     def limits(self) -> Fields:
-        """Hard bounds of the inputs, the same in every policy."""
-        return {"lower": (self.nu,), "upper": (self.nu,)}
+        """Hard bounds and rows of the inputs, the same in every policy; and which rows count in each interval's mode."""
+        nu, r = self.nu, self.rows
+        return {"lower": (nu,), "upper": (nu,), "matrix": (r, nu), "offset": (r,), "active": (self.n, r)}
 
 
 @dataclass(frozen=True)
@@ -203,8 +208,10 @@ class TimedPolicy(Policy):
         v = message.values
         start, seen, ready = (float(v[name]) for name in ("valid_from", "observed", "ready"))
         number = int(v["observation"])
-        limits = InputLimits(v["lower"], v["upper"])
-        return cls(v["times"], v["x"], v["u"], v["gain"], start, seen, ready, number, message.number, limits=limits)
+        limits = InputLimits(v["lower"], v["upper"], v["matrix"], v["offset"])
+        active = v["active"] if v["offset"].size else None
+        own = (start, seen, ready, number, message.number)
+        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, active=active, passed=float(v["passed"]))
 
 
 class Board:
@@ -214,25 +221,26 @@ class Board:
     ``memory`` as for :class:`Mailbox`.
     """
 
-    TEXT = 256
+    TEXT, TEXTS = 256, 2  # words each
 
     def __init__(
         self, names: tuple[str, ...], records: tuple[str, ...] = (), capacity: int = 1, memory: Any = None
     ) -> None:
         self.names, self.records, self.capacity = names, records, capacity
-        size = len(names) + len(records) * (1 + capacity) + self.TEXT
+        size = len(names) + len(records) * (1 + capacity) + self.TEXT * self.TEXTS
         self.memory = np.zeros(size, np.int64) if memory is None else memory
         words = np.frombuffer(self.memory, np.int64)
         self._numbers = words[: len(names) + len(records)].view(np.float64)
         self._place = {name: i for i, name in enumerate((*names, *records))}
-        rings = words[self._numbers.size : size - self.TEXT].view(np.float64)
+        end = size - self.TEXT * self.TEXTS
+        rings = words[self._numbers.size : end].view(np.float64)
         self._rings = {name: rings[i * capacity : (i + 1) * capacity] for i, name in enumerate(records)}
-        self._text = words[size - self.TEXT : size].view(np.uint8)
+        self._texts = words[end:size].view(np.uint8).reshape(self.TEXTS, -1)
 
     @classmethod
     def shared(cls, names: tuple[str, ...], records: tuple[str, ...] = (), capacity: int = 1) -> Board:
         """A board that can be an argument of a process that is started."""
-        words = len(names) + len(records) * (1 + capacity) + cls.TEXT
+        words = len(names) + len(records) * (1 + capacity) + cls.TEXT * cls.TEXTS
         return cls(names, records, capacity, shared_words(words))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -262,11 +270,27 @@ class Board:
 
     @property
     def text(self) -> str:
-        """A sentence from the writer."""
-        return bytes(self._text).split(b"\0", 1)[0].decode(errors="replace")
+        """A sentence from the writer: what went wrong."""
+        return self._read(0)
 
     @text.setter
     def text(self, sentence: str) -> None:
-        data = sentence.encode()[: self._text.size - 1]
-        self._text[: len(data)] = np.frombuffer(data, np.uint8)
-        self._text[len(data)] = 0
+        self._write(0, sentence)
+
+    @property
+    def note(self) -> str:
+        """Another one: what was not as it should be, and went on."""
+        return self._read(1)
+
+    @note.setter
+    def note(self, sentence: str) -> None:
+        self._write(1, sentence)
+
+    def _read(self, i: int) -> str:
+        return bytes(self._texts[i]).split(b"\0", 1)[0].decode(errors="replace")
+
+    def _write(self, i: int, sentence: str) -> None:
+        room = self._texts[i]
+        data = sentence.encode()[: room.size - 1]
+        room[: len(data)] = np.frombuffer(data, np.uint8)
+        room[len(data)] = 0

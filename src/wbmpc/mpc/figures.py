@@ -73,9 +73,11 @@ class Report:
 
     ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
     ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
-    planned for; ``clamped``: ticks at which the policy asked for more than the drives give. ``latency``: from observation to
-    policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin late; ``tick``: their duration; ``sent``:
-    from a tick's time to its command; ``late_commands``: by part of the tick, see :class:`Punctuality`.
+    planned for; ``passed``: plans with states outside hard limits by more than 0.1 % of the range, ``worst_passed``: by how much
+    of it at most, ``passed_where``: a sentence of that; ``clamped``: ticks at which the policy asked for more than the drives
+    give. ``latency``: from observation to policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin
+    late; ``tick``: their duration; ``sent``: from a tick's time to its command; ``late_commands``: by part of the tick, see
+    :class:`Punctuality`.
     """
 
     state: str
@@ -89,6 +91,9 @@ class Report:
     policies: int
     late: int
     clamped: int
+    passed: int
+    worst_passed: float
+    passed_where: str
     latency: Spread
     ready: Spread
     jitter: Spread
@@ -100,11 +105,15 @@ class Report:
 
     def __str__(self) -> str:
         ms = lambda s: f"{1e3 * s.median:.2f} ms (99 % {1e3 * s.p99:.2f}, longest {1e3 * s.max:.2f})"
+        outside = (
+            f"; {self.passed} plans outside hard limits, worst {100.0 * self.worst_passed:.2g} % ({self.passed_where})"
+        )
         return "\n".join(
             [
                 f"{self.state}",
                 f"controller: {self.ticks} ticks, {self.misses} missed; begins late by {ms(self.jitter)}, takes {ms(self.tick)}",
-                f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}",
+                f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
+                + (outside if self.passed else ""),
                 f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
             ]
         )

@@ -56,13 +56,23 @@ class Statistics:
     """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
 
     ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
-    was accepted, so that the plan is the last one moved on.
+    was accepted, so that the plan is the last one moved on; ``passed``: plans in force whose states are outside hard limits by
+    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that.
     """
 
-    solve_times: list[float] = field(default_factory=list)
+    solve_times: list[float] = field(default_factory=list, repr=False)
     solves: int = 0
     failures: int = 0
     no_step: int = 0
+    passed: int = 0
+    worst_passed: float = 0.0
+    passed_where: str = ""
+
+    def pass_by(self, share: float, where: str) -> None:
+        """Count a plan whose states are outside hard limits by ``share`` of the range."""
+        self.passed += 1
+        if share > self.worst_passed:
+            self.worst_passed, self.passed_where = share, where
 
     @property
     def failed_share(self) -> float:
@@ -93,13 +103,16 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
-        #: hard bounds of the inputs, which all policies hold
-        self.limits = InputLimits(*self.solver.problem.input_bounds())
+        planes = self.solver.problem.input_planes()
+        #: bounds and straight hard rows of the inputs, which all policies hold
+        self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
+        switch = self.solver.problem.node.slices["switch"].start
+        self._always, self._switches = planes.switches < 0, np.maximum(planes.switches, 0) + switch
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
-        self._not_finite = 0
+        self._broken = 0  # passes in a row that ended with numbers that are not finite
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
         #: events of the mode schedule within the last pass's horizon that got no node of their own (see ``align_events``)
@@ -163,8 +176,25 @@ class MPC:
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
-        self._policy = Policy.of(solution, observation.t, self.limits)
+        if self.passed:
+            self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
+        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
         return self._policy
+
+    def active_rows(self) -> np.ndarray | None:
+        """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
+        if not self._always.size:
+            return None
+        return np.where(self._always, 1.0, self.solver.ws.p[:-1, self._switches])
+
+    @property
+    def passed(self) -> float:
+        """By how much the last plan's states are outside hard limits: see :attr:`Solver.passed`."""
+        return self.solver.passed
+
+    def where_passed(self) -> str:
+        """A sentence that names the row, node and amount of that, and says whether the row's slack gives way."""
+        return self.solver.missed(self.solver.status(self._outcome[0]))
 
     @property
     def solve_time(self) -> float:
@@ -202,7 +232,9 @@ class MPC:
             elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
-        before, self.fault = self.fault, self._find_fault()
+        broken = self._not_finite_part()
+        self._broken = self._broken + 1 if broken else 0
+        before, self.fault = self.fault, broken or self._refused()
         if self.fault and not before:  # the first of a row of them
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
@@ -242,27 +274,27 @@ class MPC:
         from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from the
         observation.
         """
-        if self._not_finite > 1:
+        if self._broken > 1:
             self.solver.guess(np.asarray(observation.x, float))
             self.solver.forget()
             self._t = None
         elif self.solver.status(self._outcome[0]) is not Status.EQUALITY_MISSED:
             self.resume(x, u, t)
 
-    def _find_fault(self) -> str:
-        """Why what stands in the solver's memory cannot become a policy; empty if it can."""
+    def _not_finite_part(self) -> str:
+        """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
         status, ws = self.solver.status(self._outcome[0]), self.solver.ws
-        self._not_finite += 1
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
         parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
         bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
-        if bad:
-            return f"failed: the {bad[0]} is not finite"
-        self._not_finite = 0
-        if status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED):
-            return f"{status.value} ({self.solver.missed(status)})"
-        return ""
+        return f"failed: the {bad[0]} is not finite" if bad else ""
+
+    def _refused(self) -> str:
+        """Which limit or equality the last plan misses so that it is not used; empty if none."""
+        status = self.solver.status(self._outcome[0])
+        refused = status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED)
+        return f"{status.value} ({self.solver.missed(status)})" if refused else ""
 
     def _check(self, observation: Observation) -> None:
         if not np.isfinite(observation.t):

@@ -26,7 +26,7 @@ from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow
 from wbmpc.mpc.figures import Punctuality, Report, Spread
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.plans import Agent, Plans
-from wbmpc.mpc.safety import Latency, RealTime, SafeStop, not_finite
+from wbmpc.mpc.safety import CommandCheck, Latency, RealTime, SafeStop, not_finite
 from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
 
 _LOG = logging.getLogger("wbmpc")
@@ -81,7 +81,7 @@ class Runner:
         own = ("latency", "ready", "jitter", "tick", "sent")
         self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
         self.punctuality = Punctuality()
-        self.plans, self.latency = Plans(), Latency(self.settings)
+        self.plans, self.latency, self._check_command = Plans(), Latency(self.settings), CommandCheck()
         self.ticker = Ticker(self.settings.period)
         self.state, self.error = "not started", None  # type: str, BaseException | None
         self._no_parameters = np.zeros(size.parameters)
@@ -232,9 +232,7 @@ class Runner:
             return
         before = self._cuts()
         command = self.agent.command(due, self.plans)
-        bad = not_finite("command", command)
-        if bad is not None:
-            raise SafeStop(f"{bad} is not finite")
+        self._check_command(command)
         if self._stopped.is_set():  # by the watchdog, while this tick hung
             return
         over(now())
@@ -399,6 +397,9 @@ class Runner:
             policies=count("policies"),
             late=count("late"),
             clamped=count("clamped"),
+            passed=int(board["passed"]),
+            worst_passed=board["worst_passed"],
+            passed_where=board.note,
             latency=spread("latency"),
             ready=spread("ready"),
             jitter=spread("jitter"),

@@ -63,6 +63,46 @@ class RealTime:
         return 0.2 * self.period if self.offset is None else self.offset
 
 
+class CommandCheck:
+    """Raises :class:`SafeStop` for a command that is not there, is not made of finite numbers, or is not like the first one.
+
+    Arrays of a dataclass that are empty unless they are given may come and go (none asked for).
+    """
+
+    def __init__(self) -> None:
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        self._kind: type | None = None
+
+    def __call__(self, command: Any) -> None:
+        if command is None:
+            raise SafeStop("the agent gave no command")
+        if self._kind is None:
+            self._kind = type(command)
+        if type(command) is not self._kind:
+            raise SafeStop(f"command is of type {type(command).__name__}, the first one was a {self._kind.__name__}")
+        self._check("command", command, False)
+
+    def _check(self, name: str, value: Any, optional: bool) -> None:
+        if dataclasses.is_dataclass(value):
+            for field in dataclasses.fields(value):
+                given = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+                self._check(f"{name}.{field.name}", getattr(value, field.name), not given)
+            return
+        if value is None and optional:
+            return
+        try:
+            numbers = np.asarray(value, float)
+        except (TypeError, ValueError):
+            raise SafeStop(f"{name} is not made of numbers, got {value!r:.50}") from None
+        if not np.isfinite(numbers).all():
+            raise SafeStop(f"{name} is not finite")
+        if numbers.size == 0 and optional:
+            return
+        shape = self._shapes.setdefault(name, numbers.shape)
+        if numbers.shape != shape:
+            raise SafeStop(f"{name} has shape {numbers.shape}, the first one had {shape}")
+
+
 class Latency:
     """How many control ticks ahead an observation has to be predicted so that its policy is ready in time."""
 

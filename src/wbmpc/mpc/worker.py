@@ -16,7 +16,7 @@ from wbmpc.mpc.clock import Clock, Loop, Ticker, WallClock, follow
 from wbmpc.mpc.mpc import MPC, Observation
 
 #: What the worker counts, and its records [s].
-NUMBERS = ("ready", "updates", "misses", "failures", "repeated", "failed")
+NUMBERS = ("ready", "updates", "misses", "failures", "repeated", "failed", "passed", "worst_passed")
 RECORDS = ("solve_time", "update_time")
 #: What the runner tells the worker: when 0 is, whether to begin and to end.
 ORDERS = ("origin", "begin", "end")
@@ -62,6 +62,7 @@ class Worker:
                         yield start + computing
                     if usable:
                         self._publish()
+                        self._count_passed()
                     board.sample("update_time", clock.now() - start)
             except Exception as error:
                 self.error = error
@@ -109,14 +110,29 @@ class Worker:
         np.add(ws.grid, values["t"], out=slot["times"])
         slot["x"][...], slot["u"][...] = ws.x, ws.u
         slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
-        slot["lower"][...], slot["upper"][...] = self.mpc.limits.lower, self.mpc.limits.upper
+        limits, active = self.mpc.limits, self.mpc.active_rows()
+        for name in ("lower", "upper", "matrix", "offset"):
+            slot[name][...] = getattr(limits, name)
+        if active is not None:
+            slot["active"][...] = active
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]
         if self._answered != self._message.number:
             self._answered, self._ready = self._message.number, self.clock.now()
         slot["ready"][...] = self._ready
+        slot["passed"][...] = self.mpc.passed
         self.policies.commit()
+
+    def _count_passed(self) -> None:
+        """Plans whose states are outside hard limits are used, and told."""
+        share, board = self.mpc.passed, self.board
+        assert self._message is not None
+        if share > 0.0:
+            board.count("passed")
+            if share > board["worst_passed"]:
+                board["worst_passed"] = share
+                board.note = f"{self.mpc.where_passed()}, at {self._message.values['t']:.3f} s"
 
 
 def report(board: Board, error: Exception) -> None:

@@ -81,7 +81,7 @@ def frequency_aware(
         raise InputError(f"filters: no cost depends on an input of {', '.join(dynamics.groups)}")
     wrapped = OptimalControlProblem(
         dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
-        align_events=ocp.align_events,
+        align_events=ocp.align_events, modes=ocp.modes,
     )  # fmt: skip
     nested = hasattr(ocp.dynamics, "view")
     for name, term in ocp.terms.items():

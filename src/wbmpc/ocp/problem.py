@@ -45,6 +45,8 @@ class OptimalControlProblem:
     ``intervals``: number of intervals N. ``first_interval`` [s]: geometric grid, fine near now; uniform when left out;
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
     ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
+    ``modes``: names of all modes that schedules may have, for problems whose schedule changes; left out, the modes that a term
+    names have to be in the schedule that is in force.
     """
 
     def __init__(
@@ -57,12 +59,16 @@ class OptimalControlProblem:
         grid: Sequence[float] | None = None,
         integrator: Literal["rk2", "rk4"] = "rk2",
         align_events: bool = False,
+        modes: Sequence[str] = (),
     ) -> None:
         if integrator not in ("rk2", "rk4"):
             raise unknown_name("integrator", integrator, ("rk2", "rk4"))
         self.dynamics = dynamics
         self.integrator = integrator
         self.align_events = align_events
+        if isinstance(modes, str) or not all(isinstance(name, str) for name in modes):
+            raise InputError(f"modes: a sequence of names is needed, got {modes!r}")
+        self.modes = tuple(modes)
         self.grid = _grid(horizon, intervals, first_interval, grid)
         self.terms: dict[str, Term] = {}
 
@@ -100,7 +106,7 @@ class OptimalControlProblem:
         grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]
         other = OptimalControlProblem(
             self.dynamics, self.horizon, len(grid), grid=[*grid, self.horizon], integrator=self.integrator,
-            align_events=self.align_events,
+            align_events=self.align_events, modes=self.modes,
         )  # fmt: skip
         other.terms = self.terms
         return other

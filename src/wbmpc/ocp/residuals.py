@@ -13,8 +13,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from wbmpc import lie
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import unknown_name
 from wbmpc.model import Layout, RobotModel
 from wbmpc.ocp.ball_residuals import (
     BallSpin,
@@ -25,8 +24,9 @@ from wbmpc.ocp.ball_residuals import (
     PushForce,
     push_on_surface,
 )
+from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench
+from wbmpc.ocp.swerve_residuals import BrakedLegs, SupportMargin, WheelRolling
 from wbmpc.ocp.symbols import Residual, Symbols
-from wbmpc.stability import GRAVITY, Support, counter_clockwise
 
 __all__ = [
     "BallSpin",
@@ -195,185 +195,6 @@ class ReachableInput:
         if group != "leg" or "brake" not in mode:
             return 0.0
         return 1.0 - s.mode[mode.index(f"brake.{joint}")]
-
-
-@dataclass(frozen=True)
-class FramePose:
-    """Pose error of a frame: position (3) [m] in world axes; orientation (3) [rad] in world or the reference's ``axes``.
-
-    Reference: position (3) and quaternion (4). ``orientation``: "log" (default), twice the vector part of the error
-    quaternion for "vector" (Minniti et al. 2019, section IV-B), which is flat at 180 degrees.
-    """
-
-    robot: RobotModel
-    frame: str
-    orientation: Literal["log", "vector"] = "log"
-    axes: Literal["world", "reference"] = "world"
-
-    size = 6
-    reference = 7
-    groups = {"position": slice(0, 3), "orientation": slice(3, 6)}  # noqa: RUF012
-
-    def __post_init__(self) -> None:
-        if self.frame not in self.robot.frames:
-            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        pose = self.robot.frame_pose(s.x, self.frame)
-        wanted = lie.quaternion_conjugate(s.reference[3:7])
-        pair = (pose.quaternion, wanted) if self.axes == "world" else (wanted, pose.quaternion)
-        error = lie.quaternion_multiply(*pair)
-        rotation = lie.quaternion_log(error) if self.orientation == "log" else 2.0 * lie.quaternion_error_vector(error)
-        return ca.vertcat(pose.position - s.reference[0:3], rotation)
-
-
-@dataclass(frozen=True)
-class FrameTwist:
-    """Linear (3) [m/s] and angular (3) [rad/s] velocity of a frame, world axes, minus their reference."""
-
-    robot: RobotModel
-    frame: str
-
-    size = 6
-    reference = 6
-    groups = {"linear": slice(0, 3), "angular": slice(3, 6)}  # noqa: RUF012
-
-    def __post_init__(self) -> None:
-        if self.frame not in self.robot.frames:
-            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        linear, angular = self.robot.frame_velocity(s.x, s.u, self.frame)
-        return ca.vertcat(linear, angular) - s.reference
-
-
-@dataclass(frozen=True)
-class FrameWrench:
-    """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
-    with ``contact="wrench"``, moment (3) [N m] about the frame's origin.
-
-    The frame is one of the robot's contact frames. Raises :class:`InputError` for another one, and for robots without.
-    """
-
-    robot: RobotModel
-    frame: str
-    groups: Mapping[str, slice] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        contacts, name = getattr(self.robot.base, "contacts", {}), self.robot.description.name
-        if not contacts:
-            raise InputError(
-                f"{name}: there is no contact at '{self.frame}'; a robot with torques as inputs has one when it is loaded "
-                "with contact='force' or contact='wrench' (and contact_frame=...); on one whose inputs are speeds it has "
-                "no effect"
-            )
-        if self.frame not in contacts:
-            raise unknown_name("contact frame", self.frame, contacts, where=name)
-        kinds = contacts[self.frame]
-        object.__setattr__(self, "groups", {kind: slice(3 * k, 3 * k + 3) for k, kind in enumerate(kinds)})
-
-    @property
-    def size(self) -> int:
-        return 3 * len(self.groups)
-
-    @property
-    def reference(self) -> int:
-        return self.size
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        groups = self.robot.base.contacts[self.frame].values()
-        return ca.vertcat(*[s.u[self.robot.input[g]] for g in groups]) - s.reference
-
-
-@dataclass(frozen=True)
-class WheelRolling:
-    """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
-
-    Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake.
-    """
-
-    robot: RobotModel
-    groups: Mapping[str, slice] = field(init=False, repr=False)
-
-    reference = 0
-
-    def __post_init__(self) -> None:
-        wheels = self.robot.base.geometry.modules
-        object.__setattr__(self, "groups", {"rolling": slice(0, wheels), "side": slice(wheels, 2 * wheels)})
-
-    @property
-    def size(self) -> int:
-        return self.groups["side"].stop
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        return self.robot.base.rolling(s.x, s.u, s.mode)
-
-
-@dataclass(frozen=True)
-class BrakedLegs:
-    """Leg rates [rad/s] where the brake is closed, zero where it is open."""
-
-    robot: RobotModel
-    groups: Mapping[str, slice] = field(init=False, repr=False)
-
-    reference = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "groups", {"leg": slice(0, self.size)})
-
-    @property
-    def size(self) -> int:
-        return len(self.robot.input.groups["leg"])
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        return (1.0 - s.mode[self.robot.mode["brake"]]) * s.u[self.robot.input["leg"]]
-
-
-@dataclass(frozen=True)
-class SupportMargin:
-    """Distances [m] of the zero-moment point to the edges of support polygons, positive inside: all to be at least zero.
-
-    ``supports``: groups of modules (indices), each the corners of a convex polygon: a support triangle, or several whose
-    overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
-    Reference: the wrench (6) of the world on the hand, force [N] and moment [N m] in world axes. ``gravity`` (3)
-    [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
-    states say about the inputs' rates (:class:`wbmpc.model.InputRate`; inputs that are no states count as constant).
-    """
-
-    robot: RobotModel
-    supports: Sequence[Sequence[int]] | None = None
-    gravity: tuple[float, float, float] = GRAVITY
-    dynamics: Any = None
-    groups: Mapping[str, slice] = field(init=False, repr=False)
-    polygons: tuple[tuple[int, ...], ...] = field(init=False, repr=False)
-
-    reference = 6
-
-    def __post_init__(self) -> None:
-        given = [None] if self.supports is None else list(self.supports)
-        if not given:
-            raise InputError("support margin: supports must name at least one group of modules")
-        polygons = tuple(counter_clockwise(self.robot, feet) for feet in given)
-        groups, start = {}, 0
-        for feet in polygons:
-            groups["-".join(map(str, feet))] = slice(start, start + len(feet))
-            start += len(feet)
-        object.__setattr__(self, "polygons", polygons)
-        object.__setattr__(self, "groups", groups)
-
-    @property
-    def size(self) -> int:
-        return sum(map(len, self.polygons))
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        support = Support(self.robot, s.x)
-        motion = None
-        if self.dynamics is not None:
-            change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
-            rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
-            motion = (s.u, rates[: s.x.shape[0]], rates[s.x.shape[0] :])
-        zmp = support.zmp(support.load(s.reference, self.gravity, motion))
-        return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])
 
 
 @dataclass(frozen=True)

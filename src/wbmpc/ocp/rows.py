@@ -318,6 +318,34 @@ def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarr
     return lower, upper
 
 
+class InputPlanes(NamedTuple):
+    """Hard rows ``matrix`` u + ``offset`` ≥ 0 of inputs alone, in units of their ranges, (r, nu) and (r,); ``switches`` (r,): which
+    term's switch turns each of them on, −1 for always. Bounds of single inputs in all modes are not among them."""
+
+    matrix: np.ndarray
+    offset: np.ndarray
+    switches: np.ndarray
+
+
+def input_planes(place: Place, u: ca.SX, switches: list[ca.SX]) -> InputPlanes:
+    """Of the rows that are straight in the inputs and depend on nothing else but ``switches``, one for each term with modes."""
+    found = []
+    every = ca.vertcat(u, *switches)
+    for h, row in zip(place.expressions, place.general, strict=True):
+        if row.kind is not Kind.HARD or row.state_only:
+            continue
+        own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
+        on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
+        slope = ca.simplify(ca.jacobian(on, u))
+        if len(own) > 1 or ca.symvar(slope) or any(not ca.depends_on(s, every) for s in ca.symvar(on)):
+            continue
+        normal = np.array(ca.DM(ca.densify(slope))).ravel()
+        if own or (normal != 0.0).sum() > 1:
+            found.append((normal, float(ca.DM(ca.substitute(on, u, ca.DM.zeros(u.shape[0])))), own[0] if own else -1))
+    matrix = np.array([f[0] for f in found]).reshape(-1, u.shape[0])
+    return InputPlanes(matrix, np.array([f[1] for f in found]), np.array([f[2] for f in found], int))
+
+
 def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
     """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
     jacobian = ca.jacobian(r, z)

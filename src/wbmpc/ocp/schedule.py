@@ -53,3 +53,7 @@ class ModeSchedule:
     def index(self, t: float) -> int:
         """The place of the mode that holds at time ``t`` [s]."""
         return int(np.searchsorted(np.asarray(self.events), t + 1e-9, side="right"))
+
+
+#: What holds where no schedule was set: one mode for ever.
+DEFAULT = ModeSchedule((Mode("default"),))

@@ -22,6 +22,7 @@ from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
 from wbmpc.ocp.rows import (
     BoxRow,
+    InputPlanes,
     Place,
     bent_by_inputs,
     curved_in_inputs,
@@ -29,8 +30,9 @@ from wbmpc.ocp.rows import (
     equality_rows,
     inequality_rows,
     input_bounds,
+    input_planes,
 )
-from wbmpc.ocp.schedule import ModeSchedule
+from wbmpc.ocp.schedule import DEFAULT, ModeSchedule
 from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
 
@@ -118,11 +120,17 @@ class Transcription:
         return np.array(rows).reshape(len(schedule.modes), -1)
 
     def check_schedule(self, schedule: ModeSchedule) -> None:
-        """Raise :class:`InputError` for mode values out of range, or a term of which no mode is in the schedule."""
-        names = list(dict.fromkeys(mode.name for mode in schedule.modes))
+        """Raise :class:`InputError` for mode values out of range, or a mode that a term names and no schedule has: one that is
+        neither among the problem's ``modes`` nor, if it has none, in this schedule."""
+        declared, given = self.ocp.modes, list(dict.fromkeys(mode.name for mode in schedule.modes))
+        for name in given if declared and schedule is not DEFAULT else ():
+            if name not in declared:
+                raise unknown_name("mode", name, declared, where="mode schedule")
+        unset = " (no mode schedule is set)" if schedule is DEFAULT else ""
         for term in (self.ocp.terms[t] for t in self.switched):
-            if term.modes and not set(term.modes) & set(names):
-                raise unknown_name("mode", term.modes[0], names, where=f"term '{term.name}', modes")
+            for name in term.modes or ():
+                if name not in (declared or given):
+                    raise unknown_name("mode", name, declared or given, where=f"term '{term.name}', modes{unset}")
         bounds = getattr(self.ocp.dynamics, "mode_bounds", {})
         for mode, (group, (low, high)) in product(schedule.modes, bounds.items()):
             values = np.atleast_1d(np.asarray(mode.values.get(group, low), float))
@@ -170,6 +178,11 @@ class Transcription:
     def input_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """(lower, upper) (nu): bounds of single inputs by hard constraints of all modes; infinite where there is none."""
         return input_bounds(self.path, self.x, self.u)
+
+    def input_planes(self) -> InputPlanes:
+        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only."""
+        switch = self.node.slices["switch"]
+        return input_planes(self.path, self.u, [self.p[i] for i in range(switch.start, switch.stop)])
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""

@@ -13,6 +13,7 @@ from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
+from wbmpc.ros2.localisation import POSE_AGE, PoseSource
 from wbmpc.ros2.settings import ORDERS, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
@@ -75,7 +76,13 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         wanted[topics.imu] = "sensor_msgs/msg/Imu", read_imu
     wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in wanted.items()}
-    time.sleep(max(listen, _DISCOVERY))
+    poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
+    silent, begin = 0.0, time.monotonic()
+    while time.monotonic() - begin < max(listen, _DISCOVERY):
+        if poses is not None:
+            poses.look()
+            silent = max(silent, time.monotonic() - max(poses.at, begin))
+        time.sleep(0.02 if poses is not None else max(listen, _DISCOVERY))
     found: list[Finding] = []
     for topic, (kind, _) in wanted.items():
         if topic == "/clock" and not settings.use_sim_time:
@@ -88,8 +95,20 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
     for key, kind in ORDERS.items():
         found += _order(node, getattr(topics, key), kind)
-    poses = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
-    found += _several_types(node, topics.pose, poses, True)
+    if poses is not None:
+        found += _localisation(node, poses, topics.pose, silent)
+    return found
+
+
+def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> list[Finding]:
+    """Of another localisation, without which nothing starts; ``silent`` [s]: the longest time without a pose that counts."""
+    found = _several_types(node, topic, ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"), True)
+    if any(f.level != OK for f in found):
+        return found
+    if poses.fault:
+        return [Finding(ERROR, topic, poses.fault)]
+    if silent > POSE_AGE:
+        return [Finding(ERROR, topic, f"too slow: {silent:.2f} s without a pose, the limit is {POSE_AGE:g} s")]
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
@@ -9,11 +10,14 @@ import time
 _ROUNDING = 1e-7
 #: Messages may overtake each other by this [s].
 _REORDERED = 0.02
+#: Over which time [s] of the wall the speed of the bus's time is averaged.
+_MEMORY = 0.5
 
 
 class BusClock:
     """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
-    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`.
+    message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`; ``speed``: of the
+    bus's time by the wall's, lately.
 
     ``delay`` [s]: a solve takes this much of the bus's time, and controller and MPC run in turns (``in_turns``), so that nothing
     depends on the machine's speed, provided that the bus waits for the commands. None: a solve takes the time that it takes.
@@ -25,15 +29,23 @@ class BusClock:
         self._time, self.went_back = 0.0, False
         self._changed = threading.Condition()
         self._released = False
+        self.speed = 1.0
 
     def set(self, time_of_bus: float) -> None:
         """The bus's time [s] is now this. Time that goes back is a simulator that was started anew."""
         with self._changed:
             self.went_back |= time_of_bus < self._time - _REORDERED
             if self.heard is None or time_of_bus != self._time:
-                self.heard = time.monotonic()
+                before, self.heard = self.heard, time.monotonic()
+                if before is not None and time_of_bus > self._time:
+                    self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - before, 1e-6))
             self._time = time_of_bus
             self._changed.notify_all()
+
+    def _pass(self, of_bus: float, of_wall: float) -> None:
+        """So much time [s] has passed."""
+        share = 1.0 - math.exp(-of_wall / _MEMORY)
+        self.speed += share * (of_bus / of_wall - self.speed)
 
     def stamp(self) -> float:
         """The bus's time [s]."""

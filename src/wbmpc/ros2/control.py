@@ -167,6 +167,11 @@ class ControlNode:
         return self.runner is not None and not self.runner.stopped
 
     @property
+    def _ramping(self) -> bool:
+        """Whether a stop is still going on: nothing is started before it is over."""
+        return not self.running and self.body.ramping
+
+    @property
     def ill(self) -> bool:
         """Whether it runs, but not as it should."""
         kept = self.runner is not None and bool(self.runner.kept)
@@ -251,7 +256,7 @@ class ControlNode:
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
         """All goals that wait, in the order in which they came; those whose plans take long in a later step."""
-        while self.planning.busy or (request := self.inbox.take()) is not None:
+        while self.planning.busy or (not self._ramping and (request := self.inbox.take()) is not None):
             if not self.planning.busy:
                 seen, why = self.pilot.snapshot(), self._not_now()
                 if why or seen is None:
@@ -300,7 +305,7 @@ class ControlNode:
     def _move_legs(self) -> None:
         """Orders to legs and brakes; the first one starts a robot that stands, and it stays where it is."""
         legs, pilot = self.legs, self.pilot
-        if legs is None or not (legs.waiting or self.running) or self.planning.busy:
+        if legs is None or not (legs.waiting or self.running) or self.planning.busy or self._ramping:
             return
         seen = pilot.snapshot()
         if seen is None:
@@ -377,14 +382,16 @@ class ControlNode:
             self.body.disarm()
             if self.inbox.running is not None:
                 self._stay()
+                self.inbox.stop()
                 if self.legs is not None and self.legs.waiting:
                     self.legs.drop()
                     self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
             self.inbox.running = None
             if self.legs is not None:
                 self.legs.stop()
-        clock, limit = self.clock, self.settings.patience
+        clock = self.clock
         if isinstance(clock, BusClock) and clock.heard is not None:
+            limit = self.settings.silence(clock.speed)
             silent = time.monotonic() - clock.heard
             gone = silent > min(GONE, limit) and not self.node.publishers("/clock")
             if (silent > limit or gone) and self.running:

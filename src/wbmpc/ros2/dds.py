@@ -68,7 +68,11 @@ def _open_domain(network: Network) -> None:
             try:
                 _DOMAINS[network.domain] = network, Domain(network.domain, network.cyclone())
             except (DDSException, UnicodeEncodeError) as error:
-                raise InputError(f"DDS: domain {network.domain} cannot be opened ({error})") from error
+                given = " and ".join(
+                    n for n, v in (("ROS_STATIC_PEERS", network.peers), ("CYCLONEDDS_URI", network.extra)) if v
+                )
+                why = f"; look at {given}" if given else ""
+                raise InputError(f"DDS: domain {network.domain} cannot be opened ({error}{why})") from error
         elif known[0] != network:
             raise InputError(f"DDS: domain {network.domain} is open in this process with other settings")
 

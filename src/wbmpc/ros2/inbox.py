@@ -26,6 +26,8 @@ Time = Callable[[], float]
 #: More points than this are a mistake.
 _MOST_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+#: A path begins within this time [s], or its stamps are of another clock.
+_LATEST = 60.0
 #: So far [m] under the floor or over the base's own height a goal of the base is still one: localisations in space are not exact.
 _OFF_FLOOR = 0.5
 
@@ -45,7 +47,7 @@ class Inbox:
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
         self._twist_at = -np.inf
-        self._moving = False
+        self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
         self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
@@ -65,6 +67,15 @@ class Inbox:
         with self._lock:
             return self._requests.pop(next(iter(self._requests))) if self._requests else None
 
+    def stop(self) -> None:
+        """The robot has stopped: what waits is refused, and a stream of speeds that goes on is no new goal: it counts again after
+        a zero, or after a pause as long as a speed holds."""
+        with self._lock:
+            waiting, self._requests = bool(self._requests), {}
+        self._moving, self._latched = False, True
+        if waiting:
+            self.refuse("a goal is refused: the robot has stopped meanwhile")
+
     def wrench(self) -> Array:
         """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
         return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
@@ -75,6 +86,12 @@ class Inbox:
                 f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
             )
         force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
+        if (most := self.settings.wrench) is not None:
+            for name, value, limit, unit in (("force", force, most.force, "N"), ("moment", torque, most.moment, "N m")):
+                if (size := float(np.linalg.norm(value))) > limit:
+                    raise InputError(
+                        f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
+                    )
         self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def refuse(self, sentence: str) -> None:
@@ -126,7 +143,7 @@ class Inbox:
 
         def request(x: Array, t: float) -> Task:
             poses = planar_path(*self._all_in_world(frame, x, positions, turned))
-            track = base_track(poses, self._plan_times(times), t, self.settings.speeds)
+            track = base_track(poses, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and not going.carried and going.hand.times[-1] > t
             return self.planner.along_base(x, t, track, going.hand if going is not None and keep else None)
@@ -138,7 +155,7 @@ class Inbox:
 
         def request(x: Array, t: float) -> Task:
             p, q = self._all_in_world(frame, x, positions, turned)
-            track = hand_track(p, q, self._plan_times(times), t, self.settings.speeds)
+            track = hand_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
             return self.planner.along_hand(x, t, track, going.base if going is not None and keep else None)
@@ -155,7 +172,11 @@ class Inbox:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         wanted = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(wanted) / self._fastest))
-        self._twist_at = self.now()
+        before, self._twist_at = self._twist_at, self.now()
+        pause = self.settings.safety.cmd_vel
+        self._latched = self._latched and bool(np.any(wanted)) and self._twist_at - before <= pause
+        if self._latched:
+            raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
         if np.any(wanted):
             self._limit(wanted if over > 1.0 + 1e-9 else None)
             self._put_speed(wanted / max(over, 1.0))
@@ -204,10 +225,20 @@ class Inbox:
             raise InputError(f"a path of 1 to {_MOST_POINTS} poses is needed, got {len(message.poses)}")
         poses = [read_pose(p.pose, f"pose {i} of the path") for i, p in enumerate(message.poses)]
         times = np.array([seconds(p.header.stamp) for p in message.poses])
-        return self._frame(message.header), np.array([p for p, _ in poses]), np.array([q for _, q in poses]), times
+        frame = self._frame(message.header)
+        for i, p in enumerate(message.poses):
+            if p.header.frame_id not in ("", frame):
+                raise InputError(f"pose {i} of the path is in the frame '{p.header.frame_id}', the path in '{frame}'")
+        return frame, np.array([p for p, _ in poses]), np.array([q for _, q in poses]), times
 
-    def _plan_times(self, times: Array) -> Array:
-        return times - self.origin()
+    def _plan_times(self, times: Array, t: float) -> Array:
+        """Stamps on the plan's clock, on which it is t [s]."""
+        planned = times - self.origin()
+        if planned[0] - t > _LATEST:
+            raise InputError(
+                f"the path begins {planned[0] - t:.4g} s from now; valid: at most {_LATEST:g} s (are its stamps of this clock?)"
+            )
+        return planned
 
     def _in_world(self, frame: str, x: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
         """A pose of the bus (heights above the floor) in the planner's world. The base's frame counts without its lean."""

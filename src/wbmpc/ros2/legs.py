@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.control import BrakeControl
-from wbmpc.control.brakes import refuse_floating
+from wbmpc.control.brakes import refuse_floating, refuse_floating_way
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
@@ -97,7 +97,7 @@ class Legs:
         self.refused = sentence
 
     def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
-        """A configuration by name or angles, or single legs: ``angles`` (not a number: as it is), brakes; what will be done."""
+        """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
         n = len(self.names)
         goal, brake = np.full(n, np.nan), np.full(n, np.nan)
         if configuration:
@@ -114,6 +114,8 @@ class Legs:
                 or open_.size not in (0, len(legs))
             ):
                 raise InputError("legs: a configuration, or different legs with as many angles or brakes, are needed")
+            if not np.isfinite(angle).all():
+                raise InputError("legs: an angle is not a finite number")
             if angle.size:
                 goal[places] = angle
             if open_.size:
@@ -151,11 +153,19 @@ class Legs:
                 goal = np.where(np.isnan(goal), self._order[0], goal)
                 brake = np.where(np.isnan(brake), self._order[1], brake)
             if (now := self._now()) is not None:
-                moving, state = self._outcome(goal, brake, now[0])
-                if not moving.any():
-                    refuse_floating(self.robot.base.geometry, now[1], state)
+                self._refuse(goal, *self._outcome(goal, brake, now[0]), now[1])
             self._order = goal, brake
         self.refused = ""
+
+    def _refuse(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
+        """Raise :class:`InputError` where open legs would hold the base against nothing, at rest or for long on the way."""
+        geometry = self.robot.base.geometry
+        if not moving.any():
+            refuse_floating(geometry, leg, state)
+            return
+        before = leg if self.angles is None else self.angles
+        there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
+        refuse_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
         """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""

@@ -40,11 +40,12 @@ class BusRobot:
     def __init__(self, node: Node, pilot: Pilot, settings: RosSettings, clock: WallClock | BusClock) -> None:
         self.pilot, self.settings, self.clock = pilot, settings, clock
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
-        self._reader = JointReader(pilot.robot, settings)
+        self._reader = JointReader(pilot.robot, settings, pilot.keeps)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
+        self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self._lock = threading.Lock()
         self.sent = 0  # commands since the last start
@@ -82,6 +83,10 @@ class BusRobot:
             return
         self._good("imu")
         with self._lock:
+            again = bool(self._fresh_until == at > 0.0)  # a driver that hangs repeats itself
+            self._fresh_until = at
+            if again and self._inertial is not None and not isinstance(self.clock, BusClock):
+                return
             self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
             self._fresh.append((at, taken))
             del self._fresh[:-100]
@@ -210,6 +215,12 @@ class BusRobot:
         if "brake" in scaled:
             scaled["brake"] = self._last["brake"] if left > 0.0 else self.pilot.rest()["brake"]
         self._send(scaled)
+
+    @property
+    def ramping(self) -> bool:
+        """Whether a stop has not brought the robot to rest yet."""
+        since = self._stopping
+        return since is not None and time.perf_counter() - since < self.settings.safety.ramp
 
     def rest(self) -> None:
         """Zero at once."""

@@ -50,6 +50,8 @@ def _topic(name: str) -> str:
     """A topic's name as ROS has them (REP 144 and the design article on names)."""
     if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
         raise ValueError("a topic's name is made of letters, digits, _ and /, and begins with none of the digits")
+    if "__" in name:
+        raise ValueError("a topic's name has no two _ in a row")
     return name
 
 
@@ -102,7 +104,9 @@ class Frames(Settings):
     @field_validator("world", "base")
     @classmethod
     def _named(cls, name: str) -> str:
-        return _not_empty(name)
+        if not re.fullmatch(r"[^\s/][^\s]*", _not_empty(name)):
+            raise ValueError("a frame's name begins with no / and has no spaces")
+        return name
 
 
 class Rates(Settings):
@@ -118,17 +122,25 @@ class Rates(Settings):
 class Speeds(Settings):
     """How fast goals without times are approached: base [m/s], [rad/s], hand [m/s]."""
 
-    base: float = Field(0.4, gt=0)
-    turn: float = Field(0.4, gt=0)
-    hand: float = Field(0.2, gt=0)
+    base: float = Field(0.4, gt=0, allow_inf_nan=False)
+    turn: float = Field(0.4, gt=0, allow_inf_nan=False)
+    hand: float = Field(0.2, gt=0, allow_inf_nan=False)
 
 
 class Fastest(Settings):
     """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (a ball robot:
     ``speeds``)."""
 
-    base: float | None = Field(None, gt=0)
-    turn: float | None = Field(None, gt=0)
+    base: float | None = Field(None, gt=0, allow_inf_nan=False)
+    turn: float | None = Field(None, gt=0, allow_inf_nan=False)
+
+
+class Exerted(Settings):
+    """The most that a ball robot's hand may be asked to exert: force [N], moment [N m]. Its plan leans on the world's answer, and
+    where there is none it has to stand all the same: 20 N that nobody answers fell it."""
+
+    force: float = Field(10.0, gt=0, le=200)
+    moment: float = Field(2.0, gt=0, le=20)
 
 
 class Goals(Settings):
@@ -140,9 +152,10 @@ class Goals(Settings):
 
 class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
-    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: 1 s; in
-    lockstep 30 s, for a busy machine takes its time, or 1 s when nobody publishes it any more). ``jump`` [m, rad]: how
-    far a pose of another localisation may be off from what the robot's own motion says, beyond three standard deviations."""
+    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
+    as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
+    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localisation may be off from what the robot's own
+    motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, gt=0, le=1)
     policy: float = Field(0.5, gt=0, le=10)
@@ -179,7 +192,7 @@ class RosSettings(Settings):
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
     out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
     the modelled ``mpc.delay`` of that time, however fast the machine is. ``drive_lag`` [s] of the drives; ``state_age`` [s]:
-    by the wall's clock, how old joint states are when they come (ball robots).
+    by the wall's clock, how old joint states are when they come, and ``wrench`` (ball robots).
     """
 
     node: str = "wbmpc"
@@ -191,6 +204,7 @@ class RosSettings(Settings):
     speeds: Speeds = Speeds()
     cmd_vel: Fastest = Fastest()
     goals: Goals = Goals()
+    wrench: Exerted | None = None
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
     ignore: tuple[str, ...] = ()
@@ -216,6 +230,13 @@ class RosSettings(Settings):
     def patience(self) -> float:
         """How long [s of the wall] simulated time, or the answers to it, may stay away: see ``safety.clock``."""
         return self.safety.clock or (LOCKSTEP_PATIENCE if self.lockstep else GONE)
+
+    def silence(self, speed: float) -> float:
+        """How long [s of the wall] ``/clock`` may stand while the robot moves, if its time has passed ``speed`` times as fast as
+        the wall's: joint states have stopped then too, and would be older than the watchdog allows. In lockstep: ``patience``."""
+        if self.lockstep or self.safety.clock is not None:
+            return self.patience
+        return min(self.safety.watchdog / min(max(speed, 1e-3), 1.0), GONE)
 
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
@@ -261,6 +282,7 @@ class BallSettings(RosSettings):
 
     mpc: MpcSettings = RezeroStepsSettings().mpc
     cost: RezeroCost = STEPS_AND_PUSHES  # type: ignore[assignment]
+    wrench: Exerted | None = Exerted()
     observer: bool = True
 
 
@@ -289,7 +311,9 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
     if not path.is_file():
         raise InputError(f"--config: there is no file '{path}'")
     try:
-        data = parse_yaml(path.read_text())
+        data = parse_yaml(path.read_text("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})") from error
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     data = {} if data is None else data
@@ -338,6 +362,8 @@ def _check_joints(settings: RosSettings, robot: RobotModel) -> None:
         if name not in known:
             raise unknown_name("joint (key 'joints')", name, known)
     on_bus = [settings.bus_name(n) for n in known]
+    if "" in on_bus:
+        raise InputError(f"key 'joints': '{known[on_bus.index('')]}' has no name on the bus")
     twice = sorted({n for n in on_bus if on_bus.count(n) > 1})
     if twice:
         raise InputError(f"key 'joints': two joints are called '{twice[0]}' on the bus")

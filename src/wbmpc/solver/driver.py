@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM6, NUMS, compiled
+from wbmpc.solver.contradiction import contradicts
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.places import (
     CERTIFY,
@@ -50,17 +51,19 @@ from wbmpc.solver.places import (
     TAU,
     THETA,
     TOLERANCE,
+    UNDUE,
     UNEQUAL,
     VIOLATION,
     WATCHED,
     WISHED,
     WISHES,
+    K,
     N,
     U,
     X,
 )
 from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residual
-from wbmpc.solver.row_table import forget_outside
+from wbmpc.solver.row_table import forget_outside, start_outside
 from wbmpc.solver.rows import rows_step, start_rows, take_rows
 from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 from wbmpc.solver.stages import row_count
@@ -70,6 +73,8 @@ from wbmpc.solver.workspace import LOG
 CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED, EQUALITY_MISSED = range(7)
 
 LOG_COLUMNS = len(LOG)
+#: A step that the slacks cut to less than this, with the measured state outside a limit, is not worth taking.
+JAMMED = 0.25
 
 
 @compiled(NUM, NUM, NUM, NUM, NUM)
@@ -200,7 +205,51 @@ def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
         return LIMIT_MISSED
-    return EQUALITY_MISSED if misses_equality(m, o, s) else status
+    if misses_equality(m, o, s):
+        return EQUALITY_MISSED
+    if s[KEEP] > 0.0:
+        return EQUALITY_MISSED if contradicts(m, o, s) else status
+    return status
+
+
+@compiled(BOOL, NUMS, INTS)
+def is_minimum(m, o):  # type: ignore[no-untyped-def]
+    """Whether the exact Hessian is positive definite where dynamics and equalities let the step go, hard rows counted by their
+    barrier: the recursion's factors, with all second derivatives and without shift, are then finite. Keeps the gains.
+    """
+    state, found = o[STATE], True
+    theta, shift = m[state + THETA], m[state + SHIFT]
+    if theta == 1.0 and shift == 0.0:  # as it was solved
+        return True
+    m[state + THETA], m[state + SHIFT] = 1.0, 0.0
+    backward(m, o, False)
+    for i in range(o[N] * o[NU] * o[LX]):
+        found = found and np.isfinite(m[o[K] + i])
+    m[state + THETA], m[state + SHIFT] = theta, shift
+    backward(m, o, False)
+    return found
+
+
+@compiled(BOOL, NUMS, INTS, NUMS, NUMS)
+def starts_anew(m, o, x0, s):  # type: ignore[no-untyped-def]
+    """Where the measured state is outside a hard limit, the iterate starts inside, and its slacks hardly let it go there: it
+    becomes a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
+
+    Steps from inside would be cut again and again, and in real time the plan would not start where the robot is.
+    """
+    state = o[STATE]
+    if m[state + PRIMAL] > JAMMED or start_outside(m, o) <= LIMIT_TOLERANCE:
+        return False
+    hold = m[state + HOLD]
+    m[state + HOLD] = max(hold, 1.0)
+    cost, violation = trial(m, o, x0, 0.0, True)
+    m[state + HOLD] = hold
+    if not (np.isfinite(cost) and np.isfinite(violation)):
+        return False
+    take(m, o)
+    start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, False)
+    m[state + FILTERED] = 0.0
+    return True
 
 
 @compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
@@ -212,6 +261,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     hold = m[state + HOLD]
+    again = rows and (certify or s[EXTRA] > 0.0) and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -235,6 +285,9 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
                 return CONVERGED, it
             level = max(0.2 * mu, s[MU_FLOOR]) if last else level
             m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
+            continue
+        if again and starts_anew(m, o, x0, s):
+            again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
         drop = violation - m[state + LEFT]
         if drop > 1e-10:
@@ -273,7 +326,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if hold > 0.0:
             m[state + HOLD] = hold
         o[POLICY] = 1
-        short = alpha < 0.9 * first or m[state + MISSED] > LIMIT_TOLERANCE
+        short = alpha < 0.9 * first or max(m[state + MISSED], m[state + UNDUE]) > LIMIT_TOLERANCE
         most = int(s[ITERATIONS]) + int(s[EXTRA])
         if it == limit and limit < most and (short or misses_equality(m, o, s)):
             limit += 1

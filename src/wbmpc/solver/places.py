@@ -10,7 +10,7 @@ from wbmpc.solver import workspace as _w
 
 (N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
 (ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT, WISHES) = range(20, len(_w.DIMENSIONS))
+(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT, WISHES, MULTIPLIERS) = range(20, len(_w.DIMENSIONS))
 
 _place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
 GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
@@ -44,11 +44,13 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
 #: last step length and the longest one to try (0: not known, 1), which outlives a solve; whether rows of the inputs are watched at
 #: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row;
-#: by how much the violation without wishes is less than the 1-norm with all equalities.
+#: by how much the violation without wishes is less than the 1-norm with all equalities; by how much planned states are outside
+#: hard rows (0 up to the tolerance), where most (as above), and the same of the rows whose L1 slack is not what gives way there;
+#: for how many solves in a row equalities with multipliers have contradicted each other.
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
-WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED = range(20, 24)
-#: By how much planned inputs may be outside a hard row [its range].
+WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED, PASSED, PASSED_AT, UNDUE, CONTRADICTED = range(20, 28)
+#: By how much planned inputs and states may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
 
 #: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.

@@ -22,7 +22,10 @@ from wbmpc.solver.places import (
     LONGEST,
     MISSED,
     MOST_AT,
+    PASSED,
+    PASSED_AT,
     SETTINGS,
+    UNDUE,
     UNEQUAL,
     UNEQUAL_ROW,
     VIOLATION,
@@ -52,6 +55,7 @@ class _Progress:
     level: float
     last_mu: float
     hold: int
+    again: bool
     count: int = 0
     penalty: float = 0.0
     first: float = 1.0
@@ -103,6 +107,16 @@ class InterpretedSolver(InterpretedDirections):
         state[MISSED] = max(state[MISSED], by[~rows.soft].max(initial=0.0))
         state[GIVEN_WAY] = max(state[GIVEN_WAY], by[rows.soft].max(initial=0.0))
 
+    def _tell_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
+        """Remember by how much node k's state is outside, where its rows are h."""
+        from wbmpc.solver.row_table import GIVES_WAY
+
+        state, by = self.ws.state, np.where(rows.hard & rows.counts & ~rows.bounds_inputs, -h, 0.0)
+        by[by <= LIMIT_TOLERANCE] = 0.0
+        if by.max(initial=0.0) > state[PASSED]:
+            state[[PASSED, PASSED_AT]] = by.max(), k * self.ws.rows_h.shape[1] + int(np.argmax(by))
+        state[UNDUE] = max(state[UNDUE], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0))
+
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
     ) -> tuple[int, int]:
@@ -146,7 +160,8 @@ class InterpretedSolver(InterpretedDirections):
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
-        run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold), 0.0
+        again = self.has_rows and bool(c.certify or c.extra_when_cut) and not c.single_shooting
+        run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
         while run.count < run.limit:
             self.shift = run.shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
@@ -197,6 +212,9 @@ class InterpretedSolver(InterpretedDirections):
             run.level = max(0.2 * self.mu, c.mu_floor) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
+        if run.again and self._starts_anew(x0, c):
+            run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
+            return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
         if alpha == 0.0:
             self.ws.state[[COST, VIOLATION]] = row[:2]
@@ -215,6 +233,25 @@ class InterpretedSolver(InterpretedDirections):
         row[4] = self.ws.state[LAST_ALPHA] = alpha
         self._one_more(c, alpha, run)
         return None
+
+    def _starts_anew(self, x0: np.ndarray, c: Any) -> bool:
+        """As starts_anew of the compiled solver."""
+        from wbmpc.solver.driver import JAMMED
+
+        rows = self.own[0]
+        ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
+        ahead[-rows.change <= 0.5 * ahead] = 0.0
+        reach = min(r.reach(c.tau)[0] for r in self.own)
+        if reach > JAMMED or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
+            return False
+        hold, self.hold = self.hold, max(self.hold, 1)
+        x, u = self._trial({}, 0.0, x0, True)
+        self.hold = hold
+        if not (np.isfinite(x).all() and np.isfinite(u).all()):
+            return False
+        self.ws.x[:], self.ws.u[:] = x, u
+        self._start_rows(self.mu, c.least_slack, bool(c.keep_multipliers), False)
+        return True
 
     def _step_length(
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, kkt: float, run: _Progress
@@ -267,19 +304,27 @@ class InterpretedSolver(InterpretedDirections):
             return
         self._watch(c)
         outside, most = self.ws.state[MISSED] > LIMIT_TOLERANCE, int(c.iterations) + int(c.extra_when_cut)
-        if run.limit < most and (alpha < 0.9 * run.first or outside or self._misses_equality(c)):
+        if run.limit < most and (
+            alpha < 0.9 * run.first or outside or self.ws.state[UNDUE] > 0.0 or self._misses_equality(c)
+        ):
             run.limit += 1
         elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.compliance.size:
             run.hold = self.hold = 2
             run.limit += 1
 
     def _watch(self, c: Any) -> None:
-        """In real time: by how much inputs are outside straight hard rows."""
-        if not c.keep_multipliers or self.hold:
+        """In real time: by how much inputs are outside straight hard rows, and states from node 1 on outside theirs."""
+        ws, last = self.ws, len(self.ws.u)
+        ws.state[[PASSED, UNDUE]] = 0.0
+        if not c.keep_multipliers:
             return
-        self.ws.state[[MISSED, GIVEN_WAY]] = 0.0
-        for k, rows in enumerate(self.own[:-1]):
-            self._tell_outside(k, rows, self._rows(k, self.ws.x[k], self.ws.u[k]))
+        if not self.hold:
+            ws.state[[MISSED, GIVEN_WAY]] = 0.0
+        for k, rows in enumerate(self.own):
+            h = self._rows(k, ws.x[k], ws.u[min(k, last - 1)])
+            if not self.hold and k < last:
+                self._tell_outside(k, rows, h)
+            self._tell_passed(k, rows, h)
 
     def _status_at_the_limit(self, c: Any, status: int) -> int:
         from wbmpc.solver.driver import EQUALITY_MISSED, LIMIT_MISSED

@@ -1,4 +1,4 @@
-"""Compiled code: what the table of rows says, and by how much planned inputs are outside hard rows."""
+"""Compiled code: what the table of rows says, and by how much planned inputs and states are outside hard rows."""
 
 from __future__ import annotations
 
@@ -9,28 +9,39 @@ from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, LANES, MASK, NONE, N
 from wbmpc.solver.places import (
     COUNTS,
     COUNTS_FIRST,
+    DUAL,
     END_ROW_BOXES,
     END_ROW_GENERAL,
     GIVEN_WAY,
     KIND,
+    LIMIT_TOLERANCE,
     MISSED,
     MOST_AT,
+    PASSED,
+    PASSED_AT,
     PENALTY,
     RHO,
     ROW_BOXES,
+    ROW_D,
     ROW_END,
     ROW_GENERAL,
+    ROW_H,
+    ROW_L,
+    ROW_N,
     ROW_TABLE,
     ROW_TOTAL,
     ROW_TRIAL,
     ROWS,
     STATE,
+    UNDUE,
     N,
 )
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
 #: Inputs that are less outside [ranges of the rows] are inside.
 ROUNDING = 1e-9
+#: A multiplier beyond this share of its L1 slack's weight says that the row gives way.
+GIVES_WAY = 0.9
 
 
 @compiled(INT3, INTS, INT)
@@ -78,7 +89,7 @@ def eight_rows(m, o, r, k):  # type: ignore[no-untyped-def]
     return kind, penalty, m[column : column + LANES] > 0.0
 
 
-# ---------------------------------------------------------------------- inputs outside
+# ---------------------------------------------------------------------- inputs and states outside
 @compiled(BOOL, NUMS, INTS, INT)
 def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
     """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
@@ -89,6 +100,7 @@ def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
 def forget_outside(m, o):  # type: ignore[no-untyped-def]
     """Nothing is known to be outside."""
     m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY] = 0.0, 0.0
+    m[o[STATE] + PASSED], m[o[STATE] + UNDUE] = 0.0, 0.0
 
 
 @compiled(NONE, NUMS, INTS, INT)
@@ -104,16 +116,47 @@ def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
 
 
 @compiled(NONE, NUMS, INTS, INT)
-def look_outside(m, o, k):  # type: ignore[no-untyped-def]
-    """As :func:`tell_outside`, of a node of which most often nothing is outside."""
-    if k == o[N]:
-        return
+def tell_passed(m, o, k):  # type: ignore[no-untyped-def]
+    """Remember in ``state`` by how much node k's state is outside: all rows, and those that do not give way a step further."""
     first, boxes, general = node_rows(o, k)
-    worst = np.full(LANES, 0.0)
+    state = o[STATE]
+    for j in range(boxes + general):
+        r, q, by = first + j, k * o[ROWS] + j, -m[o[ROW_TRIAL] + j]
+        if by <= LIMIT_TOLERANCE or bounds_inputs(m, o, r) or kind_of(m, o, r) != HARD or not counts(m, o, r, k):
+            continue
+        if by > m[state + PASSED]:
+            m[state + PASSED], m[state + PASSED_AT] = by, q
+        following = m[o[ROW_L] + q] + m[state + DUAL] * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
+        if following < GIVES_WAY * row_penalty(m, o, r):
+            m[state + UNDUE] = max(m[state + UNDUE], by)
+
+
+@compiled(NUM, NUMS, INTS)
+def start_outside(m, o):  # type: ignore[no-untyped-def]
+    """By how much the measured state is outside hard rows of the state of which the iterate's start is inside, or nearly, after a
+    direction; 0 where there is none. (The rows do not count there.)"""
+    _, boxes, general = node_rows(o, 0)
+    worst = 0.0
+    for j in range(boxes + general):
+        if kind_of(m, o, j) == HARD and counts(m, o, j, 1) and not bounds_inputs(m, o, j):
+            outside, change = -(m[o[ROW_H] + j] + m[o[ROW_D] + j]), -m[o[ROW_D] + j]
+            worst = max(worst, outside if change > 0.5 * outside else 0.0)
+    return worst
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def look_outside(m, o, k):  # type: ignore[no-untyped-def]
+    """As :func:`tell_outside` and :func:`tell_passed`, of a node of which most often nothing is outside."""
+    first, boxes, general = node_rows(o, k)
+    inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
     for j in range(0, boxes + general, LANES):
-        r, at = first + j, o[ROW_TRIAL] + j
-        kind, inputs = m[entry(o, KIND, r) : entry(o, KIND, r) + LANES], entry(o, COUNTS_FIRST, r)
-        bounds = (kind == HARD) & (m[inputs : inputs + LANES] > 0.0)
-        worst = np.maximum(worst, np.where(bounds, -m[at : at + LANES], 0.0))
-    if np.max(worst) > ROUNDING:
+        r, at, bounds = first + j, o[ROW_TRIAL] + j, entry(o, COUNTS_FIRST, first + j)
+        kind, column = m[entry(o, KIND, r) : entry(o, KIND, r) + LANES], entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
+        over = np.where((kind == HARD) & (m[column : column + LANES] > 0.0), -m[at : at + LANES], 0.0)
+        of_inputs = m[bounds : bounds + LANES] > 0.0
+        inputs = np.maximum(inputs, np.where(of_inputs, over, 0.0))
+        states = np.maximum(states, np.where(of_inputs, 0.0, over))
+    if np.max(inputs) > ROUNDING:
         tell_outside(m, o, k)
+    if np.max(states) > LIMIT_TOLERANCE:
+        tell_passed(m, o, k)

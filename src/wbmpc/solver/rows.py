@@ -7,8 +7,9 @@ multiplier −σ (J δz + e) after the step:
 - MULTIPLIER: σ = ρ where λ > ρ h, else 0; e = h − λ/ρ;
 - EQUAL: σ = ρ, e = h + λ/ρ, multiplier +σ (J δz + e).
 
-The rows of a node come in vectors of eight: first those of one variable, then general ones, then rows that do nothing, up
-to a multiple of eight. Without L1 slack ("open", infinite ν): s = 0, and y counts as 1 wherever it only scales.
+The rows of a node come in vectors of eight (:mod:`wbmpc.solver.row_algebra`): first those of one variable, then general
+ones, then rows that do nothing, up to a multiple of eight. Without L1 slack ("open", infinite ν): s = 0, and y counts as 1
+wherever it only scales.
 
 Sources: Nocedal and Wright 2006, sections 19.2 and 17.4; derivation in docs/derivations.md.
 """
@@ -27,7 +28,6 @@ from wbmpc.solver.compilation import (
     NUM,
     NUM2,
     NUMS,
-    VEC,
     call3,
     compiled,
 )
@@ -44,7 +44,6 @@ from wbmpc.solver.places import (
     END_ROWS_J,
     GRID,
     KIND,
-    LANES_OUT,
     LEFT,
     LX,
     LZ,
@@ -83,6 +82,7 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
+from wbmpc.solver.row_algebra import log_of_product, merits, steps, weights
 from wbmpc.solver.row_table import (
     EQUAL,
     HARD,
@@ -93,73 +93,6 @@ from wbmpc.solver.row_table import (
     node_rows,
 )
 from wbmpc.solver.stages import row_index, stage_end
-
-
-# ---------------------------------------------------------------------- eight rows
-@compiled((VEC, VEC), VEC, VEC, VEC, VEC, VEC, VEC, VEC, NUM)
-def weights(kind, h, t, l, s, y, penalty, mu):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(σ, e)."""
-    closed = penalty < np.inf
-    scale, rest = np.where(closed, y, 1.0), np.where(closed, s * l, 0.0)
-    inverse = 1.0 / (l * scale)  # divisions are what a row costs
-    sigma = l * scale / (t * scale + rest)
-    e = h - mu * inverse * np.where(closed, y - l, 1.0) - t - rest * l * inverse
-    if np.all(kind == HARD):
-        return sigma, e
-    other = np.where(kind == EQUAL, penalty, np.where(l > penalty * h, penalty, 0.0))
-    signed = np.where(kind == EQUAL, l, -l) / penalty
-    return np.where(kind == HARD, sigma, other), np.where(kind == HARD, e, h + signed)
-
-
-@compiled((VEC, VEC, VEC), VEC, VEC, VEC, VEC, VEC, VEC)
-def merits(kind, h, t, l, s, penalty):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(cost without logarithms, violation, what the logarithms are taken of)."""
-    hard, closed = kind == HARD, penalty < np.inf
-    cost, violation = np.where(closed, penalty * s, 0.0), abs(h + np.where(closed, s, 0.0) - t)
-    product = np.where(hard, t * np.where(closed, s, 1.0), 1.0)
-    if np.all(hard):
-        return cost, violation, product
-    pull = np.maximum(l - penalty * h, 0.0)
-    other = np.where(kind == MULTIPLIER, 0.5 * (pull * pull - l * l) / penalty, 0.0)
-    missing = np.where(kind == MULTIPLIER, 0.0, abs(h))
-    return np.where(hard, cost, other), np.where(hard, violation, missing), product
-
-
-@compiled((VEC,) * 6, VEC, VEC, VEC, VEC, VEC, VEC, VEC, NUM)
-def steps(t, l, s, y, penalty, following, ahead, mu):  # type: ignore[no-untyped-def]  # noqa: E741
-    """(δt, δs, δl, largest −δt/t or −δs/s, largest −δl/l or −δy/y, slope of logarithms and slack) of hard rows.
-
-    ``following``: next multiplier; ``ahead`` = h + J δz.
-    """
-    closed = penalty < np.inf
-    y, s = np.where(closed, y, 1.0), np.where(closed, s, 1.0)
-    inverse, other = 1.0 / (l * y), 1.0 / (t * s)
-    by_l, by_y, by_t, by_s = y * inverse, l * inverse, s * other, t * other
-    dl = following - l
-    dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
-    carried = s * l > t * y  # by the slack: δl is the small difference of large numbers
-    ds = np.where(carried, t + dt - ahead - s, ds)
-    dl = np.where(closed & carried, y - (mu - y * ds) * by_s, dl)
-    slack_slope = np.where(closed, ds * (penalty - mu * by_s), 0.0)
-    shrink = np.maximum(-dt * by_t, np.where(closed, -ds * by_s, 0.0))
-    fall = np.maximum(-dl * by_l, np.where(closed, dl * by_y, 0.0))
-    return dt, np.where(closed, ds, 0.0), dl, shrink, fall, slack_slope - mu * dt * by_t
-
-
-@compiled(NUM, NUMS, INTS, VEC)
-def log_of_product(m, o, product):  # type: ignore[no-untyped-def]
-    """Σ log of eight numbers, with as few logarithms as their sizes allow."""
-    lanes, total, one = o[LANES_OUT], 0.0, 1.0
-    m[lanes : lanes + LANES] = product
-    for i in range(LANES):
-        if not 1e-200 < one < 1e200:
-            total += np.log(one)
-            one = 1.0
-        if 1e-100 < m[lanes + i] < 1e100:
-            one *= m[lanes + i]
-        else:
-            total += np.log(m[lanes + i])
-    return total + np.log(one)
 
 
 # ---------------------------------------------------------------------- all rows of a node

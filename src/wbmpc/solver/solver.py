@@ -13,17 +13,22 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
-from wbmpc.ocp import Mode, ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.residuals import FramePose
+from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
+    CONTRADICTED,
     COST,
     GIVEN_WAY,
     LIMIT_TOLERANCE,
     LONGEST,
     MISSED,
     MOST_AT,
+    PASSED,
+    PASSED_AT,
+    UNDUE,
     UNEQUAL,
     UNEQUAL_ROW,
     VIOLATION,
@@ -76,9 +81,8 @@ class Solver:
         else:
             self.twin = InterpretedSolver(self.problem)
             self.ws = self.twin.ws
-        nothing = Mode("default")
         self.references: dict[str, Reference] = {}
-        self.schedule = ModeSchedule((nothing,))
+        self.schedule = DEFAULT
         self._tables = None
         self.log = np.zeros((self.settings.most_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
@@ -181,7 +185,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[LONGEST] = 0.0
+        self.ws.state[[LONGEST, CONTRADICTED]] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
@@ -195,6 +199,8 @@ class Solver:
             for name, term in self.ocp.terms.items():
                 if isinstance(term.residual, FramePose) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
+            if self.schedule is DEFAULT:
+                self.problem.check_schedule(DEFAULT)
             self._tables = make_tables(self.problem, self.references, self.schedule)
         return self._tables
 
@@ -313,17 +319,35 @@ class Solver:
         )
 
     def missed(self, status: Status) -> str:
-        """The equality of the first input, or the hard row of inputs, that the last plan misses most; empty where none is missed.
+        """The equality of the first input, or the hard row, that the last plan misses most; empty where none is missed.
 
-        Equalities are looked at in real time, hard rows there and where inputs are held within them (curved rows).
+        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (curved rows).
         """
         state = self.ws.state
         if status is Status.EQUALITY_MISSED:
-            name = self.problem.equality_names()[int(state[UNEQUAL_ROW])]
-            return f"{name} by {100.0 * state[UNEQUAL]:.3g} % of the row's size, at the first input"
-        if max(state[MISSED], state[GIVEN_WAY]) <= LIMIT_TOLERANCE:
+            return self._unequal()
+        by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
+        if by <= LIMIT_TOLERANCE:
             return ""
-        node, row = divmod(int(state[MOST_AT]), self.ws.rows_h.shape[1])
-        limit = self.problem.path.rows[row]
-        by = max(state[MISSED], state[GIVEN_WAY]) * limit.unit
-        return f"hard limit missed: {limit.name} by {by:.3g} at node {node}"
+        node, row = divmod(int(state[MOST_AT if of_inputs == by else PASSED_AT]), self.ws.rows_h.shape[1])
+        limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
+        sentence = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
+        if of_inputs == by:
+            return sentence
+        return f"{sentence}, {'not yet reached' if state[UNDUE] == by else 'where its slack gives way'}"
+
+    def _unequal(self) -> str:
+        names, row = self.problem.equality_names(), int(self.ws.state[UNEQUAL_ROW])
+        by = f"by {100.0 * self.ws.state[UNEQUAL]:.3g} % of the row's size"
+        if row < len(names):
+            return f"{names[row]} {by}, at the first input"
+        node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
+        own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
+        return f"{own.name} {by} at node {node}: it cannot be met together with others"
+
+    @property
+    def passed(self) -> float:
+        """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
+        and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
+        worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
+        return worst if worst > LIMIT_TOLERANCE else 0.0

@@ -95,7 +95,16 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
             status = Status.RELAXED if term.hard else Status.CONVERGED
             reach = f"{found.value / slope:.3g} in the variables"
             return status, f"{found}, which is {reach}: the row is too small, multiply it"
-    return Status.CONVERGED, certificate.unstable_interval(problem, ws).removeprefix("; ")
+    return Status.CONVERGED, _no_minimum(solver) + certificate.unstable_interval(problem, ws).removeprefix("; ")
+
+
+def _no_minimum(solver: Solver) -> str:
+    """What to say where the exact Hessian is not convex at the end; the Gauss-Newton one cannot tell."""
+    from wbmpc.solver.driver import is_minimum
+
+    if not solver.problem.exact or is_minimum(solver.ws.memory, solver.ws.table):
+        return ""
+    return "the curvature is not positive in every direction: a saddle or a maximum, no minimum; try another guess"
 
 
 def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) -> tuple[Status, str]:

@@ -63,6 +63,7 @@ DIMENSIONS = (
     "curved",  # whether hard rows are curved in the inputs
     "bent",  # whether equalities or rows with multipliers are
     "wishes",  # whether equalities have a compliance to speak of
+    "multipliers",  # whether rows have multipliers of an augmented Lagrangian
 )
 BLOCKS = (
     "grid",  # (N + 1,) s
@@ -109,7 +110,7 @@ BLOCKS = (
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (24,): μ, shift of the Hessian, … (see places.py)
+    "state",  # (32,): μ, shift of the Hessian, … (see places.py)
     "filter",  # (64, 2): cost, violation
     "wish",  # (N, equalities): what wishes are to be, and by how much that changes
     "wish_step",
@@ -272,7 +273,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
-        "state": (24,),
+        "state": (32,),
         "filter": (64, 2),
         "wish": (n, max(s.ng, 1)) if problem.wishes else (1,),
         "wish_step": (n, max(s.ng, 1)) if problem.wishes else (1,),
@@ -284,7 +285,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
         "second": (s.nz, s.lz) if problem.second else (1,),
-        "chained": (s.nz, s.lz) if problem.second else (1,),
+        "chained": (s.nz if problem.second else 1, s.lz),
     }
     shapes |= _lane_shapes(s, shapes["p"][1])
     return shapes | {name: (n + 1, rows) for name in _ROWS}
@@ -340,7 +341,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
-        problem.curved, problem.bent, problem.wishes,
+        problem.curved, problem.bent, problem.wishes, any(r.kind != Kind.HARD for r in rows),
     ]  # fmt: skip
     indices = [
         *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),

@@ -1,0 +1,102 @@
+"""Residuals of frames: pose, twist, wrench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import casadi as ca
+
+from wbmpc import lie
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model import RobotModel
+from wbmpc.ocp.symbols import Symbols
+
+
+@dataclass(frozen=True)
+class FramePose:
+    """Pose error of a frame: position (3) [m] in world axes; orientation (3) [rad] in world or the reference's ``axes``.
+
+    Reference: position (3) and quaternion (4). ``orientation``: "log" (default), twice the vector part of the error
+    quaternion for "vector" (Minniti et al. 2019, section IV-B), which is flat at 180 degrees.
+    """
+
+    robot: RobotModel
+    frame: str
+    orientation: Literal["log", "vector"] = "log"
+    axes: Literal["world", "reference"] = "world"
+
+    size = 6
+    reference = 7
+    groups = {"position": slice(0, 3), "orientation": slice(3, 6)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.frame not in self.robot.frames:
+            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        pose = self.robot.frame_pose(s.x, self.frame)
+        wanted = lie.quaternion_conjugate(s.reference[3:7])
+        pair = (pose.quaternion, wanted) if self.axes == "world" else (wanted, pose.quaternion)
+        error = lie.quaternion_multiply(*pair)
+        rotation = lie.quaternion_log(error) if self.orientation == "log" else 2.0 * lie.quaternion_error_vector(error)
+        return ca.vertcat(pose.position - s.reference[0:3], rotation)
+
+
+@dataclass(frozen=True)
+class FrameTwist:
+    """Linear (3) [m/s] and angular (3) [rad/s] velocity of a frame, world axes, minus their reference."""
+
+    robot: RobotModel
+    frame: str
+
+    size = 6
+    reference = 6
+    groups = {"linear": slice(0, 3), "angular": slice(3, 6)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.frame not in self.robot.frames:
+            raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        linear, angular = self.robot.frame_velocity(s.x, s.u, self.frame)
+        return ca.vertcat(linear, angular) - s.reference
+
+
+@dataclass(frozen=True)
+class FrameWrench:
+    """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
+    with ``contact="wrench"``, moment (3) [N m] about the frame's origin.
+
+    The frame is one of the robot's contact frames. Raises :class:`InputError` for another one, and for robots without.
+    """
+
+    robot: RobotModel
+    frame: str
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        contacts, name = getattr(self.robot.base, "contacts", {}), self.robot.description.name
+        if not contacts:
+            raise InputError(
+                f"{name}: there is no contact at '{self.frame}'; a robot with torques as inputs has one when it is loaded "
+                "with contact='force' or contact='wrench' (and contact_frame=...); on one whose inputs are speeds it has "
+                "no effect"
+            )
+        if self.frame not in contacts:
+            raise unknown_name("contact frame", self.frame, contacts, where=name)
+        kinds = contacts[self.frame]
+        object.__setattr__(self, "groups", {kind: slice(3 * k, 3 * k + 3) for k, kind in enumerate(kinds)})
+
+    @property
+    def size(self) -> int:
+        return 3 * len(self.groups)
+
+    @property
+    def reference(self) -> int:
+        return self.size
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        groups = self.robot.base.contacts[self.frame].values()
+        return ca.vertcat(*[s.u[self.robot.input[g]] for g in groups]) - s.reference

@@ -1,0 +1,118 @@
+"""Planned states outside hard limits, in real time. Truth: the limits as they were typed in, looked at in the plans themselves;
+where a limit can be held, a trolley's brake: it stops from speed v within v / a seconds."""
+
+from __future__ import annotations
+
+import logging
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from realtime_toys import ToyAgent, ToyRobot
+from toys import Rows, ToyDynamics
+from wbmpc.mpc import MPC, Observation, Policy, RealTime, Runner, VirtualClock
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
+from wbmpc.ocp.sets import Box
+from wbmpc.solver import SQP, Solver, Status
+
+FASTEST, HARDEST = 0.5, 2.0
+RANGE = 2.0 * FASTEST
+
+
+def trolley(backend: str = "compiled", at: str = "all") -> OptimalControlProblem:
+    """ẍ = u to the origin, |ẋ| ≤ FASTEST, |u| ≤ HARDEST."""
+    ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, 20)
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
+    ocp.add(Constraint("force", Rows(1, lambda s: s.u), Box(-HARDEST, HARDEST), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), Box(-FASTEST, FASTEST), hard=True, at=at))  # type: ignore[arg-type]
+    return ocp
+
+
+def outside(x: np.ndarray) -> float:
+    """Of planned states (N + 1, 2) from node 1 on, as a share of the range; 0 up to 0.1 %."""
+    share = float((np.abs(x[1:, 1]) - FASTEST).max() / RANGE)
+    return share if share > 1e-3 else 0.0
+
+
+def drive(mpc: MPC, speed: float, steps: int = 60) -> list[Policy]:
+    """At rest for 10 steps, then the trolley is knocked to ``speed``."""
+    x, policies = np.zeros(2), []
+    mpc.reset(x)
+    for k in range(steps):
+        x = x + np.array([0.0, speed]) * (k == 10)
+        policies.append(mpc.update(Observation(0.02 * k, x)))
+        x = mpc.solver.simulate(x, policies[-1].u[0], 0.02)
+    return policies
+
+
+@pytest.mark.parametrize("at", ["path", "terminal", "all"])
+def test_plans_outside_are_counted_and_named(at: str) -> None:
+    """1.5 m/s: the force brings it back within 0.5 s; at the end of the horizon it never was outside."""
+    mpc = MPC(trolley(at=at))
+    policies = drive(mpc, 1.5)
+    found = np.array([outside(p.x[-2:] if at == "terminal" else p.x) for p in policies])
+    np.testing.assert_allclose([p.passed for p in policies], found, atol=1e-12)
+    s = mpc.statistics
+    assert s.passed == (found > 0.0).sum() and s.worst_passed == found.max()
+    assert (s.passed == 0) == (at == "terminal")
+    if s.passed:
+        assert 15 <= s.passed <= 35 and found.argmax() == 10
+        start = f"hard limit missed: speed.all[0] <= 0.5 by {RANGE * found.max():.3g} at node 1, where its slack gives way, at 0.2"
+        assert s.passed_where.startswith(start)
+        assert "speed.all[0] <= 0.5" in mpc.where_passed() or mpc.passed == 0.0
+
+
+def test_none_is_counted_where_all_are_inside() -> None:
+    mpc = MPC(trolley())
+    policies = drive(mpc, 0.45)
+    assert mpc.statistics.passed == 0 and all(p.passed == 0.0 for p in policies)
+    assert max(np.abs(p.x[:, 1]).max() for p in policies) < FASTEST + 1e-3
+
+
+@pytest.mark.parametrize("speed", [0.7, 1.5, -3.0])
+def test_plans_start_where_the_robot_is(speed: float) -> None:
+    """Outside the limit too: steps from a plan that is inside were cut again and again, and for 0.1 s plans started inside."""
+    solvers = [Solver(trolley(), SQP.real_time(backend=name)) for name in ("compiled", "interpreted")]
+    for k, x in enumerate(([0.0, 0.0], [0.0, 0.0], [0.0, speed], [0.02 * speed, 0.98 * speed])):
+        for s in solvers:
+            s.run(np.array(x), 0.02 * k, 0.02 if k else 0.0)
+    first, twin = (s.ws for s in solvers)
+    assert np.abs(first.x[0] - x).max() < 0.05 * abs(speed)
+    assert first.u[0, 0] * np.sign(speed) < 0.95 * -HARDEST  # it brakes
+    np.testing.assert_allclose(twin.x, first.x, atol=1e-9)
+    np.testing.assert_allclose(solvers[1].passed, solvers[0].passed, atol=1e-9)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_the_sentence_of_a_solve(backend: str) -> None:
+    solver = Solver(trolley(), SQP.real_time(5, backend=backend))
+    for _ in range(3):
+        found = solver.solve(np.array([0.0, -1.5]))
+    assert found.status is Status.ITERATION_LIMIT and found.usable
+    assert solver.passed == pytest.approx(outside(found.x), abs=1e-12) and solver.passed > 0.4
+    assert "hard limit missed: speed.all[0] >= -0.5 by 0.9" in str(
+        found
+    ) and "node 1, where its slack gives way" in str(found)
+
+
+def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+
+    def knock(robot: ToyRobot) -> None:
+        if robot.reads == 240:
+            robot.x = robot.x + np.array([0.0, 1.5])
+
+    clock = VirtualClock(0.004)
+    mpc = MPC(trolley(), rate=50.0, first_iterations=10)
+    start = np.array([0.05, 0.0])
+    mpc.reset(start)
+    runner = Runner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTime(), clock)
+    seen: list[float] = []
+    runner.watch = lambda t, late, plans: seen.append(plans.current.passed)  # type: ignore[union-attr,func-returns-value]
+    report = runner.run(2.0)
+    assert not runner.stopped and 15 <= report.passed <= 40
+    assert report.worst_passed == max(seen) > 0.3
+    assert report.passed_where.startswith("hard limit missed: speed.all[0] <= 0.5 by ")
+    assert f"{report.passed} plans outside hard limits, worst " in str(report)
