@@ -169,7 +169,7 @@ class View(Window):
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,
-            "base_goal": base_goal, "brakes": self._steering.brakes_open(t), **self._paths(plans), **on_floor,
+            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(plans), **on_floor,
         }  # fmt: skip
 
     def _base_goal(self, t: float) -> Array:

@@ -91,7 +91,8 @@ class Panel:
                 names = tuple(CONFIGURATIONS)
                 group = gui.add_button_group("Configuration", names)
                 group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
-                self._brakes, self._brakes_clicked = gui.add_checkbox("Brakes open", False), -np.inf
+                self._brakes: Any = gui.add_checkbox("Brakes open", False)
+                self._brakes_clicked = -np.inf
                 self._brakes.on_update(self._click_brakes)
         if not self.controls.pushes:
             return
