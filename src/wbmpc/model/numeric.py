@@ -34,7 +34,7 @@ class Numeric:
                 raise InputError(f"{self.function.name()}: {place.size} numbers are needed, got {array.size}")
             place[:] = array.ravel(order="F")
         own.run()
-        return [np.ascontiguousarray(place.reshape(shape, order="F")) for place, shape in own.found]
+        return [np.array(place.reshape(shape, order="F"), order="C") for place, shape in own.found]
 
     def _open(self) -> None:
         f, own = self.function, self._own

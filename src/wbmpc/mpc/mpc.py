@@ -106,8 +106,9 @@ class MPC:
         planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
-        switch = self.solver.problem.node.slices["switch"].start
-        self._always, self._switches = planes.switches < 0, np.maximum(planes.switches, 0) + switch
+        # rows of some modes: where they are among all, and the parameters that switch them
+        self._switched = np.flatnonzero(planes.switches >= 0)
+        self._switches = planes.switches[self._switched] + self.solver.problem.node.slices["switch"].start
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -183,9 +184,11 @@ class MPC:
 
     def active_rows(self) -> np.ndarray | None:
         """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
-        if not self._always.size:
+        if not self.limits.offset.size:
             return None
-        return np.where(self._always, 1.0, self.solver.ws.p[:-1, self._switches])
+        active = np.ones((self.ocp.intervals, self.limits.offset.size))
+        active[:, self._switched] = self.solver.ws.p[:-1, self._switches]
+        return active
 
     @property
     def passed(self) -> float:
