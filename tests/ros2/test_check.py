@@ -238,3 +238,25 @@ def test_the_nodes_say_as_much_as_is_wanted(
         assert main([*command, "--verbose"]) == 0
         said = capsys.readouterr()
         assert said.out == "" and "by dds; settings: {" in said.err
+
+
+def test_another_odometry_and_brakes_of_nobody(robot: Any, looker: Any) -> None:
+    robot.publisher("/odom", "nav_msgs/msg/Odometry")
+    drives = [n for g in ("steer", "wheel", "arm") for n in ROBOT.state.groups.get(g, ()) or ROBOT.input.groups[g]]
+    settings = RosSettings.model_validate({"controllers": {"all": {"topic": "/all/commands", "joints": drives}}})
+    known(looker, ("/odom",))
+    f = {f.topic: (f.level, f.text) for f in check(looker, ROBOT, settings, 1.0)}
+    assert f["/odom"] == ("warning", "'robot' publishes it too: two odometries mix")
+    assert (
+        f["controllers"][0] == "warning"
+        and "no controller commands the brake of leg_LF ('brake/leg_LF')" in f["controllers"][1]
+    )
+    assert "controllers" not in found(looker)
+
+
+def test_a_ball_robots_sensors_have_a_message_for_every_tick() -> None:
+    from wbmpc.ros2.check import _balancing
+
+    assert _balancing("/imu", 395.0, 400.0) == [] == _balancing("/imu", 0.0, 400.0)
+    (finding,) = _balancing("/imu", 120.0, 400.0)
+    assert finding.level == "warning" and "120 Hz, a ball robot's controller at 400 Hz" in finding.text

@@ -19,6 +19,8 @@ from wbmpc.ros2.settings import ORDERS, Controller, RosSettings
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
 _LEAST_RATE, _WITHIN_WATCHDOG = 100.0, 2.0
+#: A sensor that has a message for this share of the ticks counts as one for each.
+_OF_THE_TICKS = 0.9
 #: Discovery takes this long [s] before what is not there counts as missing.
 _DISCOVERY = 1.0
 
@@ -90,8 +92,13 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
             continue
         needed = topic != topics.imu or robot.description.base.type == "ball"
         found += _source(node, topic, kind, ears[topic], settings, needed)
-    for controller in settings.command_topics(robot).values():
+        if robot.description.base.type == "ball" and topic != "/clock":
+            found += _balancing(topic, ears[topic].rate, settings.rates.control)
+    controllers = settings.command_topics(robot)
+    for controller in controllers.values():
         found += _sink(node, controller, settings.node, needed="brake" not in controller.topic)
+    found += _brakes(robot, controllers)
+    found += _other_odometry(node, topics.odom, settings.node)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
     for key, kind in ORDERS.items():
         found += _order(node, getattr(topics, key), kind)
@@ -110,6 +117,34 @@ def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> l
     if silent > POSE_AGE:
         return [Finding(ERROR, topic, f"too slow: {silent:.2f} s without a pose, the limit is {POSE_AGE:g} s")]
     return found
+
+
+def _balancing(topic: str, rate: float, wanted: float) -> list[Finding]:
+    """Of sensors that keep a robot upright: every tick of its controller needs a message."""
+    if not 0.0 < rate < _OF_THE_TICKS * wanted:
+        return []
+    return [Finding(WARNING, topic, f"slow: {rate:.0f} Hz, a ball robot's controller at {wanted:g} Hz needs as many")]
+
+
+def _brakes(robot: RobotModel, controllers: dict[str, Controller]) -> list[Finding]:
+    """Of legs with brakes, which nobody has to move."""
+    legs = robot.input.groups.get("leg", ())
+    left = [n for n in legs if not any(f"brake/{n}" in c.joints for c in controllers.values())]
+    if not left:
+        return []
+    return [
+        Finding(
+            WARNING,
+            "controllers",
+            f"no controller commands the brake of {left[0]} ('brake/{left[0]}'): it stays as it is",
+        )
+    ]
+
+
+def _other_odometry(node: Node, topic: str, ours: str) -> list[Finding]:
+    """Of a base controller that publishes an odometry of its own."""
+    who = [node.owner(e) for e in node.publishers(topic) if not e.own] if topic else []
+    return [Finding(WARNING, topic, f"'{name}' publishes it too: two odometries mix") for name in who if name != ours]
 
 
 def _needless_clock(node: Node, ear: _Ear) -> list[Finding]:
