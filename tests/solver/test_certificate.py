@@ -61,7 +61,7 @@ def test_what_cannot_be_moved_cannot_get_there() -> None:
     assert found.status is Status.INFEASIBLE and "there.all[1] by 1 at node 20" in found.detail
 
 
-@pytest.mark.parametrize(("iterations", "status"), [(100, Status.ITERATION_LIMIT), (400, Status.RELAXED)])
+@pytest.mark.parametrize(("iterations", "status"), [(5, Status.ITERATION_LIMIT), (400, Status.RELAXED)])
 def test_a_limit_with_a_slack_is_never_infeasible(iterations: int, status: Status) -> None:
     """A trolley at twice its hard speed limit: with an L1 slack there is always a solution, however long it takes."""
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, 200)
@@ -70,7 +70,8 @@ def test_a_limit_with_a_slack_is_never_infeasible(iterations: int, status: Statu
     ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-2.0, 2.0), hard=True))
     ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), sets.Box(-1.0, 1.0), hard=True))
     found = solve(ocp, SQP(iterations=iterations), np.array([0.0, 2.0]))
-    assert found.status is status and "speed" in found.detail
+    assert found.status is status and found.violations["speed"].value > 0.9
+    assert status is Status.ITERATION_LIMIT or "speed" in found.detail
 
 
 @pytest.mark.parametrize("algorithm", SOLVERS)
