@@ -242,6 +242,17 @@ def test_ctrl_c_is_status_130_and_leaves_what_there_is(tmp_path: Path) -> None:
     assert all((tmp_path / f).is_file() for f in data["files"].values())
 
 
+def test_ctrl_c_in_any_command_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where the command itself does not catch it."""
+
+    class Interrupting(dict):  # type: ignore[type-arg]
+        def values(self) -> Any:
+            raise KeyboardInterrupt
+
+    assert main(["list"], Interrupting(REGISTRY)) == 130
+    assert capsys.readouterr().err == "wbmpc: interrupted\n"
+
+
 def test_an_interrupted_demo_does_not_go_on(capsys: pytest.CaptureFixture[str]) -> None:
     fake = REGISTRY["fake"]
     begun: list[str] = []

@@ -7,11 +7,12 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -335,8 +336,23 @@ def bench(
         typer.echo(text(figures))
 
 
+def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Ctrl-C that a command leaves to :func:`main`: typer would end without a word."""
+
+    @wraps(command)
+    def call(*arguments: Any, **options: Any) -> Any:
+        try:
+            return command(*arguments, **options)
+        except KeyboardInterrupt as error:
+            raise typer.Abort from error
+
+    return call
+
+
 for _info in (*app.registered_commands, *log.registered_commands, *ros2.registered_commands):
     _info.epilog = EVERYWHERE
+    assert _info.callback is not None
+    _info.callback = _interruptible(_info.callback)
 
 
 def _complain(error: Exception, debug: bool) -> None:

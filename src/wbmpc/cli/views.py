@@ -141,6 +141,8 @@ def replay(
     say_where(player.url, as_json, "replay")
     with suppress(KeyboardInterrupt):
         player.run()
+    with redirect_stdout(io.StringIO()):  # the server says that it stops
+        player.server.stop()
 
 
 def render(
