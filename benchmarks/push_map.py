@@ -133,7 +133,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--set", dest="given", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=["mpc"])
-    parser.add_argument("--fine", type=float, default=FINE, help="a bisection ends at this [N s]; coarser results of FOLDER are gone on with")
+    parser.add_argument(
+        "--fine",
+        type=float,
+        default=FINE,
+        help="a bisection ends at this [N s]; coarser results of FOLDER are gone on with",
+    )
     parser.add_argument("--processes", type=int, help="all cores when left out")
     parser.add_argument("--out", type=Path, default=Path("runs/push-map"))
     parser.add_argument("--draw", action="store_true", help="run nothing")
