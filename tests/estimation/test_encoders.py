@@ -20,7 +20,7 @@ def swung(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def seconds_to_find(acceleration: float, load: float = 0.0) -> float:
-    """Of a joint whose reading stays, under an acceleration that the model has from 0 s on and one that it has always (``load``)."""
+    """Of a joint whose reading stays, the model giving it an acceleration from 0 s on, and ``load`` always."""
     monitor = EncoderMonitor(3, JOINTS)
     for k in range(-400, 4000):
         by_model = load + (acceleration if k >= 0 else 0.0)
