@@ -32,6 +32,24 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         configure(REGISTRY[name].config_type, [given], name)
 
 
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("rezero-push-hand", ["forces=[]"], "forces"),
+        ("rezero-push-ball", ["forces=[-50]"], "forces"),
+        ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
+        ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
+        ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: str) -> None:
+    """No pushes, pushes into each other, no step, a step that begins before the run."""
+    with pytest.raises(InputError) as error:
+        configure(REGISTRY[name].config_type, given, name)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize("name", BALL)
 def test_defaults_and_what_is_used_are_taken(name: str) -> None:
     kind = REGISTRY[name].config_type

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_task import (
@@ -34,10 +34,19 @@ NEAR, LAST = 0.05, 0.5
 class RezeroPushSettings(RezeroSettings):
     """``forces`` [N], each along x and then along y, for ``length`` [s]; ``pause`` [s] from one push to the next."""
 
-    forces: tuple[float, ...] = (50.0, 100.0, 200.0)
+    forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
     length: float = Field(0.2, gt=0, le=5.0)
     pause: float = Field(7.0, ge=2.0, le=60.0)
     settle: float = Field(3.0, ge=0.5, le=60.0)
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> Self:
+        if self.pause < self.length + LAST:
+            raise ValueError(
+                f"pause: {self.pause:g} s from one push to the next, which are {self.length:g} s long and judged by the last "
+                f"{LAST:g} s; at least {self.length + LAST:g} s are needed"
+            )
+        return self
 
 
 class RezeroPushBallSettings(RezeroPushSettings):

@@ -36,6 +36,10 @@ Controller = Literal[
 ]  # fmt: skip
 
 
+#: Those that track the body's states and know of no hand but in its weights.
+REGULATORS = ("lqr", "scheduled-lqr")
+
+
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
     (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
@@ -140,7 +144,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MP
         return RezeroAgent(*more, dead_time=settings.drive_dead_time), p.mpc
     if name == "taskspace":
         return _taskspace(settings, p), None
-    if name in ("lqr", "scheduled-lqr"):
+    if name in REGULATORS:
         gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
         agent = LqrAgent(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
