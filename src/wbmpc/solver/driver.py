@@ -294,7 +294,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
             penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
         # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
         invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
-        first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
+        first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
         last_kkt = kkt
         if not certify:
             first = longest_step(m, o, it == 1)

@@ -19,9 +19,12 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
+    BEST_SHARE,
     CONTRADICTED,
     COST,
     GIVEN_WAY,
+    HELD_BY,
+    HELD_FOR,
     LIMIT_TOLERANCE,
     LONGEST,
     MISSED,
@@ -185,7 +188,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED]] = 0.0
+        self.ws.state[[LONGEST, CONTRADICTED, BEST_SHARE, HELD_FOR]] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
@@ -343,7 +346,9 @@ class Solver:
             return f"{names[row]} {by}, at the first input"
         node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
         own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        return f"{own.name} {by} at node {node}: it cannot be met together with others"
+        node_by, row_by = divmod(int(self.ws.state[HELD_BY]), self.ws.rows_h.shape[1])
+        others = f"'{self.problem.path.rows[row_by].name}' at node {node_by}" if node_by >= 0 else "others"
+        return f"{own.name} {by} at node {node}: it cannot be met together with {others}"
 
     @property
     def passed(self) -> float:

@@ -64,8 +64,10 @@ def _must_hold(problem: Transcription, term: Any) -> bool:
 
 
 def _gives_way(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is a hard limit with an L1 slack: whatever the start, there is a solution that misses it."""
-    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not problem.with_input(term).all())
+    """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
+    solution that misses it."""
+    alone = problem.with_input(term) & ~problem.with_state(term)
+    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not alone.all())
 
 
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
