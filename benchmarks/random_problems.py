@@ -2,10 +2,10 @@
 
 Usage: python benchmarks/random_problems.py [--seeds 0-149] [--show]
 
-Every seed draws a system (one to six states, one to four inputs, sines and products), a grid of 1 to 100 intervals, costs, and some of:
-hard bounds and rows, discs, obstacles, multiplier rows, barriers, equalities of every kind, switched modes; starts inside and outside.
-Nothing is tuned to the seed, guesses are the start held. IPOPT gets the same discretised problem, with the L1 slacks of hard state
-rows as unknowns of its own. It is started where ours ended (is that an optimum?) and from our guess (which optimum, or none?).
+Every seed draws a system (one to six states, one to four inputs, sines and products), a grid of 1 to 100 intervals, costs, and
+some of: hard bounds and rows, discs, obstacles, multiplier rows, barriers, equalities of every kind, switched modes; starts inside
+and outside. Guesses are the start held. IPOPT gets the same discretised problem (``random_rival.py``) and is started where ours
+ended (is that an optimum?) and from our guess (which optimum, or none?).
 """
 
 from __future__ import annotations
@@ -20,13 +20,21 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from random_rival import Rival
 
-from wbmpc.benchmark.program import Stages, sampled
 from wbmpc.model import Equations
 from wbmpc.ocp import (
-    AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets,
+    AugmentedLagrangian,
+    Constraint,
+    Cost,
+    Mode,
+    ModeSchedule,
+    OptimalControlProblem,
+    RelaxedBarrier,
+    SmoothL1,
+    residuals,
+    sets,
 )  # fmt: skip
-from wbmpc.ocp.rows import Kind, Place
 from wbmpc.solver import ILQR, SQP, Solution, Solver, Status
 
 Rows = residuals.Expression
@@ -123,111 +131,9 @@ def draw(seed: int) -> Drawn:
     how = str(r.choice(list(other), p=[0.7, 0.1, 0.1, 0.1]))
     how = "SQP" if how == "exact" and ocp.integrator == "rk4" else how
     terms = ", ".join(c.name for c in ocp.terms.values() if isinstance(c, Constraint))
-    return Drawn(ocp, x0, schedule, other[how](), f"{how}, nx {nx}, nu {nu}, N {n}{', switched' if switched else ''}: {terms}")
-
-
-# ---------------------------------------------------------------------- the same for IPOPT
-class Found(NamedTuple):
-    """What IPOPT says: whether it solved, cost, trajectories, the largest L1 slack."""
-
-    solved: bool
-    cost: float
-    x: np.ndarray
-    u: np.ndarray
-    slack: float
-    told: str
-
-
-def _closed(place: Place) -> list[float]:
-    """Weight of the L1 slack of every row; infinite where there is none."""
-    return [r.penalty if r.kind is Kind.HARD else np.inf for r in place.rows]
-
-
-class Rival:
-    """The discretised problem of a solver that has sampled its modes, for IPOPT. Unknowns: stages (x, u, slacks), the end (x, slacks)."""
-
-    def __init__(self, solver: Solver, x0: np.ndarray) -> None:
-        t, s = solver.problem, sampled(solver)
-        stages, n, nx, nu = Stages(t), t.ocp.intervals, t.nx, t.nu
-        self.n, self.nx, self.nu = n, nx, nu
-        path, end = _closed(t.path), _closed(t.end)
-        self.p, self.e = [i for i, c in enumerate(path) if np.isfinite(c)], [i for i, c in enumerate(end) if np.isfinite(c)]
-        self.weights = np.array([path[i] for i in self.p]), np.array([end[i] for i in self.e])
-        self.h, local = s.h, nx + t.equality.shape[0]
-        zs, last = ca.MX.sym("z", nx + nu + len(self.p), n), ca.MX.sym("last", nx + len(self.e))
-        x, u, slack = zs[:nx, :], zs[nx : nx + nu, :], zs[nx + nu :, :]
-        given = [x, u, ca.DM(s.p[:-1].T), ca.repmat(ca.DM(s.w), 1, n), ca.DM(s.h[None, :])]
-        rows = stages.constraint().map(n)(*given)
-        cost = ca.sum2(stages.cost().map(n)(*given)) + stages.end()[0](last[:nx], ca.DM(s.p[-1]), ca.DM(s.w))
-        for i, row in enumerate(self.p):
-            rows[local + row, :] += slack[i, :]
-            cost += path[row] * ca.dot(ca.DM(s.h), slack[i, :].T)
-        ends = stages.end_rows()[0](last[:nx], ca.DM(s.p[-1]), ca.DM(s.w))
-        for i, row in enumerate(self.e):
-            ends[row] += last[nx + i]
-            cost += end[row] * last[nx + i]
-        gaps = rows[:nx, :] + ca.horzcat(x[:, 1:], last[:nx])
-        g = ca.vertcat(x[:, 0] - x0, ca.vec(ca.vertcat(gaps, rows[nx:, :])), ends)
-        equal = np.array([True] * local + [r.kind is Kind.EQUAL for r in t.path.rows])
-        upper = np.tile(np.where(equal, 0.0, np.inf), (n, 1))
-        lower = np.zeros_like(upper)
-        for i, row in enumerate(t.path.rows):  # the measured state is as it is
-            if row.state_only:
-                lower[0, local + i], upper[0, local + i] = -np.inf, np.inf
-        tail = np.where([r.kind is Kind.EQUAL for r in t.end.rows], 0.0, np.inf)
-        self.upper = np.concatenate([np.zeros(nx), upper.ravel(), tail])
-        self.lower = np.concatenate([np.zeros(nx), lower.ravel(), np.zeros(len(tail))])
-        unknowns = ca.vertcat(ca.vec(zs), last)
-        self.least = np.concatenate([
-            np.tile(np.concatenate([np.full(nx + nu, -np.inf), np.zeros(len(self.p))]), n),
-            np.full(nx, -np.inf), np.zeros(len(self.e)),
-        ])  # fmt: skip
-        self.rows = ca.Function("rows", [unknowns], [g])
-        self.cost = ca.Function("cost", [unknowns], [cost])
-        self.program = {"x": unknowns, "f": cost, "g": g}
-
-    def vector(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Trajectories as unknowns, with the slacks that they need."""
-        table = np.hstack([x[:-1], u, np.zeros((self.n, len(self.p)))])
-        z = np.concatenate([table.ravel(), x[-1], np.zeros(len(self.e))])
-        g = np.array(self.rows(z)).ravel()
-        width = (len(g) - self.nx - self.end_size) // self.n
-        rows = g[self.nx : self.nx + self.n * width].reshape(self.n, width)
-        hard = width - self.path_size
-        table[:, self.nx + self.nu :] = np.maximum(-rows[:, [hard + i for i in self.p]], 0.0)
-        if self.p:
-            first = np.isneginf(self.lower[self.nx : self.nx + width])[[hard + i for i in self.p]]
-            table[0, self.nx + self.nu :][first] = 0.0
-        ends = g[len(g) - self.end_size :]
-        return np.concatenate([table.ravel(), x[-1], np.maximum(-ends[self.e], 0.0)])
-
-    path_size: int
-    end_size: int
-
-    def solve(self, z: np.ndarray, near: bool) -> Found:
-        """From ``z``; ``near``: it is thought to be a solution."""
-        options = {"print_time": 0, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 1000, "ipopt.tol": 1e-9}
-        options |= {"ipopt.bound_relax_factor": 0.0, "ipopt.max_cpu_time": 30.0, "ipopt.constr_viol_tol": 1e-8}
-        if near:
-            options |= {"ipopt.mu_init": 1e-6, "ipopt.bound_push": 1e-7, "ipopt.slack_bound_push": 1e-7}
-        other = ca.nlpsol("other", "ipopt", self.program, options)
-        found = other(x0=z, lbx=self.least, ubx=np.inf, lbg=self.lower, ubg=self.upper)
-        end = np.array(found["x"]).ravel()
-        cut = self.n * (self.nx + self.nu + len(self.p))
-        table, last = end[:cut].reshape(self.n, -1), end[cut:]
-        slack = max([0.0, *table[:, self.nx + self.nu :].ravel(), *last[self.nx :]])
-        x = np.vstack([table[:, : self.nx], last[: self.nx]])
-        return Found(
-            bool(other.stats()["success"]), float(found["f"]), x, table[:, self.nx : self.nx + self.nu], float(slack),
-            str(other.stats()["return_status"]),
-        )  # fmt: skip
-
-
-def rival(solver: Solver, x0: np.ndarray) -> Rival:
-    """The problem as the solver has last seen it."""
-    found = Rival(solver, x0)
-    found.path_size, found.end_size = len(solver.problem.path.rows), len(solver.problem.end.rows)
-    return found
+    return Drawn(
+        ocp, x0, schedule, other[how](), f"{how}, nx {nx}, nu {nu}, N {n}{', switched' if switched else ''}: {terms}"
+    )
 
 
 # ---------------------------------------------------------------------- who is right
@@ -243,15 +149,14 @@ def verdict(ours: Solution, other: Rival, x0: np.ndarray) -> tuple[str, str]:
         said += f"; IPOPT {', '.join(f'{f.cost:.6g}' for f in solved)}"
         return f"{'called infeasible, ' if ours.status is Status.INFEASIBLE else ''}IPOPT solves it", said
     z = other.vector(ours.x, ours.u)
-    g = np.array(other.rows(z)).ravel()
-    outside = float(np.maximum(np.maximum(other.lower - g, g - other.upper), 0.0).max())
-    cost = float(other.cost(z))
+    outside, cost = other.outside(z), float(other.cost(z))
     if outside > 10.0 * MET:
         return "ours violates", f"{ours.status.name}, by {outside:.3g}"
     near = other.solve(z, near=True)
     scale = SAME * (1.0 + abs(cost))
     moved = np.abs(near.x - ours.x).max()
-    said = f"{ours.status.name}, cost {cost:.9g}, IPOPT {near.cost:.9g} from there (moved {moved:.2g}, {near.told}), {cold.cost:.9g} cold ({cold.told})"
+    said = f"{ours.status.name}, cost {cost:.9g}, IPOPT {near.cost:.9g} from there (moved {moved:.2g}, {near.told})"
+    said += f", {cold.cost:.9g} from the guess ({cold.told})"
     if near.solved and near.cost < cost - scale:
         return "ours is no optimum", said
     if not near.solved and not (cold.solved and abs(cold.cost - cost) <= scale):
@@ -297,7 +202,7 @@ def main(arguments: list[str]) -> None:
     for seed in range(int(first), int(last or first) + 1):
         drawn = draw(seed)
         solver, ours = attempt(drawn, drawn.settings)
-        found, said = verdict(ours, rival(solver, drawn.x0), drawn.x0)
+        found, said = verdict(ours, Rival(solver, drawn.x0), drawn.x0)
         if found.endswith("IPOPT solves it"):
             found += other_settings(drawn)
         classes[found] += 1
@@ -307,7 +212,9 @@ def main(arguments: list[str]) -> None:
     print(f"{sum(classes.values())} problems, {time.process_time() - start:.0f} s of processor time")
     for name, count in classes.most_common():
         print(f"{count:5d}  {name}")
-    print(f"iterations of ours: median {np.median(iterations):g}, 95 % {np.percentile(iterations, 95):g}, most {max(iterations)}")
+    print(
+        f"iterations of ours: median {np.median(iterations):g}, 95 % {np.percentile(iterations, 95):g}, most {max(iterations)}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Equalities with multipliers that contradict each other or limits, in an MPC. Truth: no number is 1 and 2 at once, nothing that stands
-moves on, a spring's rest is force by stiffness; and what is not reached only yet, or because a push has just come, is no contradiction."""
+"""Equalities with multipliers that contradict each other or limits, in an MPC. Truth: no number is 1 and 2 at once, nothing that
+stands moves on, a spring rests at force by stiffness; and what is only not reached yet, or after a push, is no contradiction."""
 
 from __future__ import annotations
 

@@ -142,8 +142,8 @@ def add_missed(m, o, k):  # type: ignore[no-untyped-def]
 
 @compiled(NUM, NUMS, INTS, INT, NUM)
 def take_limits(m, o, k, most):  # type: ignore[no-untyped-def]
-    """Takes from node k's gradient in ``chained`` what hard rows of the inputs do not let pass: J times a multiplier ≥ 0 of those that
-    are active. Returns the largest such part, if it is more than ``most``; which row goes to ``state``."""
+    """Takes from node k's gradient in ``chained`` what hard rows of the inputs do not let pass: J times a multiplier ≥ 0 of those
+    that are active. Returns the largest such part, if it is more than ``most``; which row goes to ``state``."""
     _, boxes, general = node_rows(o, k)
     first, gradient = o[NX] + 1, o[CHAINED]
     for j in range(boxes + general):
@@ -166,8 +166,8 @@ def take_limits(m, o, k, most):  # type: ignore[no-untyped-def]
 
 @compiled(NUM2, NUMS, INTS, BOOL)
 def steepest(m, o, limited):  # type: ignore[no-untyped-def]
-    """Jᵀ W r into ``u_trial``, inputs beyond the policy's feedback that keep the rows of the recursion; its square's sum, and that of
-    the states' part (costates). ``limited``: without what limits of the inputs do not let pass."""
+    """Jᵀ W r into ``u_trial``, inputs beyond the policy's feedback that keep the rows of the recursion; its square's sum, and that
+    of the states' part (costates). ``limited``: without what limits of the inputs do not let pass."""
     nx, nu, lx, lz, costate, gradient = o[NX], o[NU], o[LX], o[LZ], o[ADJOINT], o[CHAINED]
     total, of_states, most = 0.0, 0.0, 0.0
     for i in range(lz):

@@ -356,3 +356,10 @@ class Solver:
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
         worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
         return worst if worst > LIMIT_TOLERANCE else 0.0
+
+    @property
+    def apart(self) -> float:
+        """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
+        beside 1 + |x|; 0 up to the tolerance."""
+        worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())
+        return worst if worst > LIMIT_TOLERANCE else 0.0
