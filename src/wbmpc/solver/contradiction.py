@@ -7,8 +7,8 @@ the multipliers have not grown far enough yet it is not. How far they could stil
 which no scaling of all rows or of all inputs changes.
 
 Where hard limits of inputs are in the way, Jᵀ W r is a sum of their gradients with multipliers that are not negative (Farkas). That
-may pass: a goal comes nearer, a push is over. So limits are waited for as long as the horizon, and longer while what is missed
-shrinks; not where no state has a part in it.
+may pass: a goal comes nearer, a swing comes back, a push is over. So limits are waited for as long as the horizon, and longer while
+what is missed changes, that is while something moves; not where no state has a part in it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wbmpc.solver.lanes import equality_size, load_block, stage_lanes, unpack
 from wbmpc.solver.places import (
     AB,
     ADJOINT,
-    BEST_SHARE,
+    HELD_SHARE,
     CHAINED,
     CONTRADICTED,
     END_J,
@@ -72,8 +72,8 @@ PATIENCE = 10
 HELD = 1e-3
 #: An input that is nearer to its hard limit than this [the range] is held by it.
 AT_LIMIT = 0.02
-#: What shrinks at least by this factor while it is waited for may still be met.
-SHRINKS = 0.99
+#: What changes by this share while it is waited for may still be met.
+SAME = 0.02
 
 
 @compiled(NUM, NUMS, INTS, INT, INT)
@@ -274,10 +274,10 @@ def hold_multipliers(m, o):  # type: ignore[no-untyped-def]
 
 @compiled(BOOL, NUMS, INTS, NUM)
 def keeps_on(m, o, share):  # type: ignore[no-untyped-def]
-    """Whether limits have been in the way for as long as the horizon, and ``share`` has not become less meanwhile."""
+    """Whether limits have been in the way for as long as the horizon, and ``share`` has been the same."""
     state = o[STATE]
-    if m[state + BEST_SHARE] == 0.0 or share < SHRINKS * m[state + BEST_SHARE]:
-        m[state + BEST_SHARE], m[state + HELD_FOR] = share, 0.0
+    if abs(share - m[state + HELD_SHARE]) > SAME * m[state + HELD_SHARE]:
+        m[state + HELD_SHARE], m[state + HELD_FOR] = share, 0.0
     return m[state + HELD_FOR] >= m[o[GRID] + o[N]]
 
 
@@ -301,7 +301,7 @@ def contradicts(m, o, s):  # type: ignore[no-untyped-def]
     if held:
         told = keeps_on(m, o, share)
     else:
-        m[state + BEST_SHARE], m[state + HELD_FOR] = 0.0, 0.0
+        m[state + HELD_SHARE], m[state + HELD_FOR] = 0.0, 0.0
     m[state + CONTRADICTED] = m[state + CONTRADICTED] + 1.0 if stuck else 0.0
     if stuck or told:
         hold_multipliers(m, o)

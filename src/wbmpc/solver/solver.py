@@ -19,7 +19,7 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
-    BEST_SHARE,
+    HELD_SHARE,
     CONTRADICTED,
     COST,
     GIVEN_WAY,
@@ -188,7 +188,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED, BEST_SHARE, HELD_FOR]] = 0.0
+        self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
