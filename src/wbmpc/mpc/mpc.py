@@ -60,7 +60,8 @@ class Statistics:
 
     ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
     was accepted, so that the plan is the last one moved on; ``passed``: plans in force whose states are outside hard limits by
-    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that.
+    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that;
+    ``apart``: plans that start elsewhere than in the observed state, ``worst_apart``: by how much at most (:attr:`Solver.apart`).
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
@@ -70,12 +71,19 @@ class Statistics:
     passed: int = 0
     worst_passed: float = 0.0
     passed_where: str = ""
+    apart: int = 0
+    worst_apart: float = 0.0
 
     def pass_by(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""
         self.passed += 1
         if share > self.worst_passed:
             self.worst_passed, self.passed_where = share, where
+
+    def start_apart(self, share: float) -> None:
+        """Count a plan that starts elsewhere."""
+        self.apart += 1
+        self.worst_apart = max(self.worst_apart, share)
 
     @property
     def failed_share(self) -> float:
@@ -182,6 +190,9 @@ class MPC:
         self.statistics.no_step += int(stuck)
         if self.passed:
             self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
+        apart = self.solver.apart
+        if apart:
+            self.statistics.start_apart(apart)
         self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
         return self._policy
 
