@@ -205,7 +205,8 @@ class _Run:
         agent = SwerveAgent(
             robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
             use_gyro=s.use_gyro,
-            monitor=BrakeMonitor(robot.state.groups["leg"]), faulty=brakes.accept,
+            monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]),
+            faulty=brakes.accept,
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
         mpc.reset(home)
