@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.control import BrakeControl, RollingAgent, SwerveAgent
-from wbmpc.control.swerve import RESERVE
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
@@ -369,9 +368,7 @@ def _metrics(log: Log, robot: RobotModel, faults: list[str], knock: _Knock | Non
 def _planned_ratio(log: Log, robot: RobotModel) -> float:
     """Planned speeds of legs, wheels and steering (with its servo) over the planner's limits."""
     index = np.concatenate([np.arange(robot.input.size)[robot.input[g]] for g in ("leg", "steer", "wheel")])
-    limit = robot.limits.input_upper.copy()
-    limit[robot.input["steer"]] *= 1.0 + RESERVE
-    return float((np.abs(log.array("tour.wanted")) / limit)[:, index].max())
+    return float((np.abs(log.array("tour.wanted")) / robot.limits.drive_upper)[:, index].max())
 
 
 def _speed_ratio(log: Log) -> float:
