@@ -51,7 +51,7 @@ def test_a_joint_that_swings_is_no_fault_until_its_encoder_stands() -> None:
 @pytest.mark.parametrize("acceleration", [4.0, -10.0])
 def test_how_long_it_takes_at_rest(acceleration: float) -> None:
     """From rest a way s takes √(2 s / a)."""
-    takes = np.sqrt(2.0 * 0.01 / (abs(acceleration) - 2.0))
+    takes = np.sqrt(2.0 * 0.02 / (abs(acceleration) - 2.0))
     assert seconds_to_find(acceleration) == pytest.approx(takes, abs=2.0 * H)
 
 

@@ -47,7 +47,7 @@ class EncoderMonitor:
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.01, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
+        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
     ) -> None:  # fmt: skip
         self.joints, self.wheels, self.still, self.expected = list(joints), wheels, still, expected
         self.crawl, self.doubt, self.least, self.patience = crawl, doubt, least, patience

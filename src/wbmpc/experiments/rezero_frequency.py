@@ -210,7 +210,7 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
     if len(endings) == len(VARIANTS):
         ratio = lambda key: out[f"{key}_shaped"].value / out[f"{key}_plain"].value
         out["torque_error_ratio"] = Metric(ratio("torque_error_rms"), "1", goal=0.5)
-        out["rise_time_ratio"] = Metric(ratio("rise_time"), "1")
+        out["rise_time_ratio"] = Metric(ratio("rise_time"), "1", goal=1.05, least=0.95)
     return out
 
 

@@ -81,15 +81,21 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t = log.times("state")
         away = np.linalg.norm(hand_felt(log) - hand if held == "hand" else ball_felt(log) - ball, axis=1)
-        back = []
+        world = np.linalg.norm(log.array("hand") - hand if held == "hand" else log.array("state")[:, :2] - ball, axis=1)
+        back, at_rest, in_world = [], [], []
         for push in task.pushes:
             end = push.start + settings.pause
             window = (t >= end - LAST) & (t < end)
-            back.append(bool(window.any() and t[-1] >= end - 0.1 and away[window].max() < NEAR))
+            there = bool(window.any() and t[-1] >= end - 0.1)
+            at_rest.append(float(away[window].max()) if there else float("inf"))
+            in_world.append(float(world[window].max()) if there else float("inf"))
+            back.append(at_rest[-1] < NEAR)
         travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
         return {
             "not_recovered": Metric(float(len(back) - sum(back)), "1", goal=0.0),
             "recovered": Metric(float(all(back)), "1"),
+            "rest_error_max": Metric(max(at_rest), "m"),
+            "rest_error_world_max": Metric(max(in_world), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
             "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),

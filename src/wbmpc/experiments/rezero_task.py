@@ -163,7 +163,7 @@ def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.nd
             away = lambda z, p=place, g=goal: np.concatenate([robot.pose(state(p, z))[0] - g, 1e-3 * (z - arm)])
             angles = least_squares(away, arm if k == 0 else angles, diff_step=1e-5).x
         states[k] = state(place, angles)
-    moves = np.gradient(states[:, : velocity], times, axis=0)
+    moves = np.gradient(states[:, :velocity], times, axis=0)
     states[:, velocity:] = moves
     return Reference(times, states)
 
