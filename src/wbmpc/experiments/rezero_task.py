@@ -157,11 +157,11 @@ def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.nd
         x[:2] = place
         return x
 
-    states = np.empty((times.size, start.size))
+    states, angles = np.empty((times.size, start.size)), arm
     for k, (place, goal) in enumerate(zip(ball, hand, strict=True)):
         if k == 0 or not (np.array_equal(place, ball[k - 1]) and np.array_equal(goal, hand[k - 1])):
             away = lambda z, p=place, g=goal: np.concatenate([robot.pose(state(p, z))[0] - g, 1e-3 * (z - arm)])
-            angles = least_squares(away, arm if k == 0 else angles, diff_step=1e-5).x
+            angles = least_squares(away, angles, diff_step=1e-5).x
         states[k] = state(place, angles)
     moves = np.gradient(states[:, :velocity], times, axis=0)
     states[:, velocity:] = moves
