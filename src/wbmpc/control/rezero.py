@@ -65,11 +65,15 @@ class RezeroAgent:
         self.measured = measurement
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried())
+            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
 
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
+
+    def _pushed(self) -> np.ndarray:
+        """The horizontal force (2) [N] that is felt at the hand."""
+        return np.zeros(2)
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None:

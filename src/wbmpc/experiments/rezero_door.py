@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.control import FallForecast
 from wbmpc.control.door import DoorAgent, Push
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_door_problem import UNTIED, DoorScheme, PushCost, door_problem
@@ -62,8 +63,10 @@ class RezeroDoorSettings(RezeroSettings):
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
-        body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
-        torque=TorqueCost(wheel=0.2),
+        body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),
+        torque=TorqueCost(wheel=0.2, arm=0.3),
+        lean=0.6,
+        speed_slack=20.0,
     )
     push: PushCost | None = None
     scheme: DoorScheme = DoorScheme()
@@ -78,8 +81,7 @@ class RezeroDoorSettings(RezeroSettings):
     misplaced: float = Field(0.01, ge=0, le=0.05)
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "lasting_after", "drive_dead_time",
-        "cost.lean", "cost.speed_slack", "cost.body.arm", "cost.hand.turn_limit",
+        *RezeroSettings.unused, "controller", "rival", "tracking", "lasting_after", "cost.hand.turn_limit",
     )  # fmt: skip
 
 
@@ -111,7 +113,7 @@ class Trial:
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
-    robot = load_robot("rezero", contact="force")
+    robot = load_robot("rezero", contact="force", payload=settings.weigh and settings.observer)
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or (PushCost() if settings.scheme.row else UNTIED)
@@ -164,6 +166,8 @@ def make_agent(
         settings.drive_lag,
         settings.observer,
         estimator,
+        FallForecast(robot, robot.home[robot.state["arm"]]),
+        settings.drive_dead_time,
     )
     mpc.solver.set_parameters(agent.parameters())
     start = np.concatenate([home, agent.door]) if agent.with_door else home
