@@ -60,8 +60,9 @@ class RezeroAgent:
     def measure(self, measurement: RezeroMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
         if self.estimator is not None:
-            m = measurement
-            measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
+            m, turning = measurement, self._turning(measurement.age)
+            state = self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel, turning)
+            measurement = replace(m, state=state)
         self.measured = measurement
         self._observe(measurement)
         if self.forecast is not None:
@@ -104,7 +105,14 @@ class RezeroAgent:
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return min(round(self.measured.age / self.period), len(self._torques) - 1 - self.dead)
+        return self._ticks(self.measured.age)
+
+    def _ticks(self, age: float) -> int:
+        return min(round(age / self.period), len(self._torques) - 1 - self.dead)
+
+    def _turning(self, age: float) -> float:
+        """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
+        return float(self._spin @ self._torques[-1 - self._ticks(age) - self.dead][: self._spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
