@@ -26,7 +26,8 @@ class FallForecast:
         self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 4, seconds: float = 0.05
     ) -> None:
         balance = Balance.of(robot, arm)
-        self._force = robot.input["force"] if "force" in robot.input else None
+        given = "force" in robot.input
+        self._force = robot.input["force"] if given else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         self._seconds, self._within = seconds, -np.inf
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)

@@ -45,11 +45,12 @@ class BallNoise:
     Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
     encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
     about horizontal axes, and ``spin`` about the vertical. Under a torque about the vertical that lasts longer than
-    ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for a
-    bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the
-    way between two messages, what a straight line of velocities does not describe. Priors: ``tilt`` [rad], ``start`` ([m],
-    [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the wheels' radius, which
-    does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
+    ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
+    a bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's
+    centre; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
+    ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
+    of the wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be
+    believed.
     """
 
     gyro: float = 2e-4

@@ -71,9 +71,7 @@ class RezeroEstimator:
         self._yaw = float(x[2])
         self._places: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
 
-    def update(
-        self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0
-    ) -> Array:
+    def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
         """The state (2 nq) at ``time`` [s], at which the sensors were read; ``turning`` [N m]: what the wheels turned the ball
         with about the vertical."""
         interval = 0.0 if self._time is None else time - self._time

@@ -19,7 +19,9 @@ from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
     estimator_metrics,
+    hand_felt,
     record_rezero,
+    rms,
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
@@ -42,8 +44,8 @@ DOORS: dict[str, dict[str, Any]] = {
 }
 #: Where the hand touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
-#: The peak of the touch is looked for in this time after it [s].
-TOUCH = 0.1
+#: The peak of the touch is looked for in this time after it [s]; how the hand rests, in this time before the end.
+TOUCH, REST = 0.1, 1.0
 LABELS = ("low", "high")
 HERE = [
     "the door's hinge is where it is believed to be within misplaced; the closed panel's place is learnt from the touch",
@@ -187,6 +189,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: A
     log.add("pushing", t, float(agent.phase == "push"))
     log.add("touching", t, float(agent.contact.touching))
     log.add("impedance", t, agent.impedance)
+    log.add("hand_wanted", t, agent.mpc.reference["hand"].at(t)[:3])
 
 
 # ---------------------------------------------------------------------- figures
@@ -215,7 +218,7 @@ def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
 def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
-    sensor [N], whether it fell."""
+    sensor [N], how far the hand swings at rest and is from where it is wanted [m], whether it fell."""
     log, wanted = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
@@ -228,7 +231,22 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
         "door_angle_max": float(log.array("door")[:, 0].max()),
         "force_estimate_error_rms": float(np.sqrt(np.mean(without_sensor**2))) if counted.size else np.inf,
+        **rest(trial),
         "fell": float(trial.ending.fell),
+    }
+
+
+def rest(trial: Trial) -> dict[str, float]:
+    """The hand in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
+    distance from where it is wanted, as the controller sees it [m]; infinite for a run that did not get there."""
+    log = trial.log
+    t, pushing = log.times("hand"), np.flatnonzero(log.array("pushing") > 0.0)
+    use = t > t[-1] - REST
+    if trial.ending.reason or not pushing.size or use[pushing[-1]]:
+        return {"rest_hand_swing": np.inf, "rest_hand_error": np.inf}
+    return {
+        "rest_hand_swing": float(np.ptp(log.array("hand")[use], axis=0).max()),
+        "rest_hand_error": rms((hand_felt(log) - log.array("hand_wanted"))[use]),
     }
 
 
@@ -273,6 +291,8 @@ def metrics(figures: dict[str, dict[str, float]], names: Sequence[str]) -> dict[
     out["touch_peak"] = Metric(most("touch_peak"), "N")
     out["force_estimate_error_rms"] = Metric(most("force_estimate_error_rms"), "N")
     out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
+    out["rest_hand_swing"] = Metric(most("rest_hand_swing"), "m")
+    out["rest_hand_error"] = Metric(most("rest_hand_error"), "m")
     out["fell"] = Metric(most("fell"), "1", goal=0.0)
     return out
 
