@@ -107,4 +107,7 @@ def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.
         lean = robot.equilibrium(x[robot.state["arm"]])[0][3:5]
         assert x[3:5] == pytest.approx(lean, abs=1e-3)
         n = robot.base.nq
-        assert x[n:] == pytest.approx((body.at(t + 0.05)[:n] - body.at(max(t - 0.05, 0.0))[:n]) / 0.1, abs=0.05) or t == 0.0
+        assert (
+            x[n:] == pytest.approx((body.at(t + 0.05)[:n] - body.at(max(t - 0.05, 0.0))[:n]) / 0.1, abs=0.05)
+            or t == 0.0
+        )
