@@ -16,8 +16,11 @@ from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
 
 _LOG = logging.getLogger("wbmpc")
-#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
-Guess = Callable[[Solver, float, np.ndarray], None]
+#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates, and says whether
+#: it has.
+Guess = Callable[[Solver, float, np.ndarray], bool]
+#: Passes of the solver from trajectories that the guess wrote: one pass seldom makes them keep limits, and would be refused.
+WRITTEN_PASSES = 10
 
 
 @dataclass(frozen=True)
@@ -234,16 +237,15 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
-        passes = self._first if self._t is None else 1
         if self._reachable:
             self._go_on_from(observation.t, delta)
+        start = time.perf_counter()
+        written = self.guess is not None and self.guess(self.solver, observation.t, x0)
+        passes = self._first if self._t is None else WRITTEN_PASSES if written else 1
         status, count, elapsed = 0, 0, 0.0
         for k in range(passes):
-            start = time.perf_counter()
-            if self.guess is not None and k == 0:
-                self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
-            elapsed = time.perf_counter() - start
+        elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
         broken = self._not_finite_part()
