@@ -72,7 +72,7 @@ def test_crossings_where_the_nearest_edge_changes_between_samples() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30, deadline=None, derandomize=True)
 def test_crossings_are_those_of_a_dense_path(seed: int) -> None:
     """Between crossings a point stays in the triangles that the crossings say; some are in one for part of an interval only."""
     rng = np.random.default_rng(seed)
