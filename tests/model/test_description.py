@@ -89,6 +89,11 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"lock": {"too": 1.0}}, ("'too'", "did you mean 'two'", "lock")),
         ({"limits": {"velocities": {"one": 1.0}}}, ("'limits.velocities'", "did you mean 'limits.velocity'")),
         ({"limits": {"velocity": {"three": 1.0}}}, ("'three'", "limits.velocity")),
+        ({"limits": {"velocity": {"one": 2.0}, "drive_velocity": {"one": 1.0}}}, ("'one'", "no less than that")),
+        (
+            {"limits": {"velocity": {"one": 1.0}, "drive_velocity": {"one": 2.0}}},
+            ("steering joint", "limits.drive_velocity"),
+        ),
         ({"hom": {}}, ("'hom'", "did you mean 'home'")),
         ({"base": {"type": "flying", "body": "base_link"}}, ("base", "fixed", "swerve", "ball")),
         ({"base": {"type": "fixed", "body": "base_lnk"}}, ("'base_lnk'", "did you mean 'base_link'")),

@@ -95,11 +95,13 @@ class ArmDescription(_Model):
 class LimitsDescription(_Model):
     """Limits by joint: velocity [rad/s], acceleration [rad/s²], effort [N m], position [rad] (overrides the file's range).
 
+    ``drive_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels;
     ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
     """
 
     velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
+    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
     acceleration: dict[str, Annotated[float, Field(gt=0)]] = {}
     effort: dict[str, Annotated[float, Field(gt=0)]] = {}
     position: dict[str, tuple[float, float]] = {}
@@ -107,6 +109,13 @@ class LimitsDescription(_Model):
     base_angular: float = Field(default=1.0, gt=0)
     wheel_effort: float = Field(default=np.inf, gt=0)
     spin_effort: float = Field(default=np.inf, gt=0)
+
+    @model_validator(mode="after")
+    def _reserve(self) -> Self:
+        for name, rate in self.drive_velocity.items():
+            if rate < self.velocity.get(name, np.inf):
+                raise ValueError(f"drive_velocity: '{name}' needs a velocity, and no less than that")
+        return self
 
     @field_validator("position")
     @classmethod
@@ -246,6 +255,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         "base.modules": description.joints()[len(description.arm.joints) :],
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
+        "limits.drive_velocity": list(limits.drive_velocity),
         "limits.acceleration": list(limits.acceleration),
         "limits.effort": list(limits.effort),
         "limits.position": list(limits.position),
@@ -259,6 +269,10 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     for name, key in {**contacts, description.arm.tool: "arm.tool"}.items():
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
+    steering = [m.steer for m in getattr(description.base, "modules", ())]
+    for name in limits.drive_velocity:
+        if name not in steering:
+            raise unknown_name("steering joint (key 'limits.drive_velocity')", name, steering, where=description.source)
     bodies = [b.name for b in spec.bodies]
     for key in ("body", "ball"):
         body = getattr(description.base, key, None)
