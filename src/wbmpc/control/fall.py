@@ -20,8 +20,8 @@ class FallForecast:
     are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
-    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot
-    whose input it is say how large it is to be.
+    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
+    input it is say how large it is to be.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class FallForecast:
             return
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
-        force = np.zeros((soon.size, 2)) if self._force is None else policy.u[:, self._force][:, :2]
+        force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
         most = self._most(policy.x[1:][soon], payload, force[soon]) if soon.any() else 0.0
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:

@@ -40,6 +40,7 @@ class Pilot(Protocol):
     """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
+    ``faults``: what was found of its sensors in this run, as sentences.
     ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's pose at every tick; after
     ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
     from state x (nx) on. ``references`` of a task that begins at x may take long, and are made in another thread.
@@ -57,6 +58,8 @@ class Pilot(Protocol):
     parameters: Callable[[], Array] | None
     fix: Callable[[], Fix | None] | None
 
+    @property
+    def faults(self) -> list[str]: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> Any: ...

@@ -21,7 +21,6 @@ from wbmpc.solver.lanes import equality_size, load_block, stage_lanes, unpack
 from wbmpc.solver.places import (
     AB,
     ADJOINT,
-    HELD_SHARE,
     CHAINED,
     CONTRADICTED,
     END_J,
@@ -29,6 +28,7 @@ from wbmpc.solver.places import (
     GRID,
     HELD_BY,
     HELD_FOR,
+    HELD_SHARE,
     LANE_E,
     LANE_U,
     LANE_X,
