@@ -122,6 +122,8 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
         ("force_error_ratio_low", 100.0, "%"),
         ("force_error_ratio_high", 100.0, "%"),
         ("touch_peak", 1.0, "N"),
+        ("rest_hand_swing", 1e3, "mm"),
+        ("rest_hand_error", 1e3, "mm"),
         ("fell", 1.0, "1"),
     ),
     "rezero-frequency": (

@@ -154,8 +154,14 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MP
         agent = LqrAgent(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
         agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
+        agent.forecast = _felt(p)
         return agent, None
     return _separate(settings, p)
+
+
+def _felt(p: Parts) -> FallForecast:
+    """Falls that rivals foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
+    return FallForecast(p.robot, p.arm, ahead=0.0)
 
 
 def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceAgent:
@@ -167,6 +173,7 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceAgent:
     more = (p.period, settings.drive_lag, settings.observer, p.estimator)
     agent = TaskSpaceAgent(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     agent.stance = lambda t: p.mpc.reference["body"].at(t)
+    agent.forecast = _felt(p)
     return agent
 
 
@@ -186,6 +193,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateAgent, MPC]:
         p.robot, p.mpc, p.torque, p.period, settings.drive_lag, settings.observer and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
+    agent.forecast = _felt(p)
     home = p.robot.equilibrium(p.arm)[0]
     planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
     return agent, planner
