@@ -40,6 +40,8 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         ("rezero-push-hand", ["forces=[]"], "forces"),
         ("rezero-push-ball", ["forces=[-50]"], "forces"),
         ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-door", ["forces=[0]"], "forces"),
+        ("rezero-door", ["forces=[-8]"], "forces"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
         ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
         ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
