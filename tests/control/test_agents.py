@@ -139,10 +139,25 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
         np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
     # as fast as the servo may until 15 / s asks for less, then an exponential of 15 / s to 0.1 rad
-    most = 1.15 * SWERVE.limits.input_upper[SWERVE.input["steer"]][0]
+    most = 5.75
     slow = most / 15.0
     assert stood == pytest.approx(((0.5 - slow) / most + np.log(slow / 0.1) / 15.0) / PERIOD, abs=3)
     np.testing.assert_allclose(command.wheel, 0.2)
+
+
+def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
+    """Planner's limit 2.0 rad/s, wheels 1.5 rad off: the largest command is the drive's own limit, or the planner's without one."""
+    for own, most in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
+        d = SWERVE.description
+        slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
+        limits = d.limits.model_copy(update={"velocity": slow, "drive_velocity": own})
+        agent = SwerveAgent(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
+        plans, largest = Plans(), 0.0
+        plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), steer=1.5))
+        for k in range(100):
+            agent.measure(message(k * PERIOD))
+            largest = max(largest, float(np.abs(agent.command(k * PERIOD, plans).steer).max()))
+        assert largest == most
 
 
 def test_first_plan_starts_from_wheels_that_agree() -> None:

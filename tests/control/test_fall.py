@@ -20,22 +20,29 @@ def leaning(pitch: float) -> np.ndarray:
     return x
 
 
-def plan(pitch: float) -> Policy:
-    times = np.linspace(0.0, 1.0, 3)
+def plan(pitch: float, at: float = 0.1) -> Policy:
+    """Two intervals; it leans in the middle, ``at`` seconds from the start."""
+    times = 2.0 + at * np.arange(3)
     x = np.tile(leaning(0.0), (3, 1))
     x[1] = leaning(pitch)
     return Policy(times, x, np.zeros((2, 6)), np.zeros((2, 6, 16)))
 
 
-def test_four_plans_in_a_row_that_lean_too_far() -> None:
+def test_plans_in_a_row_that_lean_too_far() -> None:
     """The load's centre of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
-    forecast = FallForecast(ROBOT, ARM)
+    forecast = FallForecast(ROBOT, ARM, plans=4, ahead=0.1001)
     for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
         policy = plan(pitch)
         forecast.look(policy)
         forecast.look(policy)  # the same one again
     with pytest.raises(FallForeseen, match="4 plans in a row"):
         forecast.look(plan(0.6))
+
+
+def test_what_a_plan_says_later_is_not_looked_at() -> None:
+    forecast = FallForecast(ROBOT, ARM, plans=4, ahead=0.1)
+    for _ in range(20):
+        forecast.look(plan(0.6, at=0.2))
 
 
 def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:

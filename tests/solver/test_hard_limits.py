@@ -344,3 +344,12 @@ def test_a_start_far_outside_a_limit_with_many_nodes(n: int, speed: float, slack
     outside = found.times[:-1] < speed - 0.5 - 1.5 / n
     np.testing.assert_allclose(found.u[outside], -1.0, atol=1e-5)
     np.testing.assert_allclose(found.x[:-1][outside, 1], speed - found.times[:-1][outside], atol=1e-5)
+
+
+def test_the_log_has_a_row_for_every_iteration() -> None:
+    """A start anew, extra iterations after cut steps and a last one with held inputs come together: none is written beyond it."""
+    real_time = SQP.real_time(interior_point=InteriorPoint("real_time", 3e-2))
+    solver = hardened_pendulum(real_time, n=8, equality=False)
+    rng = np.random.default_rng(0)
+    counts = [solver.run(rng.normal(size=4) * rng.choice([0.3, 1.0, 3.0]), 0.0)[1] for _ in range(50)]
+    assert max(counts) == len(solver.log)

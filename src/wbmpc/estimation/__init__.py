@@ -1,4 +1,4 @@
-"""Estimators: where the base is, how it moves, which forces disturb it, whether brakes answer."""
+"""Estimators: where the base is, how it moves, which forces disturb it, whether brakes and encoders answer."""
 
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
@@ -7,6 +7,7 @@ from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
+from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
@@ -27,6 +28,8 @@ __all__ = [
     "DoorFilter",
     "DoorNoise",
     "DriftObserver",
+    "EncoderFault",
+    "EncoderMonitor",
     "FusedOdometry",
     "JointTracker",
     "MomentumObserver",

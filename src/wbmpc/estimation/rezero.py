@@ -59,9 +59,7 @@ class RezeroEstimator:
         if not isinstance(robot.base, BallBase):
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
         base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
-        frame = base.tree.frames.get("imu")
-        mount = np.zeros(3) if frame is None else np.asarray(frame.position, float)
-        geometry = BallGeometry(base.radius, base.wheel_torque_map().T, mount)
+        geometry = BallGeometry(base.radius, base.wheel_torque_map().T, base.mount)
         self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise)
         n = self.noise
         self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter)

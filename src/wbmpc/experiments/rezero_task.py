@@ -205,11 +205,13 @@ def run_task(
         return [*plots(log), times]
 
     ending = run_lockstep(plant, agent, planner, timing, task.duration, record, progress)
-    return finished(
+    result = finished(
         name, seed, settings, ending, planner or mpc, log,
-        metrics=lambda: {**metrics(log, ending), **estimator_metrics(log)}, plots=drawn,
+        metrics=lambda: {**metrics(log, ending), **estimator_metrics(log), **fault_metrics(agent)}, plots=drawn,
         idealisations=[*idealisations, *IDEALISATIONS],
     )  # fmt: skip
+    result.faults = agent.faults
+    return result
 
 
 def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:
@@ -265,6 +267,11 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
         "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
         **weighed,
     }
+
+
+def fault_metrics(agent: RezeroAgent) -> dict[str, Metric]:
+    """How many encoders were found to stand still, and wheels to slip."""
+    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.faults)), "1")}
 
 
 def rms(vectors: np.ndarray) -> float:

@@ -70,6 +70,7 @@ class BusBallAgent(RezeroAgent):
         if fix is not None:
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
+        self._watch(message.time, message.arm, interval or self.period)
         if self.observer is not None:
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
@@ -187,6 +188,11 @@ class BallPilot:
         agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
         agent.fix, agent.answer = self.fix, self._answer
         return agent
+
+    @property
+    def faults(self) -> list[str]:
+        """Encoders that stand still, wheels that slip."""
+        return self.agent.faults
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

@@ -138,8 +138,8 @@ class SQP:
 
     @property
     def most_iterations(self) -> int:
-        """Rows that the iteration log needs."""
-        return self.iterations + max(int(self.interior_point.extra_when_cut), 0) + 1
+        """Rows that the iteration log needs: a start anew, and a last time with inputs held within rows, come on top."""
+        return self.iterations + max(int(self.interior_point.extra_when_cut), 0) + 2
 
     def numbers(self) -> np.ndarray:
         """The settings in the order of :data:`wbmpc.solver.places.SETTINGS`."""
