@@ -57,7 +57,10 @@ def storyboard(
         drawn = [*_ground(ground, left - _BORDER, left + length + _BORDER), _path(way)]
         drawn += [part for s in inside for part in _base(geometry, body, s)]
         words = [_time(s, left, row * height) for s in inside]
-        words += [_mark(x, left, (row + 1) * height) for x in range(int(np.ceil(left - 0.9 * _BORDER)), int(left + length + _BORDER))]
+        words += [
+            _mark(x, left, (row + 1) * height)
+            for x in range(int(np.ceil(left - 0.9 * _BORDER)), int(left + length + _BORDER))
+        ]
         # metres, y upwards; the strip is cut off where the next one begins
         place = f"translate({-_SCALE * (left - _BORDER):.1f} {height * (row + 0.5):.1f}) scale({_SCALE} {-_SCALE})"
         parts.append(

@@ -18,7 +18,7 @@ from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
 from wbmpc.experiments.swerve_calibrate import swerve_robot
-from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep, watched
@@ -66,8 +66,11 @@ class SwerveDriveSettings(ExperimentSettings):
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.control.RollingAgent`)."""
 
+    # cheap steering: on bumps and where wheels come down again a plan has to turn them quickly
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=300.0, yaw=300.0, leg=300.0, arm=1.0)
+        hand=HandCost(weight=0.0, orientation=0.0),
+        state=StateCost(position=10_000.0, yaw=3000.0, leg=300.0, arm=1.0),
+        input=InputCost(base=5.0, steer=0.002),
     )
     robot: str = "swerve-ur10"
     use_gyro: bool = True
@@ -402,9 +405,7 @@ def _story(log: Log, robot: RobotModel) -> Drawing:
     shots = [Snapshot(float(t[k]), base[k], legs[k], steers[k], brakes[k] > 0.5) for k in indices]
     posts = [(DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), *POST[:2]) for side in (-1.0, 1.0)]
     ground = Ground(posts, [(x, y, BUMP_RADIUS) for x, y in BUMPS], CABLES)
-    return Drawing(
-        "The tour from above (Fig. 8)", storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground)
-    )
+    return Drawing("The tour from above (Fig. 8)", storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
 
 
 def _plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
