@@ -31,16 +31,16 @@ GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
     "ik": _FIXED,
     "four_wheel": _FIXED,
     "tour": {
+        "steer_gain": (15.0, 20.0, 30.0, 40.0, 60.0),
         "base_gain": (2.0, 4.0, 6.0, 8.0, 12.0),
         "leg_gain": (2.0, 4.0, 8.0, 16.0, 24.0),
-        "steer_gain": (15.0, 20.0, 30.0, 40.0, 60.0),
         "lead": (0.0, 0.01, 0.02, 0.03),
         "look_ahead": (0.0, 1.0),
     },
 }
 #: What each rival is judged by; ``None``: all motions, and random twists after them.
 MOTIONS: dict[str, tuple[fixed.Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
-#: The robot stands only so long [s] before a trial of `swerve-fixed`.
+#: The robot stands only so long [s] before a trial.
 REST = 2.0
 KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
 
@@ -53,7 +53,8 @@ def error(name: str, gains: dict[str, float], seeds: range, random: float) -> fl
 
 def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
     """Squares [m²] of the position error on the tour."""
-    settings = swerve_drive.SwerveDriveSettings.model_validate({f"rival_{k}": v for k, v in gains.items()})
+    given = {f"rival_{key}": value for key, value in gains.items()}
+    settings = swerve_drive.SwerveDriveSettings.model_validate({"rest": REST, **given})
     error = swerve_drive.rival_on_tour(settings, seed)
     return np.asarray(np.sum(error[:, :2] ** 2, axis=1))
 

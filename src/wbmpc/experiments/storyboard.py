@@ -115,7 +115,7 @@ def _base(g: SwerveGeometry, body: tuple[float, float], s: Snapshot) -> list[str
     ahead = world(np.array([[0.0, 0.0], [body[0], 0.0]]))
     parts = [
         f'<polygon points="{points}" fill="{_BODY}" fill-opacity="0.12" stroke="{_BODY}" stroke-width="0.015"/>',
-        _line(*ahead, _BODY, 0.02),
+        _line(ahead[0], ahead[1], _BODY, 0.02),
     ]
     hinges, feet = world(g.hinge), world(g.steer_axes(s.leg))
     heading = s.pose[2] + g.wheel_heading + g.leg_angles(s.leg) + s.steer

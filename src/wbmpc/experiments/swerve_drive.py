@@ -261,7 +261,7 @@ class _Run:
 
 
 def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of its gains; infinite if it fell."""
+    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell."""
     robot, log = swerve_robot(settings.robot), Log()
     mission, duration = tour(robot, settings.plant.brake_delay)
     _Run(settings, robot, seed, log).rival(mission, duration, terrain)
