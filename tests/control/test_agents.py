@@ -416,8 +416,8 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
 class Fixed:
     """An estimator that always says the same."""
 
-    def update(self, time, wheel, arm, gyro, accel):  # type: ignore[no-untyped-def]
-        self.given = (time, *wheel, *arm, *gyro, *accel)
+    def update(self, time, wheel, arm, gyro, accel, turning):  # type: ignore[no-untyped-def]
+        self.given, self.turning = (time, *wheel, *arm, *gyro, *accel), turning
         return np.arange(2.0 * N)
 
 
@@ -425,6 +425,10 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     agent, fixed = ball_agent(), Fixed()
     agent.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
+    acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
+    agent._torques.extend([acted, np.zeros(6), np.zeros(6)])
+    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
+    assert fixed.turning == pytest.approx(agent.robot.base.wheel_torque_map()[2] @ acted[:3])
     agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
     np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
     assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)

@@ -20,8 +20,9 @@ BALL = [n for n in REGISTRY if n.startswith("rezero-")]
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"), ("rezero-door", "cost.lean=0.5"),
-        ("rezero-door", "weigh=false"), ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
+        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
+        ("rezero-door", "lasting_after=0.5"),
+        ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
         ("rezero-taskspace", "controller=lqr"), ("rezero-steps", "cost.torque.force=2"),
     ],
 )  # fmt: skip

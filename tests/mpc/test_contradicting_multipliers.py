@@ -158,12 +158,13 @@ def spring(*terms: Constraint) -> OptimalControlProblem:
 
 
 @pytest.mark.parametrize("at", ["path", "terminal"])
-def test_a_place_beyond_reach_for_good_is_refused_after_a_horizon(at: str) -> None:
+def test_a_place_beyond_reach_for_good_is_refused_at_rest(at: str) -> None:
     mpc = MPC(spring(FORCE, Constraint("there", row(lambda s: s.x[0] - 1.0), at=at)), rate=50.0)
     mpc.reset(np.zeros(2))
-    faults = run(mpc, 200, noise=0.0)
-    assert not any(faults[:50]) and all(faults[190:]), [bool(f) for f in faults]
-    assert "(there.all[0] by " in faults[-1] and "with 'force.all[" in faults[-1], faults[-1]
+    faults = run(mpc, 280, noise=0.0)
+    told = [f for f in faults if f]  # until the plan that is kept ends, and the spring moves again
+    assert not any(faults[:100]) and len(told) >= 30, [bool(f) for f in faults]
+    assert all("(there.all[0] by " in f and "with 'force.all[" in f for f in told)
 
 
 def test_a_place_within_reach_is_not() -> None:

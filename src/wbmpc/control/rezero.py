@@ -69,12 +69,14 @@ class RezeroAgent:
         """Take in this tick's (late) state; update the disturbance."""
         m = measurement
         if self.estimator is not None:
-            measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
+            turning = self._turning(m.age)
+            state = self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel, turning)
+            measurement = replace(m, state=state)
         self.measured = measurement
         self._watch(m.time, m.arm, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried())
+            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
 
     def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -101,6 +103,10 @@ class RezeroAgent:
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
+
+    def _pushed(self) -> np.ndarray:
+        """The horizontal force (2) [N] that is felt at the hand."""
+        return np.zeros(2)
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None:
@@ -131,7 +137,14 @@ class RezeroAgent:
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return min(round(self.measured.age / self.period), len(self._torques) - 1 - self.dead)
+        return self._ticks(self.measured.age)
+
+    def _ticks(self, age: float) -> int:
+        return min(round(age / self.period), len(self._torques) - 1 - self.dead)
+
+    def _turning(self, age: float) -> float:
+        """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
+        return float(self._spin @ self._torques[-1 - self._ticks(age) - self.dead][: self._spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""

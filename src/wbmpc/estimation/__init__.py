@@ -2,7 +2,7 @@
 
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
-from wbmpc.estimation.calibration import WheelRecord, calibrate
+from wbmpc.estimation.calibration import WheelRecord, calibrate, replay
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
@@ -42,4 +42,5 @@ __all__ = [
     "WheelOdometry",
     "WheelRecord",
     "calibrate",
+    "replay",
 ]

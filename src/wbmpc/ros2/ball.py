@@ -65,7 +65,8 @@ class BusBallAgent(RezeroAgent):
             self.measured = self.seen = RezeroMeasurement(message.now, self.seen.state, age)
             return
         self._sampled = message.time
-        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        m = message
+        state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             state = self.estimator.correct(*fix)

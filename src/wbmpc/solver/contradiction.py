@@ -7,7 +7,7 @@ the multipliers have not grown far enough yet it is not. How far they could stil
 which no scaling of all rows or of all inputs changes.
 
 Where hard limits of inputs are in the way, Jᵀ W r is a sum of their gradients with multipliers that are not negative (Farkas). That
-may pass: a goal comes nearer, a swing comes back, a push is over. So limits are waited for as long as the horizon, and longer while
+may pass: a goal comes nearer, a swing comes back, a push is over. So limits are waited for two horizons, and longer while
 what is missed changes, that is while something moves; not where no state has a part in it.
 """
 
@@ -21,7 +21,6 @@ from wbmpc.solver.lanes import equality_size, load_block, stage_lanes, unpack
 from wbmpc.solver.places import (
     AB,
     ADJOINT,
-    HELD_SHARE,
     CHAINED,
     CONTRADICTED,
     END_J,
@@ -29,6 +28,7 @@ from wbmpc.solver.places import (
     GRID,
     HELD_BY,
     HELD_FOR,
+    HELD_SHARE,
     LANE_E,
     LANE_U,
     LANE_X,
@@ -72,6 +72,8 @@ PATIENCE = 10
 HELD = 1e-3
 #: An input that is nearer to its hard limit than this [the range] is held by it.
 AT_LIMIT = 0.02
+#: So many horizons long.
+HORIZONS = 2.0
 #: What changes by this share while it is waited for may still be met.
 SAME = 0.02
 
@@ -274,11 +276,11 @@ def hold_multipliers(m, o):  # type: ignore[no-untyped-def]
 
 @compiled(BOOL, NUMS, INTS, NUM)
 def keeps_on(m, o, share):  # type: ignore[no-untyped-def]
-    """Whether limits have been in the way for as long as the horizon, and ``share`` has been the same."""
+    """Whether limits have been in the way for :data:`HORIZONS`, and ``share`` has been the same."""
     state = o[STATE]
     if abs(share - m[state + HELD_SHARE]) > SAME * m[state + HELD_SHARE]:
         m[state + HELD_SHARE], m[state + HELD_FOR] = share, 0.0
-    return m[state + HELD_FOR] >= m[o[GRID] + o[N]]
+    return m[state + HELD_FOR] >= HORIZONS * m[o[GRID] + o[N]]
 
 
 @compiled(BOOL, NUMS, INTS, NUMS)
@@ -297,7 +299,7 @@ def contradicts(m, o, s):  # type: ignore[no-untyped-def]
         if not stuck:
             left, of_states = steepest(m, o, True)
             held = left <= HELD * down
-            stuck = held and of_states <= 1e-12 * size
+            stuck = held and of_states <= HELD * down
     if held:
         told = keeps_on(m, o, share)
     else:

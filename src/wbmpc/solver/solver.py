@@ -19,12 +19,12 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.places import (
-    HELD_SHARE,
     CONTRADICTED,
     COST,
     GIVEN_WAY,
     HELD_BY,
     HELD_FOR,
+    HELD_SHARE,
     LIMIT_TOLERANCE,
     LONGEST,
     MISSED,
