@@ -108,6 +108,7 @@ swerve: $(VENV)/.installed
 rivals: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival ik $(RIVALS_ARGS)
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival four_wheel $(RIVALS_ARGS)
+	$(ENVIRONMENT) nice $(BIN)/python benchmarks/rivals.py --rival tour $(RIVALS_ARGS)
 
 # the ball robot's door with and without its equation, estimated impedance and friction cone (an hour; goes on where it stopped)
 door: $(VENV)/.installed

@@ -1,9 +1,9 @@
-"""Gains of the rivals of `swerve-fixed`: a coordinate search on tuning seeds, for the least rms position error.
+"""Gains of the rivals of `swerve-fixed` and `swerve-drive`: a coordinate search on tuning seeds, for the least rms position error.
 
-Usage: python benchmarks/rivals.py [--rival ik|four_wheel] [--seeds 0-1] [--random 20] [--sets 31] [--out DIR]
+Usage: python benchmarks/rivals.py [--rival ik|four_wheel|tour] [--seeds 0-1] [--random 20] [--sets 31] [--out DIR]
 Starts from the gains that the experiment has, and ends after so many sets of gains. The four-wheel base is judged by the motions
-that it can do (forward, turning); sideways ones would hide its gains. DIR/NAME.md gets every trial and the best; trials that it
-has are not run again.
+that it can do (forward, turning); sideways ones would hide its gains. `tour`: the inverse kinematics on the tour of `swerve-drive`.
+DIR/NAME.md gets every trial and the best; trials that it has are not run again.
 """
 
 from __future__ import annotations
@@ -16,15 +16,27 @@ from pathlib import Path
 import numpy as np
 
 from wbmpc.control import FourWheelSteeringAgent, RollingAgent
+from wbmpc.experiments import swerve_drive
 from wbmpc.experiments import swerve_fixed as fixed
 from wbmpc.log import Log
 from wbmpc.model import load_robot
 
-GRID: dict[str, tuple[float, ...]] = {
+_FIXED: dict[str, tuple[float, ...]] = {
     "lead": (0.0, 0.01, 0.02, 0.03),
-    "base_gain": (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0),
-    "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
-    "look_ahead": (0.5, 1.0, 1.5, 2.0),
+    "base_gain": (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0),
+    "steer_gain": (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0),
+    "look_ahead": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0),
+}
+GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
+    "ik": _FIXED,
+    "four_wheel": _FIXED,
+    "tour": {
+        "steer_gain": (15.0, 20.0, 30.0, 40.0, 60.0),
+        "base_gain": (2.0, 4.0, 6.0, 8.0, 12.0),
+        "leg_gain": (2.0, 4.0, 8.0, 16.0, 24.0),
+        "lead": (0.0, 0.01, 0.02, 0.03),
+        "look_ahead": (0.0, 1.0),
+    },
 }
 #: What each rival is judged by; ``None``: all motions, and random twists after them.
 MOTIONS: dict[str, tuple[fixed.Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
@@ -35,23 +47,42 @@ KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
 
 def error(name: str, gains: dict[str, float], seeds: range, random: float) -> float:
     """Rms position error [m] over all seeds."""
+    squares = [_tour(gains, seed) if name == "tour" else _motions(name, gains, seed, random) for seed in seeds]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
+    """Squares [m²] of the position error on the tour."""
+    given = {f"rival_{key}": value for key, value in gains.items()}
+    settings = swerve_drive.SwerveDriveSettings.model_validate({"rest": REST, **given})
+    error = swerve_drive.rival_on_tour(settings, seed)
+    return np.asarray(np.sum(error[:, :2] ** 2, axis=1))
+
+
+def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np.ndarray:
+    """Squares [m²] of the position error on the motions by which a rival is judged, infinite if it did not get through them."""
     robot, motions = load_robot("swerve-fixed-ur10"), MOTIONS[name]
     settings = fixed.SwerveFixedSettings(random=random, rest=REST)
     if motions is not None:
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
-    squares = []
-    for seed in seeds:
-        log, reference = Log(), fixed.Motion.of(settings, seed)
-        if fixed.drive(name, settings, seed, robot, reference, None, log).reason:
-            return float("inf")
-        squares.append(fixed.errors(log, name, reference)[1] ** 2)
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
+    log, reference = Log(), fixed.Motion.of(settings, seed)
+    if fixed.drive(name, settings, seed, robot, reference, None, log).reason:
+        return np.full(1, np.inf)
+    return np.asarray(fixed.errors(log, name, reference)[1] ** 2)
+
+
+def _start(name: str) -> dict[str, float]:
+    """The gains that the experiment has."""
+    if name != "tour":
+        return dict(fixed.GAINS[name])
+    settings = swerve_drive.SwerveDriveSettings()
+    return {key: float(getattr(settings, f"rival_{key}")) for key in GRIDS[name]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rival", default="ik", choices=sorted(KINDS))
+    parser.add_argument("--rival", default="ik", choices=sorted(GRIDS))
     parser.add_argument("--seeds", default="0-1")
     parser.add_argument("--random", type=float, default=20.0)
     parser.add_argument("--sets", type=int, default=31, help="of gains that are tried")
@@ -71,20 +102,24 @@ def main() -> None:
             print(f"{given.rival} {gains}: {1e3 * known[key]:.2f} mm", flush=True)
         return known[key]
 
-    best, gains = search(dict(fixed.GAINS[given.rival]), given.sets, trial)
+    grid = GRIDS[given.rival]
+    best, gains = search(_start(given.rival), grid, given.sets, trial)
     print(f"best of {len(known)} sets: {gains}: {1e3 * best:.2f} mm")
-    path.with_suffix(".md").write_text(table(known, gains))
+    path.with_suffix(".md").write_text(table(list(grid), known, gains))
 
 
 def search(
-    gains: dict[str, float], sets: int, trial: Callable[[dict[str, float]], float]
+    gains: dict[str, float],
+    grid: dict[str, tuple[float, ...]],
+    sets: int,
+    trial: Callable[[dict[str, float]], float],
 ) -> tuple[float, dict[str, float]]:
     """The least error [m] and its gains, one after the other over the grid, until ``sets`` were tried or a round gains nothing."""
     tried = {tuple(gains.items())}
     best = trial(gains)
     while True:
         before = best
-        for key, values in GRID.items():
+        for key, values in grid.items():
             for value in values:
                 candidate = {**gains, key: value}
                 if tuple(candidate.items()) in tried:
@@ -99,12 +134,12 @@ def search(
             return best, gains
 
 
-def table(known: dict[tuple[tuple[str, float], ...], float], best: dict[str, float]) -> str:
+def table(names: list[str], known: dict[tuple[tuple[str, float], ...], float], best: dict[str, float]) -> str:
     """Every trial by its error, the best one in bold."""
-    lines = ["| " + " | ".join([*GRID, "rms [mm]"]) + " |", "| " + " | ".join(["---"] * (len(GRID) + 1)) + " |"]
+    lines = ["| " + " | ".join([*names, "rms [mm]"]) + " |", "| " + " | ".join(["---"] * (len(names) + 1)) + " |"]
     for key, found in sorted(known.items(), key=lambda item: item[1]):
         figure = f"**{1e3 * found:.2f}**" if dict(key) == best else f"{1e3 * found:.2f}"
-        lines.append("| " + " | ".join([*(f"{dict(key)[n]:g}" for n in GRID), figure]) + " |")
+        lines.append("| " + " | ".join([*(f"{dict(key)[n]:g}" for n in names), figure]) + " |")
     return "\n".join(lines) + "\n"
 
 

@@ -26,13 +26,13 @@ class Bowl:
 
 def test_search_finds_the_lowest_point() -> None:
     bowl = Bowl()
-    assert rivals.search(START, 100, bowl) == (1.0, LOWEST)
+    assert rivals.search(START, rivals.GRIDS["ik"], 100, bowl) == (1.0, LOWEST)
     assert len({tuple(g.items()) for g in bowl.tried}) == len(bowl.tried)  # nothing twice
 
 
 @pytest.mark.parametrize("sets", [1, 7, 20])
 def test_search_ends_after_so_many_sets(sets: int) -> None:
     bowl = Bowl()
-    best, gains = rivals.search(START, sets, bowl)
+    best, gains = rivals.search(START, rivals.GRIDS["ik"], sets, bowl)
     assert len(bowl.tried) == sets
     assert best == min(Bowl()(g) for g in bowl.tried) == Bowl()(gains)

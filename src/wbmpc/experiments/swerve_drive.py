@@ -16,8 +16,9 @@ from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
 from wbmpc.experiments.settings import ExperimentSettings, finished
+from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
 from wbmpc.experiments.swerve_calibrate import swerve_robot
-from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep, watched
@@ -27,7 +28,7 @@ from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
 from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
 from wbmpc.plant.world import GROUND
-from wbmpc.result import Metric, Plot, RunResult, Series
+from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
 from wbmpc.stability import CONFIGURATIONS, leg_angles
 
 NAME = "swerve-drive"
@@ -51,6 +52,8 @@ POST, POST_COLOUR = (0.03, 0.05, 1.0), (0.55, 0.40, 0.28, 1.0)
 #: Bumps (x, y) [m] of 15 mm and cables (x) of 10 mm radius [m].
 BUMPS = ((6.0, 0.6), (9.5, 0.5), (10.5, -0.5), (11.5, 0.2), (12.5, -0.6))
 BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (9.0, 12.0), 0.010
+#: How far [m] two pictures of the storyboard are apart.
+STORY = 1.3
 #: Speed [rad/s] of a hinge (Pankert et al. 2022); a wheel that carries less [N] is off the ground; how long [s] after that its
 #: leg is still on the way back to its reference.
 HINGE_SPEED, UNLOADED, COMING_BACK = 0.5, 5.0, 1.0
@@ -59,18 +62,25 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED, RECOVERED = np.radians(5.0), 150.0, 0.3, np.ra
 
 
 class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track. Gains of the rival [1/s] for base, legs and steering."""
+    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track. ``rival_…``: gains [1/s] for base, legs and steering; by how much
+    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
+    :class:`wbmpc.control.RollingAgent`)."""
 
+    # cheap steering: on bumps and where wheels come down again a plan has to turn them quickly
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=300.0, yaw=300.0, leg=300.0, arm=1.0)
+        hand=HandCost(weight=0.0, orientation=0.0),
+        state=StateCost(position=10_000.0, yaw=3000.0, leg=300.0, arm=1.0),
+        input=InputCost(base=5.0, steer=0.002),
     )
     robot: str = "swerve-ur10"
     use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
-    rival_base_gain: float = Field(1.5, ge=0, le=50)
-    rival_leg_gain: float = Field(4.0, ge=0, le=50)
-    rival_steer_gain: float = Field(16.0, gt=0, le=100)
+    rival_base_gain: float = Field(6.0, ge=0, le=50)
+    rival_leg_gain: float = Field(8.0, ge=0, le=50)
+    rival_steer_gain: float = Field(30.0, gt=0, le=100)
+    rival_lead: float = Field(0.0, ge=0, le=0.5)
+    rival_look_ahead: float = Field(0.0, ge=0, le=5)
 
 
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
@@ -234,7 +244,7 @@ class _Run:
 
         agent = RollingAgent(
             robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
-            brakes=brakes.commanded, use_gyro=s.use_gyro,
+            lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
         with watched(plant, timing.period, duration, progress, agent) as tick:
@@ -248,6 +258,15 @@ class _Run:
                 plant.step(command, timing.steps)
                 if plant.fell:
                     break
+
+
+def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
+    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell."""
+    robot, log = swerve_robot(settings.robot), Log()
+    mission, duration = tour(robot, settings.plant.brake_delay)
+    _Run(settings, robot, seed, log).rival(mission, duration, terrain)
+    error = log.array("rival.base_odometry") - log.array("rival.base_reference")
+    return error if log.times("rival.base")[-1] > duration - 0.1 else np.full_like(error, np.inf)
 
 
 def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = None) -> RunResult:
@@ -377,7 +396,19 @@ def _speed_ratio(log: Log) -> float:
     return float((speed / np.repeat([HINGE_SPEED, STEER_SPEED, WHEEL_SPEED], n)).max())
 
 
-def _plots(log: Log, robot: RobotModel) -> list[Plot]:
+def _story(log: Log, robot: RobotModel) -> Drawing:
+    """The tour from above (Fig. 8)."""
+    t, base = log.times("tour.base"), log.array("tour.base")
+    legs, steers, brakes = (log.array(f"tour.{n}") for n in ("leg", "steer", "brake"))
+    far = np.maximum.accumulate(base[:, 0])
+    indices = np.searchsorted(far, np.arange(far[0], far[-1] + 1e-9, STORY))
+    shots = [Snapshot(float(t[k]), base[k], legs[k], steers[k], brakes[k] > 0.5) for k in indices]
+    posts = [(DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), *POST[:2]) for side in (-1.0, 1.0)]
+    ground = Ground(posts, [(x, y, BUMP_RADIUS) for x, y in BUMPS], CABLES)
+    return Drawing("The tour from above (Fig. 8)", storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
+
+
+def _plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
     t, base, wanted = log.times("tour.base"), log.array("tour.base"), log.array("tour.base_reference")
     names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
     legs, goals = np.degrees(log.array("tour.leg")), np.degrees(log.array("tour.leg_reference"))
@@ -387,7 +418,8 @@ def _plots(log: Log, robot: RobotModel) -> list[Plot]:
     runs = [
         (n, label) for n, label in (("tour", "MPC"), ("rival", "inverse kinematics")) if f"{n}.base" in log.channels
     ]
-    plots = [
+    plots: list[Plot | Drawing] = [
+        _story(log, robot),
         Plot("Base from above", "x [m]", "y [m]", [
             Series("true", base[:, 0], base[:, 1]), Series("reference", wanted[:, 0], wanted[:, 1], dashed=True),
         ], equal_axes=True),
