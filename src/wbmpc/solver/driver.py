@@ -262,7 +262,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     hold = m[state + HOLD]
-    again = rows and (certify or s[EXTRA] > 0.0 and s[START_ANEW] > 0.0) and s[SINGLE] == 0.0
+    again = rows and (certify or (s[EXTRA] > 0.0 and s[START_ANEW] > 0.0)) and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
