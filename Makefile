@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
+.PHONY: demo test bench race realtime bus soak study reproduce readme lateness random grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -61,6 +61,10 @@ lateness: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[viz]"
 	$(ENVIRONMENT) $(BIN)/python benchmarks/view_lateness.py $(LATENESS_ARGS)
 
+# random problems of all kinds of constraints, ours and IPOPT's answers (minutes)
+random: $(VENV)/.installed
+	$(ENVIRONMENT) $(BIN)/python benchmarks/random_problems.py --seeds 1000-1599
+
 # error and time of the swerve robot's MPC over grids of the horizon (minutes)
 grids: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/python benchmarks/grids.py
@@ -76,7 +80,7 @@ robustness: $(VENV)/.installed
 # the ball robot on other floors, with masses in its hand, over cables, with late drives (hours; goes on where it stopped)
 ball-robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/ball-robustness --only \
-	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle $(ROBUSTNESS_ARGS)
+	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle rezero-door $(ROBUSTNESS_ARGS)
 
 # the ball robot's experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
 ball: $(VENV)/.installed

@@ -63,7 +63,7 @@ def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
 def _run(todo: list[Point], file: Path, processes: int | None, fine: float) -> None:
     started = time.time()
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        results = push_map(todo, file, lambda left: pool.imap_unordered(partial(measure, fine=fine), left))
+        results = push_map(todo, file, lambda left: pool.imap_unordered(partial(measure, fine=fine), left), fine)
         for k, (key, (low, high)) in enumerate(results, start=1):
             falls = "never falls" if high is None else f"falls at {high:.1f} N s"
             done = f"{k} of {len(todo)}, {time.time() - started:.0f} s"
@@ -135,7 +135,12 @@ def main() -> None:
     parser.add_argument("--set", dest="given", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=["mpc"])
     parser.add_argument("--gains", type=Path, help="of rivals")
-    parser.add_argument("--fine", type=float, default=FINE, help="a bisection ends at this [N s]")
+    parser.add_argument(
+        "--fine",
+        type=float,
+        default=FINE,
+        help="a bisection ends at this [N s]; coarser results of FOLDER are gone on with",
+    )
     parser.add_argument("--processes", type=int, help="all cores when left out")
     parser.add_argument("--out", type=Path, default=Path("runs/push-map"))
     parser.add_argument("--draw", action="store_true", help="run nothing")

@@ -30,6 +30,10 @@ class FallForeseen(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
 
+class EncodersFailed(RunAborted):
+    """A robot that balances does not know its state any more, for its encoders stand still: the motors are switched off."""
+
+
 class SolveFailed(WbmpcError):
     """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import EndedByUser, FallForeseen, InputError, NotFinite, RunAborted
+from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
 Progress = Callable[[float, str], None]
@@ -247,6 +247,8 @@ def _tick(
         plant.step(command, timing.steps)
     except FallForeseen as error:
         return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
+    except EncodersFailed as error:
+        return Ending(f"stopped at {t:.2f} s: {error}")
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
     except NotFinite as error:

@@ -169,6 +169,7 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         "targets": targets,
         "settings": _plain(result.settings),
         "idealisations": result.idealisations,
+        "faults": result.faults,
         "versions": versions(),
     }
     Path(files["metrics"]).write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
@@ -266,9 +267,10 @@ def _metric_rows(result: RunResult) -> list[list[str]]:
 
 
 def goal_notes(result: RunResult) -> list[str]:
-    """What a reader must know about the goals that this run misses."""
+    """What a reader must know about this run and the goals that it misses."""
     missed = [n for n, m in result.metrics.items() if m.met is False and result.reached(n) is False]
-    return [f"{name}: {note}" for name in missed if (note := result.metrics[name].goal_note)]
+    found = [f"found in this run: {fault}" for fault in result.faults]
+    return [*found, *(f"{name}: {note}" for name in missed if (note := result.metrics[name].goal_note))]
 
 
 def _verdict(result: RunResult) -> str:

@@ -110,7 +110,7 @@ class Drawing:
 @dataclass
 class RunResult:
     """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
-    experiments without one."""
+    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as sentences."""
 
     experiment: str
     seed: int
@@ -123,6 +123,7 @@ class RunResult:
     idealisations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
+    faults: list[str] = field(default_factory=list)
 
     def reached(self, name: str) -> bool | None:
         """Whether the goal of a metric is reached; None without a goal, and where the user ended the run: it says nothing about

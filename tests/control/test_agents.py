@@ -139,10 +139,25 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
         np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
     # as fast as the servo may until 15 / s asks for less, then an exponential of 15 / s to 0.1 rad
-    most = 1.15 * SWERVE.limits.input_upper[SWERVE.input["steer"]][0]
+    most = 5.75
     slow = most / 15.0
     assert stood == pytest.approx(((0.5 - slow) / most + np.log(slow / 0.1) / 15.0) / PERIOD, abs=3)
     np.testing.assert_allclose(command.wheel, 0.2)
+
+
+def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
+    """Planner's limit 2.0 rad/s, wheels 1.5 rad off: the largest command is the drive's own limit, or the planner's without one."""
+    for own, most in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
+        d = SWERVE.description
+        slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
+        limits = d.limits.model_copy(update={"velocity": slow, "drive_velocity": own})
+        agent = SwerveAgent(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
+        plans, largest = Plans(), 0.0
+        plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), steer=1.5))
+        for k in range(100):
+            agent.measure(message(k * PERIOD))
+            largest = max(largest, float(np.abs(agent.command(k * PERIOD, plans).steer).max()))
+        assert largest == most
 
 
 def test_first_plan_starts_from_wheels_that_agree() -> None:
@@ -401,8 +416,8 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
 class Fixed:
     """An estimator that always says the same."""
 
-    def update(self, time, wheel, arm, gyro, accel):  # type: ignore[no-untyped-def]
-        self.given = (time, *wheel, *arm, *gyro, *accel)
+    def update(self, time, wheel, arm, gyro, accel, turning):  # type: ignore[no-untyped-def]
+        self.given, self.turning = (time, *wheel, *arm, *gyro, *accel), turning
         return np.arange(2.0 * N)
 
 
@@ -410,6 +425,10 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     agent, fixed = ball_agent(), Fixed()
     agent.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
+    acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
+    agent._torques.extend([acted, np.zeros(6), np.zeros(6)])
+    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
+    assert fixed.turning == pytest.approx(agent.robot.base.wheel_torque_map()[2] @ acted[:3])
     agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
     np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
     assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)

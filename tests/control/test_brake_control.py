@@ -61,6 +61,38 @@ def test_the_plan_takes_a_faulty_brake_as_it_is() -> None:
     assert planned(brakes.schedule(), 0.0) == [1, 0, 0, 0]
     brakes.accept(BrakeFault(1.6, 2, "leg_LB", "opens after all", 0.01))
     assert planned(brakes.schedule(), 2.0) == [1, 1, 1, 1]
+    brakes.accept(BrakeFault(1.7, 0, "leg_LF", "holds after all", 0.2))  # was told not to hold
+    assert planned(brakes.schedule(), 0.0) == [0, 0, 0, 0]
+
+
+def test_the_next_command_of_a_brake_is_believed() -> None:
+    """Of leg 1 alone: leg 0, which is not commanded, stays as it was found."""
+    brakes = BrakeControl(SWERVE, delay=0.1)
+    brakes.set(20.0, [0, 0, 0, 1])  # scheduled long before
+    for leg in (0, 1):
+        brakes.accept(BrakeFault(1.0, leg, "", "does not hold", 0.1))
+    brakes.set(3.0, [0, 1, 0, 0])
+    brakes.set(5.0, [0, 0, 0, 0])
+    assert [planned(brakes.schedule(), t)[:2] for t in (2.0, 4.0, 6.0, 30.0)] == [[1, 1], [1, 1], [1, 0], [1, 0]]
+    brakes.forget(7.0)  # what was found of leg 0 is not forgotten with the events, and leg 1 stays believed
+    assert planned(brakes.schedule(), 7.0) == [1, 0, 0, 0]
+    assert planned(brakes.schedule(), 20.2) == [1, 0, 0, 1]
+
+
+def test_events_that_are_over_are_forgotten() -> None:
+    """Sixty events one after the other, as on a bus: what is kept does not grow, and nothing changes from now on."""
+    told: list[ModeSchedule] = []
+    brakes, every = BrakeControl(SWERVE, delay=0.2, changed=told.append), BrakeControl(SWERVE, delay=0.2)
+    for k in range(60):
+        t = 0.15 * k
+        state = [k % 2, k // 2 % 2, k // 3 % 2, 1]
+        brakes.forget(t)
+        brakes.set(t, state)
+        every.set(t, state)
+        assert len(told[-1].modes) < 8
+        for later in (0.0, 0.01, 0.1, 0.2, 0.21, 1.0):
+            assert list(brakes.commanded(t + later)) == list(every.commanded(t + later))
+            assert planned(told[-1], t + later) == planned(every.schedule(), t + later)
 
 
 def test_the_mpc_moves_open_legs_only() -> None:

@@ -8,6 +8,8 @@ import pytest
 from toys import robot
 from wbmpc.control import FallForecast
 from wbmpc.errors import FallForeseen
+from wbmpc.model import load_robot
+from wbmpc.model.balance import Balance
 from wbmpc.mpc import Policy
 
 ROBOT = robot("rezero")
@@ -67,3 +69,27 @@ def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
     with pytest.raises(FallForeseen):
         for k in range(30):
             turning.feel(0.0025 * k, x)
+
+
+def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
+    """Balance.answer (tests/model/test_balance.py): a lean that a push of the world answers is none, without it one is lost."""
+    pushed, forecast = load_robot("rezero", contact="force"), FallForecast(ROBOT, ARM)
+    against = -1.2 * forecast.reach / Balance.of(ROBOT, ARM).answer  # N along x
+    lean = next(
+        p
+        for p in np.arange(0.2, 0.6, 0.005)
+        if forecast._most(leaning(p)[None], 0.0, np.zeros(2)) > 1.1 * forecast.reach
+    )
+    for k in range(40):
+        forecast.feel(0.0025 * k, leaning(lean), force=(against, 0.0))
+    with pytest.raises(FallForeseen):
+        for k in range(40, 80):
+            forecast.feel(0.0025 * k, leaning(lean))
+    planned, still = FallForecast(pushed, ARM), plan(lean, at=0.05)
+    u = np.zeros((2, 9))
+    u[0, pushed.input["force"]] = [against, 0.0, 0.0]  # the last state of the plan leans no more
+    for _ in range(8):
+        planned.look(Policy(still.times, still.x, u, np.zeros((2, 9, 16))))
+    with pytest.raises(FallForeseen):
+        for _ in range(8):
+            planned.look(Policy(still.times, still.x, 0.0 * u, np.zeros((2, 9, 16))))

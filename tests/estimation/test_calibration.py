@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
 from wbmpc.errors import InputError
-from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate
+from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate, replay
 
 #: Modules that are not on one circle: every zero and every radius shows in some motion.
 UNEVEN = ring(4)
@@ -163,7 +163,7 @@ def test_keys_that_are_left_out_are_the_descriptions(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("drop", "message"), [("place", "no channel 'place'"), ("wheel.time", "no channel 'wheel'")])
 def test_a_log_without_the_channels_is_refused(drop: str, message: str) -> None:
     times = np.arange(5.0)
-    channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.zeros((5, 6))}
+    channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.ones((5, 6))}
     channels |= {f"{name}.time": times for name in tuple(channels)}
     assert len(WheelRecord.of(channels).times) == 5
     del channels[drop]
@@ -171,13 +171,70 @@ def test_a_log_without_the_channels_is_refused(drop: str, message: str) -> None:
         WheelRecord.of(channels)
 
 
-def test_wrong_shapes_are_refused() -> None:
-    times = np.arange(5.0)
-    channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.zeros((5, 3))}
-    channels |= {f"{name}.time": times for name in tuple(channels)}
-    with pytest.raises(InputError, match="standard deviations"):
-        WheelRecord.of(channels)
-    with pytest.raises(InputError, match="same times"):
-        WheelRecord.of({**channels, "place": np.zeros((5, 6)), "wheel": np.zeros((4, 4))})
+TIMES = 0.1 * np.arange(11.0)
+SOUND = {
+    "steer": np.zeros((11, 4)),
+    "wheel": np.zeros((11, 4)),
+    "leg": np.zeros((11, 4)),
+    "gyro": np.zeros(11),
+    "place": np.tile([0.0, 0.0, 0.0, 1e-3, 1e-3, 1e-3], (3, 1)),
+    **{f"{name}.time": TIMES for name in ("steer", "wheel", "leg", "gyro")},
+    "place.time": np.array([0.0, 0.5, 1.0]),
+}
+ROLLING = np.tile(np.linspace(0.0, 1.0, 11)[:, None], (1, 4))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"place": np.zeros((3, 3))}, "standard deviations are needed"),
+        ({"place": np.zeros((3, 6))}, "standard deviations must be positive"),
+        ({"place.time": np.array([0.0, 0.5])}, "each with its time"),
+        ({"place.time": np.array([0.0, np.nan, 1.0])}, "'place.time': finite numbers"),
+        ({"wheel": np.zeros((4, 4))}, "same times"),
+        ({"wheel": np.full((11, 4), np.nan)}, "'wheel': finite numbers"),
+        ({"leg": np.zeros((11, 2))}, "'leg' must have .* got .11, 2."),
+        ({"gyro": np.zeros((11, 3))}, "'gyro' must have"),
+        ({"steer": np.zeros(11)}, "'steer': one row"),
+        ({"steer": np.array([["a"] * 4] * 11)}, "'steer': finite numbers"),
+        ({"steer.time": TIMES[::-1]}, "'steer.time'"),
+        # a survey long before or after, and one beside a record whose wheels turn
+        ({"place.time": np.array([-2.5, 0.5, 1.0])}, "1 of 3 global poses are before .* 2.5 s, more than 2 s"),
+        ({"place.time": np.array([0.0, 1.02, 1.03]), "wheel": ROLLING}, "2 of 3 global poses are after .* moves"),
+    ],
+)
+def test_records_that_make_no_sense_are_refused(changed: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(InputError, match=f"there.npz: .*{message}") as error:
+        WheelRecord.of({**SOUND, **changed}, "there.npz")
+    assert "\n" not in str(error.value)
+
+
+def test_another_base_and_poses_that_do_not_fit_are_refused() -> None:
+    three = {name: SOUND[name][:, :3] for name in ("steer", "wheel", "leg")}
     with pytest.raises(InputError, match="4 modules"):
-        calibrate(UNEVEN, WheelRecord.of({**channels, "place": np.ones((5, 6)), "steer": np.zeros((5, 3))}))
+        calibrate(UNEVEN, WheelRecord.of({**SOUND, **three}))
+    far = SOUND["place"] + np.array([[0.0] * 6, [3.0] + [0.0] * 5, [5.0] + [0.0] * 5])
+    with pytest.raises(InputError, match="1 of 3 global poses fit"):
+        calibrate(UNEVEN, WheelRecord.of({**SOUND, "place": far}))
+
+
+def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
+    """The base stands for 0.4 s at both ends; poses stamped 1 s outside, and in any order, give what those at the ends give."""
+    base = Drawn(UNEVEN, 1, motion=lambda t: np.array([0.25, 0.0, 0.0]), length=3.2, zero=2e-3, gyro=0.0)
+    base.legs = lambda t: (np.zeros(4), np.zeros(4))  # type: ignore[method-assign]
+    data = record(base, (5e-4, 5e-4, 2e-4), every=400)
+    stood = lambda rows: np.concatenate([np.tile(rows[:1], (20, 1)), rows, np.tile(rows[-1:], (20, 1))])
+    channels = {"steer": stood(data.steer), "wheel": stood(data.wheel), "leg": stood(data.leg)}
+    times = 0.02 * np.arange(len(channels["steer"]))
+    channels |= {f"{name}.time": times for name in tuple(channels)}
+    two = np.concatenate([[base.poses[0], base.poses[-1]], np.tile([5e-4, 5e-4, 2e-4], (2, 1))], axis=1)
+    ends = times[[0, -1]]
+    zeros = []
+    for at, order in ((ends, [0, 1]), (ends + [-1.0, 1.0], [0, 1]), (ends + [-0.02, 0.02], [1, 0])):
+        there = WheelRecord.of({**channels, "place": two[order], "place.time": at[order]})
+        found = replay(UNEVEN, there, prior=prior())
+        assert found.taken == 2
+        zeros.append(found.calibration.steer_zero)
+    np.testing.assert_allclose(zeros[1:], [zeros[0]] * 2, atol=1e-15)
+    known = found.calibration.covariance[:4, :4].mean() ** 0.5  # 0.5 mm at both ends of 0.8 m; 1 mrad before
+    assert abs(zeros[0].mean() - base.zeros.mean()) < 3.0 * known and known < 0.7e-3

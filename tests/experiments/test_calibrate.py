@@ -89,9 +89,15 @@ def test_command_prints_and_writes(folder: Path, tmp_path: Path, capsys: pytest.
     printed = json.loads(capsys.readouterr().out)
     assert printed["file"] == str(tmp_path / "c.yaml")
     assert list(printed["modules"]) == steer_joints(ROBOT)
+    assert printed["poses"]["used"] > 0.9 * printed["poses"]["given"] > 50
     assert main(["calibrate", str(folder), "--robot", "swerve-ur10"]) == 0
     text = capsys.readouterr().out
-    assert (folder / "calibration.yaml").is_file() and "mrad" in text and "--set calibration=" in text
+    assert (
+        (folder / "calibration.yaml").is_file()
+        and "mrad" in text
+        and "global poses used" in text
+        and "--set calibration=" in text
+    )
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,9 @@ def test_pole_and_reach_of_a_planar_pendulum() -> None:
     lean = torque * (m12 / RADIUS + m11) / (m11 * mass * 9.81 * height)
     assert found.reach[0] == pytest.approx(height * lean, rel=0.03)
     assert found.reach[0] == pytest.approx(found.reach[2], rel=1e-6)
+    # a force f on the hand at height z: m g h θ + f z = M12 ẍ with M11 ẍ = f holds the lean
+    z = data.site("tool").xpos[2] - data.body("ball").xipos[2]
+    assert found.answer == pytest.approx((z - m12 / m11) / (mass * 9.81), rel=0.02)
 
 
 def test_reach_grows_with_the_torque_and_ends_at_the_spin_friction() -> None:
@@ -95,6 +98,17 @@ def test_capture_point_is_the_offset_and_its_rate() -> None:
         found = evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
         along = np.array([want[0], (want[0] + want[1]) / np.sqrt(2), want[1], (want[1] - want[0]) / np.sqrt(2)])
         np.testing.assert_allclose(found, along, atol=1e-8)
+
+
+def test_capture_point_counts_from_the_lean_that_answers_a_force() -> None:
+    x, force = 0.1 * np.ones(16), np.array([-16.0, 5.0])
+    given, expected, none = ca.SX.sym("x", 16), ca.SX(ca.DM(force)), ca.SX(0, 1)
+    symbols = Symbols(given, ca.SX(6, 1), ca.SX(ROBOT.parameters.size, 1), none, expected, given, none)
+    term = CapturePoint(ROBOT, 4.7, directions=2, answer=2e-3)
+    found = np.array(ca.Function("r", [given], [term(symbols)])(x)).ravel()
+    own = evaluated(CapturePoint(ROBOT, 4.7, directions=2), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
+    np.testing.assert_allclose(found - own, 2e-3 * force, atol=1e-12)
+    assert term.reference == 2 and CapturePoint(ROBOT, 4.7).reference == 0
 
 
 def test_a_payload_counts_in_lean_and_effort() -> None:

@@ -13,7 +13,10 @@ import yaml
 
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
+from wbmpc.model.ball import BallBase
+from wbmpc.plant import RezeroPlant
 from wbmpc.robots import available_robots, load_description
+from wbmpc.robots.description import DATA
 
 URDF = """<robot name="r"><link name="world"/><link name="base_link"><inertial><mass value="2"/>
  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -89,6 +92,11 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"lock": {"too": 1.0}}, ("'too'", "did you mean 'two'", "lock")),
         ({"limits": {"velocities": {"one": 1.0}}}, ("'limits.velocities'", "did you mean 'limits.velocity'")),
         ({"limits": {"velocity": {"three": 1.0}}}, ("'three'", "limits.velocity")),
+        ({"limits": {"velocity": {"one": 2.0}, "drive_velocity": {"one": 1.0}}}, ("'one'", "no less than that")),
+        (
+            {"limits": {"velocity": {"one": 1.0}, "drive_velocity": {"one": 2.0}}},
+            ("steering joint", "limits.drive_velocity"),
+        ),
         ({"hom": {}}, ("'hom'", "did you mean 'home'")),
         ({"base": {"type": "flying", "body": "base_link"}}, ("base", "fixed", "swerve", "ball")),
         ({"base": {"type": "fixed", "body": "base_lnk"}}, ("'base_lnk'", "did you mean 'base_link'")),
@@ -236,3 +244,45 @@ def test_a_joint_named_twice(tmp_path: Path) -> None:
         load_description(path)
     with pytest.raises(InputError, match="a name or a path"):
         load_robot(None)  # type: ignore[arg-type]
+
+
+IMU = '<site name="imu" pos="0 0 0.3"/>'
+
+
+def ball_robot(folder: Path, **changes: object) -> Path:
+    """Rezero with other keys and, in place of its inertial unit, ``imu``."""
+    xml, data = (DATA / "rezero.xml").read_text(), yaml.safe_load((DATA / "rezero.yaml").read_text())
+    assert IMU in xml
+    (folder / "ball.xml").write_text(xml.replace(IMU, str(changes.pop("imu", IMU))))
+    data["base"]["wheels"] |= changes.pop("wheels", {})
+    path = folder / "ball.yaml"
+    path.write_text(yaml.safe_dump(data | {"model": "ball.xml"} | changes))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"limits": {"spin_effort": 2.0}}, ("ball.yaml", "'limits.wheel_effort'", "omni wheels")),
+        ({"wheels": {"azimuths": [0.0, 0.0, 0.0]}}, ("ball.yaml", "'base.wheels.azimuths'", "three different")),
+        ({"wheels": {"azimuths": [0.0, np.pi, 0.0, np.pi]}}, ("ball.yaml", "'base.wheels.azimuths'", "every axis")),
+        ({"imu": '<site name="imu" euler="0 0 90"/>'}, ("ball.xml", "'imu'", "'base'", "same axes")),
+        ({"imu": '<body name="imu"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'}, ("'imu'",)),
+    ],
+)
+def test_a_ball_robot_that_cannot_balance_is_refused(
+    tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(InputError) as error:
+        load_robot(ball_robot(tmp_path, **changes))
+    text = str(error.value)
+    assert all(w in text for w in words) and "\n" not in text, text
+
+
+@pytest.mark.parametrize("imu", ['<site name="imu" pos="0.1 0.2 0.3"/>', '<body name="imu" pos="0.1 0.2 0.3"/>'])
+def test_where_its_inertial_unit_is(tmp_path: Path, imu: str) -> None:
+    """A site, or a link of its own as in URDF: planner and simulator agree."""
+    robot = load_robot(ball_robot(tmp_path, imu=imu))
+    assert isinstance(robot.base, BallBase)
+    for mount in (robot.base.mount, RezeroPlant(robot.description).sensors.mount):
+        np.testing.assert_allclose(mount, [0.1, 0.2, 0.3], atol=1e-12)

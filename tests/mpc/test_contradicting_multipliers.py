@@ -1,5 +1,5 @@
-"""Equalities with multipliers that contradict each other, in an MPC. Truth: no number is 1 and 2 at once, nothing that stands moves
-on; and what is not reached only because forces end, or a push has just come, is no contradiction."""
+"""Equalities with multipliers that contradict each other or limits, in an MPC. Truth: no number is 1 and 2 at once, nothing that
+stands moves on, a spring rests at force by stiffness; and what is only not reached yet, or after a push, is no contradiction."""
 
 from __future__ import annotations
 
@@ -111,10 +111,6 @@ LEGITIMATE = {
         Constraint("force", Rows(3, lambda s: s.u), Box(-0.2, 0.2), hard=True),
         Constraint("there", row(lambda s: s.x[0] - 3.0), at="terminal"),
     ],
-    "input beyond its limit": [
-        Constraint("force", Rows(3, lambda s: s.u), Box(-0.5, 0.5), hard=True),
-        Constraint("one", row(lambda s: s.u[0] - 1.0), penalty=AL),
-    ],
     "place on the path, forces end": [
         Constraint("force", Rows(3, lambda s: s.u), Box(-2.0, 2.0), hard=True),
         Constraint("here", row(lambda s: s.x[0])),
@@ -125,6 +121,56 @@ LEGITIMATE = {
         Constraint("twice", row(lambda s: 2.0 * s.x[1]), at="all"),
     ],
 }
+
+
+FORCE = Constraint("force", Rows(3, lambda s: s.u), Box(-0.5, 0.5), hard=True)
+BEYOND = {
+    "input": (FORCE, Constraint("one", row(lambda s: s.u[0] - 1.0), penalty=AL, **BOTH)),
+    "bound": (FORCE, Constraint("one", row(lambda s: s.u[0] - 1.0), NonNegative(), penalty=AL, **BOTH)),
+    "sum": (
+        Constraint("force", row(lambda s: s.u[0] + s.u[1]), Box(-0.5, 0.5), hard=True),
+        Constraint("one", row(lambda s: 3.0 * (s.u[0] + s.u[1]) - 6.0), penalty=AL, **BOTH),
+    ),
+    "disc": (
+        Constraint("force", row(lambda s: 0.25 - ca.sumsqr(s.u)), NonNegative(), hard=True),
+        Constraint("one", row(lambda s: s.u[0] - 1.0), penalty=AL, **BOTH),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_inputs_beyond_their_limits_are_refused_and_both_are_named(name: str) -> None:
+    """A row of inputs alone: no motion will ever meet it, so ten solves are enough."""
+    mpc = make(list(BEYOND[name]))
+    faults = run(mpc, 95)
+    assert not any(faults[:25]) and all(faults[85:]), [bool(f) for f in faults]
+    assert "(one.all[0] by " in faults[-1] and "it cannot be met together with 'force.all[0]" in faults[-1], faults[-1]
+
+
+def spring(*terms: Constraint) -> OptimalControlProblem:
+    """ẍ = u0 + u1 + u2 − 4 x − 2 ẋ: the forces of FORCE hold it at 0.375 at most."""
+    f = lambda x, u, w, m: ca.vertcat(x[1], ca.sum1(u) - 4.0 * x[0] - 2.0 * x[1])
+    ocp = OptimalControlProblem(ToyDynamics(2, 3, f), 1.0, 20)
+    ocp.add(Cost("input", Rows(3, lambda s: s.u), 0.1))
+    for term in terms:
+        ocp.add(term)
+    return ocp
+
+
+@pytest.mark.parametrize("at", ["path", "terminal"])
+def test_a_place_beyond_reach_for_good_is_refused_at_rest(at: str) -> None:
+    mpc = MPC(spring(FORCE, Constraint("there", row(lambda s: s.x[0] - 1.0), at=at)), rate=50.0)
+    mpc.reset(np.zeros(2))
+    faults = run(mpc, 280, noise=0.0)
+    told = [f for f in faults if f]  # until the plan that is kept ends, and the spring moves again
+    assert not any(faults[:100]) and len(told) >= 30, [bool(f) for f in faults]
+    assert all("(there.all[0] by " in f and "with 'force.all[" in f for f in told)
+
+
+def test_a_place_within_reach_is_not() -> None:
+    mpc = MPC(spring(FORCE, Constraint("there", row(lambda s: s.x[0] - 0.35), at="terminal")), rate=50.0)
+    mpc.reset(np.zeros(2))
+    assert not any(run(mpc, 200, push=-1.0))
 
 
 @pytest.mark.parametrize("name", LEGITIMATE)

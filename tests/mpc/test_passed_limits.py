@@ -14,7 +14,7 @@ from toys import Rows, ToyDynamics
 from wbmpc.mpc import MPC, Observation, Policy, RealTime, Runner, VirtualClock
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
 from wbmpc.ocp.sets import Box
-from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver import SQP, InteriorPoint, Solver, Status
 
 FASTEST, HARDEST = 0.5, 2.0
 RANGE = 2.0 * FASTEST
@@ -97,22 +97,56 @@ def test_the_sentence_of_a_solve(backend: str) -> None:
     ) and "node 1, where its slack gives way" in str(found)
 
 
-def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+NEVER_MORE = SQP.real_time(interior_point=InteriorPoint("real_time", extra_when_cut=0))
+
+
+def test_plans_that_start_elsewhere_are_counted() -> None:
+    """Without further iterations steps from inside the limit are cut, and plans begin short of the speed that it was knocked to."""
+    mpc, x, found = MPC(trolley(), NEVER_MORE), np.zeros(2), []
+    mpc.reset(x)
+    for k in range(60):
+        x = x + np.array([0.0, 1.5]) * (k == 10)
+        policy = mpc.update(Observation(0.02 * k, x))
+        found.append(float((np.abs(policy.x[0] - x) / (1.0 + np.abs(x))).max()))
+        x = mpc.solver.simulate(x, policy.u[0], 0.02)
+    counted = np.array(found) > 1e-3
+    assert mpc.statistics.apart == counted.sum() > 0 and not counted[:10].any()
+    assert mpc.statistics.worst_apart == pytest.approx(max(found), abs=1e-12) and max(found) > 0.05
+    whole = MPC(trolley())
+    drive(whole, 1.5)
+    assert whole.statistics.apart == 0 and whole.statistics.worst_apart == 0.0
+
+
+def runner_of(settings: SQP | None = None) -> tuple[Runner, list[float]]:
+    """Real time on a virtual clock, knocked after 0.96 s; and how far policies in force pass limits, at every tick."""
 
     def knock(robot: ToyRobot) -> None:
         if robot.reads == 240:
             robot.x = robot.x + np.array([0.0, 1.5])
 
     clock = VirtualClock(0.004)
-    mpc = MPC(trolley(), rate=50.0, first_iterations=10)
+    mpc = MPC(trolley(), settings, rate=50.0, first_iterations=10)
     start = np.array([0.05, 0.0])
     mpc.reset(start)
     runner = Runner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTime(), clock)
     seen: list[float] = []
     runner.watch = lambda t, late, plans: seen.append(plans.current.passed)  # type: ignore[union-attr,func-returns-value]
+    return runner, seen
+
+
+def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+    runner, seen = runner_of()
     report = runner.run(2.0)
     assert not runner.stopped and 15 <= report.passed <= 40
     assert report.worst_passed == max(seen) > 0.3
     assert report.passed_where.startswith("hard limit missed: speed.all[0] <= 0.5 by ")
     assert f"{report.passed} plans outside hard limits, worst " in str(report)
+    assert report.apart == 0 and "start elsewhere" not in str(report)
+
+
+def test_the_runner_tells_of_plans_that_start_elsewhere(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1, "wbmpc")
+    report = runner_of(NEVER_MORE)[0].run(2.0)
+    assert report.apart >= 20 and 0.05 < report.worst_apart < 1.0
+    assert f"{report.apart} plans start elsewhere, worst by " in str(report)

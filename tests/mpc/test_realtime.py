@@ -14,12 +14,15 @@ import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from toys import rezero_solver, swerve_solver
-from wbmpc.solver import SQP, Solver
+from toys import Rows, ToyDynamics, rezero_solver, swerve_solver
+from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, sets
+from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.compilation import LIBRARY
+from wbmpc.solver.places import HELD_BY
 from wbmpc.solver.receding import receding_solve
 
 SOLVES = 1000
@@ -84,8 +87,47 @@ def growth(action: Callable[[], object]) -> tuple[int, int, int]:
     return now - python, peak - python, sum(after) - sum(before)
 
 
+def everything() -> OptimalControlProblem:
+    """A trolley with all kinds of rows: bounds, a plane of one mode, a row that moves with a reference, a disc, limits of state,
+    of state and input, a soft equality, an end, and a multiplier row that limits keep away."""
+    row = lambda f, n=0: Rows(1, f, n)
+    dynamics = ToyDynamics(2, 3, lambda x, u, w, m: ca.vertcat(x[1], ca.sum1(u)))
+    ocp = OptimalControlProblem(dynamics, 1.0, 8, first_interval=0.02, align_events=True, modes=("one", "two"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(Cost("input", Rows(3, lambda s: s.u), 0.1))
+    ocp.add(Constraint("bounds", Rows(3, lambda s: s.u), sets.Box(-2.0, 2.0), hard=True))
+    ocp.add(Constraint("plane", row(lambda s: 2.5 - s.u[0] - s.u[1]), sets.NonNegative(), hard=True, modes=("two",)))
+    ocp.add(Constraint("reach", row(lambda s: 2.1 + s.reference - s.u[2], 1), sets.NonNegative(), hard=True))
+    ocp.add(Constraint("disc", row(lambda s: 6.0 - ca.sumsqr(s.u)), sets.NonNegative(), hard=True))
+    ocp.add(Constraint("speed", row(lambda s: s.x[1]), sets.Box(-0.5, 0.5), at="all", hard=True))
+    ocp.add(Constraint("power", row(lambda s: s.x[1] * s.u[0]), sets.Box(-1.0, 1.0), hard=True))
+    ocp.add(Constraint("wish", row(lambda s: s.u[0] - s.u[1]), compliance=10.0))
+    ocp.add(Constraint("beyond", row(lambda s: s.u[2] - 4.0), penalty=AugmentedLagrangian(10.0), modes=("two",)))
+    ocp.add(Constraint("end", row(lambda s: s.x[0] - 0.1), at="terminal"))
+    return ocp
+
+
+def limited() -> tuple[Solver, Callable[[], object]]:
+    """That problem in an MPC's settings: from states inside and outside of its limits, through events."""
+    solver = Solver(everything(), SQP.real_time())
+    times = np.linspace(0.0, 50.0, 101)
+    solver.set_reference("reach", Reference(times, 0.05 * np.sin(times)[:, None]))
+    events = tuple(float(t) for t in np.arange(1.0, 50.0))
+    solver.set_schedule(ModeSchedule(tuple(Mode(("one", "two")[k % 2]) for k in range(50)), events))
+    starts, count = np.array([[0.1, 0.0], [0.1, 1.5], [0.2, -0.8]]), [0]
+
+    def solve() -> None:
+        count[0] += 1
+        k = count[0] % 3000
+        solver.run(starts[k // 20 % 3], 0.01 * k, 0.01 if k else 0.0)
+
+    return solver, solve
+
+
 def real_time(name: str) -> tuple[Solver, Callable[[], object]]:
     """A solver with its real-time settings, and one receding solve of it."""
+    if name == "limited":
+        return limited()
     make = rezero_solver if name == "rezero" else swerve_solver
     solver = make(n=15, **vars(SQP.real_time()))
     x0, clock = solver.ws.x[0].copy(), [0.0]
@@ -97,7 +139,7 @@ def real_time(name: str) -> tuple[Solver, Callable[[], object]]:
     return solver, solve
 
 
-@pytest.mark.parametrize("name", ["rezero", "swerve"])
+@pytest.mark.parametrize("name", ["rezero", "swerve", "limited"])
 def test_solves_allocate_nothing(name: str) -> None:
     solver, solve = real_time(name)
     python, peak, native = growth(solve)
@@ -105,6 +147,27 @@ def test_solves_allocate_nothing(name: str) -> None:
     assert python < 2000  # numbers that have replaced others; a leak would be 24 kB or more
     assert peak < 4096  # numbers of a call that go when it ends
     assert np.isfinite(solver.ws.x).all()
+
+
+def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
+    """Within its solves limits are passed, multiplier rows held by limits, equalities missed, plans refused; and some are fine."""
+    solver, solve = limited()
+    seen: dict[str, int] = dict.fromkeys(("passed", "held", "fine"), 0)
+    status = set()
+    run = solver.run
+
+    def told(*given: Any) -> tuple[int, int]:
+        code, count = run(*given)
+        status.add(solver.status(code))
+        seen["passed"] += solver.passed > 0.0
+        seen["held"] += solver.ws.state[HELD_BY] >= 0.0
+        seen["fine"] += solver.passed == 0.0 and code == 1
+        return code, count
+
+    solver.run = told  # type: ignore[method-assign]
+    for _ in range(300):
+        solve()
+    assert min(seen.values()) > 20 and Status.EQUALITY_MISSED in status, (seen, status)
 
 
 def test_the_accounts_see_an_allocation() -> None:

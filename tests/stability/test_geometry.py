@@ -47,7 +47,7 @@ def test_the_polygon_is_scipys_convex_hull(seed: int) -> None:
 
 
 @given(seeds)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 def test_regions_cover_the_polygon_with_the_triangles_that_brute_force_finds(seed: int) -> None:
     feet, rng = some_feet(seed), np.random.default_rng(seed)
     triangles = list(combinations(range(len(feet)), 3))
@@ -61,7 +61,8 @@ def test_regions_cover_the_polygon_with_the_triangles_that_brute_force_finds(see
         covered += within
         expected = np.all([inside[tuple(sorted(t))] for t in region.triangles], axis=0)
         assert np.all(expected[within]) and np.all(count[within] == len(region.triangles))
-        assert region.area == pytest.approx(4.0 * within.mean(), abs=0.05)  # 4 m² were sampled
+        share = region.area / 4.0  # of the 4 m² that were sampled
+        assert within.mean() == pytest.approx(share, abs=6.0 * np.sqrt(share * (1.0 - share) / len(points)) + 1e-3)
     assert np.array_equal(covered, (count > 1).astype(int))
 
 

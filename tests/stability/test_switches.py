@@ -59,6 +59,47 @@ def test_crossings_on_level_ground_are_those_of_the_diagonals(samples: int) -> N
     assert found.time == pytest.approx(0.6) and len(found.left) == 2 and found.entered == ()
 
 
+def inside(point: np.ndarray) -> set[tuple[int, ...]]:
+    """The triangles of SQUARE that a point is in."""
+    return {k for k in stability.support_triangles(SQUARE) if stability.margin(SQUARE[list(k)], point) > 0.0}
+
+
+def test_crossings_where_the_nearest_edge_changes_between_samples() -> None:
+    """From ahead to the left: the diagonal x = y is crossed half way, though other edges are nearer at both samples."""
+    (found,) = stability.crossings([0.0, 1.0], [[0.9, 0.0], [0.0, 0.9]], 2.0 * SQUARE)
+    assert found.time == pytest.approx(0.5)
+    assert (len(found.left), len(found.entered)) == (1, 1)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_crossings_are_those_of_a_dense_path(seed: int) -> None:
+    """Between crossings a point stays in the triangles that the crossings say; some are in one for part of an interval only."""
+    rng = np.random.default_rng(seed)
+    t, path = np.arange(5.0), rng.uniform(-0.7, 0.7, (5, 2))
+    path[rng.integers(5)] = rng.choice([-0.5, 0.0, 0.5], 2)  # on edges, in corners, in the middle
+    found = stability.crossings(t, path, SQUARE)
+    at = lambda when: np.array([np.interp(when, t, path[:, k]) for k in range(2)])
+    now, last = inside(at(1e-7)), 0.0
+    for c in [*found, None]:
+        end = t[-1] if c is None else c.time
+        for share in (0.1, 0.5, 0.9) if end - last > 1e-6 else ():
+            assert inside(at(last + share * (end - last))) == now
+        if c is not None and c.time > 0.0:
+            now, last = (now - set(c.left)) | set(c.entered), end
+
+
+def test_a_robot_that_tips_back_at_once_balances_on_the_edge() -> None:
+    """A stance in which the load is beyond the common edge on either of two faces: neither carries it."""
+    heights = [0.05, 0.0, 0.0, 0.0]
+    beyond = lambda face: [0.1, -0.1] if 2 in face else [-0.1, 0.1]
+    stance = lambda up, face: (SQUARE, np.tile(beyond(face), (3, 1)), np.ones(3))
+    faces = stability.resting_triangles(SQUARE, heights)
+    assert all(stability.support_shares(SQUARE, f, beyond(f)).min() < 0.0 for f in faces)
+    (found,) = stability.support_switches([0.0, 1.0, 2.0], SQUARE, heights, stance)
+    assert {found.before, found.after} == {tuple(sorted(f)) for f in faces}
+
+
 # ---------------------------------------------------------------------- a table with a mass that goes round
 LEGS, HEIGHT, TOP, LOAD, RADIUS, TURN = 0.3, 0.01, 20.0, 8.0, 0.3, 30.0
 SOLID = 'solref="0.004 1"'

@@ -60,7 +60,8 @@ def calibrate(
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
     model = swerve_robot(_robot_of(file, robot))
     record = estimation.WheelRecord.of(channels, str(file))
-    found, names = estimation.calibrate(model.base.geometry, record), steer_joints(model)
+    odometry, names = estimation.replay(model.base.geometry, record), steer_joints(model)
+    found, poses = odometry.calibration, {"used": odometry.taken, "given": len(record.places)}
     found.save(target, names)
     std = found.std
     if as_json:
@@ -68,7 +69,7 @@ def calibrate(
             name: {"steer_zero": float(found.steer_zero[i]), "wheel_radius": float(found.wheel_radius[i])}
             for i, name in enumerate(names)
         }
-        typer.echo(json.dumps({"modules": rows, "file": str(target)}))
+        typer.echo(json.dumps({"modules": rows, "poses": poses, "file": str(target)}))
         return
     for i, name in enumerate(names):
         typer.echo(
@@ -77,4 +78,8 @@ def calibrate(
         )
     mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
     typer.echo(f"mean of the steer zeros {1e3 * found.steer_zero.mean():.2f} mrad (std {1e3 * mean:.2f})")
+    lost = poses["given"] - poses["used"]
+    typer.echo(
+        f"{poses['used']} of {poses['given']} global poses used" + ("; the others do not fit the drive" if lost else "")
+    )
     typer.echo(f"written to {target}; use it with --set calibration={target}")

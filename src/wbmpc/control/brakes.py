@@ -96,7 +96,7 @@ class BrakeControl:
         closed = np.zeros(len(self.legs))
         self._times: list[float] = [-np.inf]
         self._states: list[Array] = [self._checked(closed if start is None else start)]
-        self._known: dict[int, float] = {}
+        self._known: dict[int, tuple[float, float]] = {}  # leg: since when [s] it is otherwise than told, and how
         self._tell()
 
     def _checked(self, brake: ArrayLike) -> Array:
@@ -128,13 +128,27 @@ class BrakeControl:
         return self._states[bisect_right(self._times, t + 1e-9) - 1]
 
     def accept(self, fault: BrakeFault) -> None:
-        """Plan with what a brake really does from now on: a leg that does not open is held, one that does not hold is free;
-        one that opens after all is as commanded again."""
-        if fault.kind == "opens after all":
+        """Plan with what a brake really does until its next command: a leg that does not open is held, one that does not hold
+        is free; one that opens or holds after all is as commanded again."""
+        if fault.kind in ("opens after all", "holds after all"):
             self._known.pop(fault.leg, None)
         else:
-            self._known[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
+            self._known[fault.leg] = fault.time, 0.0 if fault.kind == "does not open" else 1.0
         self._tell()
+
+    def forget(self, t: float) -> None:
+        """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
+        first = bisect_right(self._times, t - self.delay) - 1
+        if first > 0:
+            self._known = {leg: k for leg, k in self._known.items() if self._changes(leg, k[0]) > self._times[first]}
+            self._times = [-np.inf, *self._times[first + 1 :]]
+            self._states = self._states[first:]
+
+    def _changes(self, leg: int, since: float) -> float:
+        """When [s] the next command of a leg's brake comes after ``since`` [s]."""
+        first = bisect_right(self._times, since)
+        later = zip(self._times[first:], pairwise(self._states[first - 1 :]), strict=True)
+        return next((t for t, (a, b) in later if a[leg] != b[leg]), np.inf)
 
     def schedule(self) -> ModeSchedule:
         """The planner's modes over time."""
@@ -148,10 +162,11 @@ class BrakeControl:
 
     def _planned(self, t: float) -> Array:
         """λ (n) at t [s]: open since at least the delay."""
-        recent = [s for u, s in zip(self._times, self._states, strict=True) if t - self.delay < u <= t]
+        recent = self._states[bisect_right(self._times, t - self.delay) : bisect_right(self._times, t)]
         state = np.min([*recent, self.commanded(t), self.commanded(t - self.delay)], axis=0)
-        for leg, value in self._known.items():
-            state[leg] = value
+        for leg, (since, value) in self._known.items():
+            if t < self._changes(leg, since):
+                state[leg] = value
         return np.asarray(state)
 
     def _tell(self) -> None:

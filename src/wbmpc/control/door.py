@@ -113,10 +113,14 @@ class DoorAgent(RezeroAgent):
         super().measure(measurement)
         assert self.measured is not None
         hand, velocity = self._hand(self.measured.state)
-        self.sensorless.update(self.measured.state, self._torques[-1 - self._late()], self.period)
+        acted = self._torques[-1 - self._late() - self.dead]
+        self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
         self._follow(measurement.time, hand, velocity)
+
+    def _pushed(self) -> Array:
+        return self.force[:2]
 
     def _feel(self, m: RezeroMeasurement) -> None:
         """The contact force in world axes, with the last known attitude of the hand."""
@@ -172,7 +176,7 @@ class DoorAgent(RezeroAgent):
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
         """As of every ball robot; phases and references over the horizon from then on are set."""
         start = super().predict(t, until, plans)
-        self._look_ahead(t, until, plans)
+        self._look_ahead(start.t, plans)
         return start
 
     def schedule(self, now: float) -> ModeSchedule:
@@ -198,7 +202,7 @@ class DoorAgent(RezeroAgent):
         gap = -self.geometry.gap(hand, float(self.door[0]))
         return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
 
-    def _look_ahead(self, t: float, until: float, plans: Plans) -> None:
+    def _look_ahead(self, until: float, plans: Plans) -> None:
         mpc, schedule = self.mpc, self.schedule(until)
         times = until + np.linspace(0.0, mpc.ocp.horizon, POINTS)
         angles = self._angles(times, plans)
@@ -212,6 +216,8 @@ class DoorAgent(RezeroAgent):
         mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
+        if "lean" in mpc.ocp.terms:
+            mpc.reference["lean"] = Reference(times, -wanted[:, None] * normals[:, :2])
 
     def _angles(self, times: Array, plans: Plans) -> Array:
         """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""
@@ -244,13 +250,15 @@ class SensorlessForce:
         self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
         still = np.zeros(n)
         self.observer = MomentumObserver(robot.mass_matrix, lambda q, v: robot.inverse_dynamics(q, v, still))
+        self._load = robot.tool_weight
         self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
         self.force = np.zeros(3)
 
-    def update(self, state: Array, torque: Array, interval: float) -> None:
-        """The state (nx) now, the torques that acted over the ``interval`` [s] before."""
+    def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
+        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the hand holds."""
         q, v = state[: self._nq], state[self._nq :]
-        self.observer.update(q, v, np.array(self._known(q, torque)).ravel(), interval)
+        known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
+        self.observer.update(q, v, known, interval)
         self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
 
 

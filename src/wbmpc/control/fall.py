@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wbmpc.errors import FallForeseen
 from wbmpc.model import RobotModel
@@ -19,7 +20,8 @@ class FallForecast:
     are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
-    floor does not do what plans say.
+    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
+    input it is say how large it is to be.
     """
 
     def __init__(
@@ -27,16 +29,18 @@ class FallForecast:
         ahead: float = 0.1,
     ) -> None:  # fmt: skip
         balance = Balance.of(robot, arm)
+        given = "force" in robot.input
+        self._force = robot.input["force"] if given else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
-        mass = ca.SX.sym("mass")
+        mass, hand = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)
-        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole
-        self._component = ca.Function("component", [x, mass], [component])
+        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * hand
+        self._component = ca.Function("component", [x, mass, hand], [component])
         self._seen: Policy | None = None
 
     def look(self, policy: Policy, payload: float = 0.0) -> None:
@@ -45,22 +49,23 @@ class FallForecast:
             return
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
-        most = self._most(policy.x[1:][soon], payload) if soon.any() else 0.0
+        force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
+        most = self._most(policy.x[1:][soon], payload, force[soon]) if soon.any() else 0.0
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:
             raise self._fall(f"{self._plans} plans in a row lean", most)
 
-    def feel(self, t: float, x: np.ndarray, payload: float = 0.0) -> None:
-        """Take in the state x (nx) that was measured at time t [s]."""
-        most = self._most(x[None], payload)
+    def feel(self, t: float, x: np.ndarray, payload: float = 0.0, force: ArrayLike = (0.0, 0.0)) -> None:
+        """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand."""
+        most = self._most(x[None], payload, np.asarray(force, float))
         if most <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
 
-    def _most(self, states: np.ndarray, payload: float) -> float:
-        """Largest divergent component [m] of states (n, nx)."""
-        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload))
+    def _most(self, states: np.ndarray, payload: float, force: np.ndarray) -> float:
+        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand."""
+        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
         return float(np.linalg.norm(found, axis=0).max())
 
     def _fall(self, who: str, most: float) -> FallForeseen:

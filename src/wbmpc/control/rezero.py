@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
 from wbmpc.control.fall import FallForecast
-from wbmpc.errors import NotFinite
-from wbmpc.estimation import DisturbanceObserver, PayloadEstimator, RezeroEstimator
+from wbmpc.errors import EncodersFailed, NotFinite
+from wbmpc.estimation import DisturbanceObserver, EncoderMonitor, PayloadEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
 
+_LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
 
@@ -27,6 +29,7 @@ class RezeroAgent:
     when the plans, or the lean that is felt, say that the robot will fall. ``dead_time`` [s] between command and drive that the
     controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
     one the margin of stability.
+    ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
@@ -49,6 +52,11 @@ class RezeroAgent:
         self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
         self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
+        self.monitor: EncoderMonitor | None = None
+        if estimator is not None:
+            stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
+            self.monitor = EncoderMonitor(self._spin.size, robot.state.groups["arm"], stops)
+        self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -59,17 +67,46 @@ class RezeroAgent:
 
     def measure(self, measurement: RezeroMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
+        m = measurement
         if self.estimator is not None:
-            m = measurement
-            measurement = replace(m, state=self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel))
+            turning = self._turning(m.age)
+            state = self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel, turning)
+            measurement = replace(m, state=state)
         self.measured = measurement
+        self._watch(m.time, m.arm, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried())
+            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
+
+    def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
+        """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
+
+        Raises :class:`EncodersFailed` when the state is not known any more.
+        """
+        if self.monitor is None:
+            return
+        assert self.estimator is not None and self.measured is not None
+        said = self.estimator.filter.faults
+        for fault in self.monitor.update(t, h, arm, self.estimator.arm.rate, self._accelerates, said):
+            _LOG.warning("%s", fault)
+        if self.monitor.lost:
+            raise EncodersFailed(f"{self.monitor.lost}; motors off")
+        x, rates = self.measured.state, self.robot.state["arm_velocity"]
+        after = self._step(x, self._torques[-1 - self._late() - self.dead], self.period)
+        self._accelerates = (after[rates] - x[rates]) / self.period
+
+    @property
+    def faults(self) -> list[str]:
+        """What was found of the encoders, as sentences."""
+        return [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
 
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
+
+    def _pushed(self) -> np.ndarray:
+        """The horizontal force (2) [N] that is felt at the hand."""
+        return np.zeros(2)
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None:
@@ -100,7 +137,14 @@ class RezeroAgent:
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return min(round(self.measured.age / self.period), len(self._torques) - 1 - self.dead)
+        return self._ticks(self.measured.age)
+
+    def _ticks(self, age: float) -> int:
+        return min(round(age / self.period), len(self._torques) - 1 - self.dead)
+
+    def _turning(self, age: float) -> float:
+        """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
+        return float(self._spin @ self._torques[-1 - self._ticks(age) - self.dead][: self._spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""

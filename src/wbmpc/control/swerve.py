@@ -29,8 +29,6 @@ from wbmpc.plant import SwerveCommand, SwerveMeasurement
 CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.1
 #: Gain [1/s] of the steering servo while it aligns wheels: the base waits for them.
 ALIGN_GAIN = 15.0
-#: The steering servo may turn faster than the planner by this share, or it could never catch up (5.0 of 5.76 rad/s).
-RESERVE = 0.15
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, SAG_MOST = 1.0, 0.15
 
@@ -201,7 +199,7 @@ class SwerveAgent:
         off = float(np.abs(error).max()) if self.planned_steering else 0.0
         self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
         u = self._held(policy.feedforward(t + self.lag))
-        most = (1.0 + RESERVE) * self.robot.limits.input_upper[given["steer"]]
+        most = self.robot.limits.drive_upper[given["steer"]]
         gain = max(self.steer_gain, ALIGN_GAIN) if self.aligning else self.steer_gain
         steer = np.clip(u[given["steer"]] + gain * error, -most, most)
         self.wanted = u

@@ -1,12 +1,13 @@
-"""Estimators: where the base is, how it moves, which forces disturb it, whether brakes answer."""
+"""Estimators: where the base is, how it moves, which forces disturb it, whether brakes and encoders answer."""
 
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
-from wbmpc.estimation.calibration import WheelRecord, calibrate
+from wbmpc.estimation.calibration import WheelRecord, calibrate, replay
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
+from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
@@ -27,6 +28,8 @@ __all__ = [
     "DoorFilter",
     "DoorNoise",
     "DriftObserver",
+    "EncoderFault",
+    "EncoderMonitor",
     "FusedOdometry",
     "JointTracker",
     "MomentumObserver",
@@ -39,4 +42,5 @@ __all__ = [
     "WheelOdometry",
     "WheelRecord",
     "calibrate",
+    "replay",
 ]

@@ -44,10 +44,13 @@ class BallNoise:
 
     Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
     encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
-    about horizontal axes, and ``spin`` about the vertical; ``floor`` [m]: height of the ball's centre; ``path`` [m]: of the
-    way between two messages, what a straight line of velocities does not describe. Priors: ``tilt`` [rad], ``start`` ([m],
-    [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error of the wheels' radius, which
-    does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be believed.
+    about horizontal axes, and ``spin`` about the vertical. Under a torque about the vertical that lasts longer than
+    ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
+    a bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's
+    centre; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
+    ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
+    of the wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be
+    believed.
     """
 
     gyro: float = 2e-4
@@ -59,6 +62,8 @@ class BallNoise:
     jitter: float = 7e-4
     creep: float = 5e-4
     spin: float = 3e-3
+    creeping: float = 0.03
+    lasting: float = 1.0
     floor: float = 1e-3
     path: float = 5e-6
     tilt: float = 0.02
@@ -131,11 +136,15 @@ class BallFilter:
         self._read, self._turned, self._stalled = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
         self._rows = 16 + 2 * n + 1  # bias walks 6, scale 1, turning 3, push 3, shift 3, rolling n, encoders n, floor 1
         self._first = True
+        self._turning = 0.0  # the torque about the vertical that lasts [N m]
         self.rate = np.zeros(3)
 
     # ------------------------------------------------------------------ update
-    def update(self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike) -> BallState:
-        """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s]."""
+    def update(
+        self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
+    ) -> BallState:
+        """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s];
+        ``turning`` [N m]: torque of the wheels on the ball about the vertical."""
         readings = [np.asarray(v, float) for v in (wheel, gyro, accel)]
         for name, value, size in zip(("wheel", "gyro", "accel"), readings, (self._n, 3, 3), strict=True):
             if value.shape != (size,) or not np.isfinite(value).all():
@@ -146,6 +155,7 @@ class BallFilter:
             self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
         if interval <= 0.0:
             return self.state
+        self._turning += (1.0 - np.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         last = self.state
         guess = self._integrated(last, interval, g, a)
         error = self._explained(*self._linearised(last, guess, interval, w, a))
@@ -247,7 +257,8 @@ class BallFilter:
         jy[rolling, A], jx[rolling, A] = factor @ (one - by_half), -factor @ (turned.T + by_half)
         jx[rolling, 15] = factor @ self._rolled(middle, shift, turn)
         slip = g.turn @ middle.T
-        q[rolling, rolling] = slip @ np.diag([s.creep**2, s.creep**2, s.spin**2]) @ slip.T * h
+        spin = s.spin**2 + (s.creeping * self._turning) ** 2
+        q[rolling, rolling] = slip @ np.diag([s.creep**2, s.creep**2, spin]) @ slip.T * h
         # encoders: what they read was true a little before
         speed = (y.wheel - x.wheel) / h
         encoders = slice(16 + n, 16 + 2 * n)

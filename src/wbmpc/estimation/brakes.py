@@ -1,7 +1,8 @@
 """Brakes that do not answer: found by comparing the legs' encoders with what brakes and plan say.
 
 A leg that moves though its brake is closed (it slips, or did not close), and one that does not move though it is open. A leg
-may also stand because wheels hang in the air, of others or its own: it is taken back as soon as the leg moves after all.
+may also stand because wheels hang in the air, of others or its own: it is taken back as soon as the leg moves after all. A
+brake that slipped once holds again: that is taken back when the leg stands though the plan, which takes it for free, moves it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ from wbmpc.errors import InputError
 Array = NDArray[np.float64]
 
 
+#: Planned rates [rad/s] at which ``expected`` counts in full; largest share of a leg's limit that does not count.
+FAST, CRAWL_SHARE = 0.4, 0.7
+
+
 @dataclass(frozen=True)
 class BrakeFault:
     """At ``time`` [s] the brake of ``leg`` (index) turned out not to do what it was told, or that it does: ``str()`` tells it."""
@@ -25,24 +30,27 @@ class BrakeFault:
     time: float
     leg: int
     name: str
-    kind: Literal["does not hold", "does not open", "opens after all"]
+    kind: Literal["does not hold", "does not open", "opens after all", "holds after all"]
     angle: float
 
     def __str__(self) -> str:
-        seen = "was to move by" if self.kind == "does not open" else "moved by"
+        seen = "was to move by" if self.kind in ("does not open", "holds after all") else "moved by"
         return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} rad ({self.time:.2f} s)"
 
 
 class BrakeMonitor:
     """Watches n legs at a fixed period.
 
-    ``moved`` [rad]: motion of a closed leg that is a fault. ``expected`` [rad]: planned motion of an open leg during which
-    it has stayed within ``still`` [rad] (a few counts of its encoder; the base may move in place of a leg that is stuck,
-    and then other legs move too little as well: they are not judged any more) for ``patience`` [s]: on a bump, too, the base
-    turns in place of legs, until all wheels are down again; plans are forgotten with the time constant
-    ``window`` [s], and rates below ``crawl`` [rad/s] do not count, for a leg is also held by small rates. ``settle`` [s] after
-    a command nothing is judged: brakes take their time. ``faults``: all that were told; ``withdrawn``: those of legs that were
-    said not to open and then moved by ``moved``.
+    ``moved`` [rad]: motion of a closed leg that is a fault, less ``creep`` [rad/s]: what moves no faster is none. ``expected``
+    [rad]: planned motion of an open leg during which it has stayed within ``still`` [rad] (a few counts of its encoder) for
+    ``patience`` [s]: on a bump, too, the base turns in place of legs, until all wheels are down again; plans are forgotten with
+    the time constant ``window`` [s], and rates below ``crawl`` [rad/s] do not count, for a leg is also held by small rates.
+    ``limit`` (n) [rad/s]: largest planned rates; where they are small, so are ``crawl`` (:data:`CRAWL_SHARE` of the limit at
+    most) and ``expected``. ``settle`` [s] after a command nothing is judged: brakes take their time. The base may move in place
+    of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
+    judged again, from the beginning, once the plan has held it for ``settle``. ``faults``: all that were told; ``withdrawn``:
+    those that were taken back, of legs that were said not to open and then moved by ``moved``, or not to hold and then stood as
+    one does that is not open.
     """
 
     def __init__(
@@ -55,20 +63,28 @@ class BrakeMonitor:
         settle: float = 0.25,
         crawl: float = 0.08,
         patience: float = 1.3,
+        creep: float = 5e-4,
+        limit: ArrayLike = np.inf,
     ) -> None:
-        if min(moved, expected, still, window, settle, patience) <= 0.0 or crawl < 0.0:
+        if min(moved, expected, still, window, settle, patience) <= 0.0 or min(crawl, creep) < 0.0:
             raise InputError(
-                "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl not negative"
+                "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl and creep not negative"
             )
         n = len(names)
-        self.names, self.moved, self.expected, self.still = list(names), moved, expected, still
-        self.window, self.settle, self.crawl, self.patience = window, settle, crawl, patience
+        most = np.broadcast_to(np.asarray(limit, float), n)
+        if not np.all(most > 0.0):
+            raise InputError(f"brake monitor: limit: positive rates [rad/s] are needed, got {np.asarray(limit)}")
+        self.names, self.moved, self.still, self.creep = list(names), moved, still, creep
+        self.window, self.settle, self.patience = window, settle, patience
+        self.crawl = np.minimum(crawl, CRAWL_SHARE * most)
+        self.expected = expected * np.minimum(1.0, (most - self.crawl) / (FAST - crawl))
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
         self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
         self._told = np.zeros(n, bool)
+        self._unsettled = -np.inf  # when legs that were told last had not been held in the plan
         self._time = 0.0
 
     def update(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> list[BrakeFault]:
@@ -84,9 +100,15 @@ class BrakeMonitor:
         self._since[changed], self._told[changed], self._open = t, False, is_open
         h, self._time = t - self._time, t
         settled = t - self._since >= self.settle - 1e-9
-        # a leg counts from where it was when its brake had settled; an open one from where it was last seen to move
-        afresh = ~settled | (is_open & (np.abs(angle - self._anchor) > self.still))
-        self._anchor = np.where(afresh, angle, self._anchor)
+        loose = is_open | self._told  # may move, as far as is known
+        stuck = self._told & is_open
+        if np.any(stuck & (np.abs(planned) > self.crawl)):
+            self._unsettled = t
+        waits = stuck.any() and t - self._unsettled < self.settle
+        # a leg counts from where it was when its brake had settled; a loose one from where it was last seen to move
+        afresh = ~settled | (loose & ((np.abs(angle - self._anchor) > self.still) | (waits & ~self._told)))
+        crept = self._anchor + np.clip(angle - self._anchor, -h * self.creep, h * self.creep)
+        self._anchor = np.where(afresh, angle, np.where(loose, self._anchor, crept))
         counted = np.sign(planned) * np.maximum(np.abs(planned) - self.crawl, 0.0)
         self._planned = np.where(afresh, 0.0, np.exp(-h / self.window) * self._planned + h * counted)
         self._resting = np.where(afresh, 0.0, self._resting + h)
@@ -97,26 +119,31 @@ class BrakeMonitor:
             if fault is not None:
                 new.append(fault)
                 self._told[i], self._told_at[i] = True, angle[i]
+                self._unsettled = t
         self.faults += new
         return withdrawn + new
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
-        """Legs that were said not to open and have moved since."""
+        """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""
         assert self._open is not None
         found = []
-        for i in np.flatnonzero(self._told & self._open & (np.abs(angle - self._told_at) > self.moved)):
-            found.append(BrakeFault(t, int(i), self.names[i], "opens after all", float(angle[i] - self._told_at[i])))
-            self._told[i] = False
+        for i in map(int, np.flatnonzero(self._told)):
+            gone = float(angle[i] - self._told_at[i])
+            if self._open[i] and abs(gone) > self.moved:
+                found.append(BrakeFault(t, i, self.names[i], "opens after all", gone))
+            elif not self._open[i] and self._stands(i):
+                found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
+        self._told[[f.leg for f in found]] = False
         self.withdrawn += found
         return found
+
+    def _stands(self, i: int) -> bool:
+        """Whether a leg has stood for long though the plan moves it."""
+        return bool(abs(self._planned[i]) > self.expected[i] and self._resting[i] >= self.patience - 1e-9)
 
     def _judge(self, t: float, i: int) -> BrakeFault | None:
         assert self._open is not None
         if not self._open[i]:
             gone = float(self._gone[i])
             return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > self.moved else None
-        if np.any(self._told & self._open):
-            return None
-        wanted = float(self._planned[i])
-        stuck = abs(wanted) > self.expected and self._resting[i] >= self.patience - 1e-9
-        return BrakeFault(t, i, self.names[i], "does not open", wanted) if stuck else None
+        return BrakeFault(t, i, self.names[i], "does not open", float(self._planned[i])) if self._stands(i) else None

@@ -120,8 +120,8 @@ class FusedOdometry:
 
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
-    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``refused``: how many
-    global poses did not fit.
+    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``refused``: how
+    many global poses did and did not fit.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class FusedOdometry:
         self._by_wheels = np.zeros((3, 2 * n))
         self._slip = _SlipIntensity(2 * n - 3, self.noise.slip_window)
         self.twist: Array = np.zeros(3)
-        self.refused = self._refusals = 0
+        self.taken = self.refused = self._refusals = 0
 
     # ------------------------------------------------------------------ results
     @property
@@ -315,6 +315,7 @@ class FusedOdometry:
             later.append(step)
         corrected = self._corrected(state, later[-1] if later else None, t, z, r)
         self.refused += corrected is None
+        self.taken += corrected is not None
         state = corrected or state
         for step in reversed(later):
             self._past.append((state, step))

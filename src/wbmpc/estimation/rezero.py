@@ -59,9 +59,7 @@ class RezeroEstimator:
         if not isinstance(robot.base, BallBase):
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
         base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
-        frame = base.tree.frames.get("imu")
-        mount = np.zeros(3) if frame is None else np.asarray(frame.position, float)
-        geometry = BallGeometry(base.radius, base.wheel_torque_map().T, mount)
+        geometry = BallGeometry(base.radius, base.wheel_torque_map().T, base.mount)
         self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise)
         n = self.noise
         self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter)
@@ -71,11 +69,12 @@ class RezeroEstimator:
         self._yaw = float(x[2])
         self._places: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
 
-    def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array) -> Array:
-        """The state (2 nq) at ``time`` [s], at which the sensors were read."""
+    def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
+        """The state (2 nq) at ``time`` [s], at which the sensors were read; ``turning`` [N m]: what the wheels turned the ball
+        with about the vertical."""
         interval = 0.0 if self._time is None else time - self._time
         self._time = time
-        self.filter.update(interval, wheel, gyro, accel)
+        self.filter.update(interval, wheel, gyro, accel, turning)
         if interval > 0.0:
             self.arm.update(interval, np.asarray(arm, float))
             self._look_for_balance(interval)

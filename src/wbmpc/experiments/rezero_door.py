@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.control import FallForecast
 from wbmpc.control.door import DoorAgent, Push
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_door_problem import UNTIED, DoorScheme, PushCost, door_problem
@@ -18,7 +19,9 @@ from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
     estimator_metrics,
+    hand_felt,
     record_rezero,
+    rms,
 )
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
@@ -41,8 +44,8 @@ DOORS: dict[str, dict[str, Any]] = {
 }
 #: Where the hand touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
-#: The peak of the touch is looked for in this time after it [s].
-TOUCH = 0.1
+#: The peak of the touch is looked for in this time after it [s]; how the hand rests, in this time before the end.
+TOUCH, REST = 0.1, 1.0
 LABELS = ("low", "high")
 HERE = [
     "the door's hinge is where it is believed to be within misplaced; the closed panel's place is learnt from the touch",
@@ -62,8 +65,10 @@ class RezeroDoorSettings(RezeroSettings):
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
-        body=BodyCost(ball_speed=1.0, tilt_rate=5.0),
-        torque=TorqueCost(wheel=0.2),
+        body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),
+        torque=TorqueCost(wheel=0.2, arm=0.3),
+        lean=0.6,
+        speed_slack=20.0,
     )
     push: PushCost | None = None
     scheme: DoorScheme = DoorScheme()
@@ -78,8 +83,7 @@ class RezeroDoorSettings(RezeroSettings):
     misplaced: float = Field(0.01, ge=0, le=0.05)
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "lasting_after", "drive_dead_time",
-        "cost.lean", "cost.speed_slack", "cost.body.arm", "cost.hand.turn_limit",
+        *RezeroSettings.unused, "controller", "rival", "tracking", "lasting_after", "cost.hand.turn_limit",
     )  # fmt: skip
 
 
@@ -111,7 +115,7 @@ class Trial:
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
-    robot = load_robot("rezero", contact="force")
+    robot = load_robot("rezero", contact="force", payload=settings.weigh and settings.observer)
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or (PushCost() if settings.scheme.row else UNTIED)
@@ -164,6 +168,8 @@ def make_agent(
         settings.drive_lag,
         settings.observer,
         estimator,
+        FallForecast(robot, robot.home[robot.state["arm"]]),
+        settings.drive_dead_time,
     )
     mpc.solver.set_parameters(agent.parameters())
     start = np.concatenate([home, agent.door]) if agent.with_door else home
@@ -183,6 +189,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: A
     log.add("pushing", t, float(agent.phase == "push"))
     log.add("touching", t, float(agent.contact.touching))
     log.add("impedance", t, agent.impedance)
+    log.add("hand_wanted", t, agent.mpc.reference["hand"].at(t)[:3])
 
 
 # ---------------------------------------------------------------------- figures
@@ -211,7 +218,7 @@ def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
 def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
-    sensor [N], whether it fell."""
+    sensor [N], how far the hand swings at rest and is from where it is wanted [m], whether it fell."""
     log, wanted = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
@@ -224,7 +231,22 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
         "door_angle_max": float(log.array("door")[:, 0].max()),
         "force_estimate_error_rms": float(np.sqrt(np.mean(without_sensor**2))) if counted.size else np.inf,
+        **rest(trial),
         "fell": float(trial.ending.fell),
+    }
+
+
+def rest(trial: Trial) -> dict[str, float]:
+    """The hand in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
+    distance from where it is wanted, as the controller sees it [m]; infinite for a run that did not get there."""
+    log = trial.log
+    t, pushing = log.times("hand"), np.flatnonzero(log.array("pushing") > 0.0)
+    use = t > t[-1] - REST
+    if trial.ending.reason or not pushing.size or use[pushing[-1]]:
+        return {"rest_hand_swing": np.inf, "rest_hand_error": np.inf}
+    return {
+        "rest_hand_swing": float(np.ptp(log.array("hand")[use], axis=0).max()),
+        "rest_hand_error": rms((hand_felt(log) - log.array("hand_wanted"))[use]),
     }
 
 
@@ -269,6 +291,8 @@ def metrics(figures: dict[str, dict[str, float]], names: Sequence[str]) -> dict[
     out["touch_peak"] = Metric(most("touch_peak"), "N")
     out["force_estimate_error_rms"] = Metric(most("force_estimate_error_rms"), "N")
     out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
+    out["rest_hand_swing"] = Metric(most("rest_hand_swing"), "m")
+    out["rest_hand_error"] = Metric(most("rest_hand_error"), "m")
     out["fell"] = Metric(most("fell"), "1", goal=0.0)
     return out
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_problem import RezeroCost, limit_arm, limit_torques
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
 from wbmpc.model import RobotModel, WithDoor
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
@@ -64,7 +64,8 @@ def door_problem(
             Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard)
         )
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
-    _limits(ocp, robot, settings)
+    limit_arm(ocp, robot, settings, cost)
+    limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
     if scheme.cone:
         cone = residuals.FrictionCone(robot, scheme.friction, scheme.least)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
@@ -87,28 +88,13 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
     twist = residuals.FrameTwist(robot, robot.tool)
     add("twist", twist, np.array([h.twist] * 3 + [h.angular] * 3), modes=("free",))
     add("push_twist", twist, np.array([push.twist] * 3 + [push.angular] * 3), modes=PUSHING)
-    kinds = (("body", b.ball_speed, 0.0, ("free",)), ("push_body", push.ball_speed, push.arm, PUSHING))
+    kinds = (("body", b.ball_speed, b.arm, ("free",)), ("push_body", push.ball_speed, push.arm, PUSHING))
     for name, speed, posture, modes in kinds:
         n = robot.state
         weight = n.vector({"base": [b.ball, b.ball, b.yaw, 0, 0], "arm": posture, "arm_velocity": b.arm_rate})
         weight[n["base_velocity"]] = [speed, speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
         add(name, residuals.State(robot), weight, modes=modes)
-    weights = {"wheel": cost.torque.wheel, "arm": cost.torque.arm}
-    ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), weights))
+    ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), {"wheel": cost.torque.wheel, "arm": 0.0}))
+    ocp.add(Cost("effort", residuals.JointEffort(robot), cost.torque.arm))
     force = {"push": push.force, "across": push.tangential, "up": push.tangential}
     ocp.add(Cost("force", residuals.PushForce(robot), force, modes=PUSHING))
-
-
-def _limits(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings) -> None:
-    limits, hard = robot.limits, settings.limits == "hard"
-    ranges, torques = (RelaxedBarrier(settings.barrier_mu, delta) for delta in (0.02, 0.1))
-    box = sets.Box(limits.state_lower, limits.state_upper)
-    ocp.add(Constraint("ranges", residuals.State(robot, tracked=False), box, at="all", penalty=ranges, hard=hard))
-    drives = ["wheel", "arm"]
-    part = np.concatenate([np.arange(robot.input.size)[robot.input[g]] for g in drives])
-    box = sets.Box(limits.input_lower[part], limits.input_upper[part])
-    free = residuals.Input(robot, drives, tracked=False)
-    ocp.add(Constraint("torques", free, box, penalty=torques, hard=hard))
-    spin = robot.description.limits.spin_effort
-    if np.isfinite(spin):
-        ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=torques, hard=hard))

@@ -96,6 +96,13 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
     ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
+    limit_arm(ocp, robot, settings, cost)
+    limit_torques(ocp, robot, settings, cost, None)
+    return ocp
+
+
+def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> None:
+    """Hard limits of the arm's angles and speeds."""
     limits = robot.limits
     box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
     free_state = residuals.State(robot, ["arm"], tracked=False)
@@ -105,11 +112,9 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     ocp.add(
         Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=cost.speed_slack)
     )
-    _limit_torques(ocp, robot, settings, cost, None)
-    return ocp
 
 
-def _limit_torques(
+def limit_torques(
     ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost, groups: list[str] | None
 ) -> None:
     """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean."""
@@ -122,7 +127,8 @@ def _limit_torques(
         ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
     if cost.lean > 0.0:
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
-        lean, reach = residuals.CapturePoint(robot, balance.pole), cost.lean * float(balance.reach.min())
+        answer = balance.answer if "force" in robot.input else 0.0
+        lean, reach = residuals.CapturePoint(robot, balance.pole, answer=answer), cost.lean * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
 
 
@@ -140,7 +146,7 @@ def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> 
     end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
     ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
-    _limit_torques(ocp, robot, settings, cost, ["wheel"])
+    limit_torques(ocp, robot, settings, cost, ["wheel"])
     return ocp
 
 

@@ -149,6 +149,27 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
     return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
 
 
+def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.ndarray, start: np.ndarray) -> Reference:
+    """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the hand as near as it can be to ``hand``
+    (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
+    arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
+
+    def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        x = robot.equilibrium(angles, yaw=float(start[2]))[0]
+        x[:2] = place
+        return x
+
+    states, angles = np.empty((times.size, start.size)), arm
+    for k, (place, goal) in enumerate(zip(ball, hand, strict=True)):
+        if k == 0 or not (np.array_equal(place, ball[k - 1]) and np.array_equal(goal, hand[k - 1])):
+            away = lambda z, p=place, g=goal: np.concatenate([robot.pose(state(p, z))[0] - g, 1e-3 * (z - arm)])
+            angles = least_squares(away, angles, diff_step=1e-5).x
+        states[k] = state(place, angles)
+    moves = np.gradient(states[:, :velocity], times, axis=0)
+    states[:, velocity:] = moves
+    return Reference(times, states)
+
+
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
     """Rest at home for body, twist and torques."""
     mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
@@ -207,11 +228,13 @@ def run_task(
         return [*plots(log), times]
 
     ending = run_lockstep(plant, agent, planner, timing, task.duration, record, progress)
-    return finished(
+    result = finished(
         name, seed, settings, ending, planner or mpc, log,
-        metrics=lambda: {**metrics(log, ending), **estimator_metrics(log)}, plots=drawn,
+        metrics=lambda: {**metrics(log, ending), **estimator_metrics(log), **fault_metrics(agent)}, plots=drawn,
         idealisations=[*idealisations, *IDEALISATIONS],
     )  # fmt: skip
+    result.faults = agent.faults
+    return result
 
 
 def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:
@@ -267,6 +290,11 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
         "rolling_fault_share": Metric(float(log.array("rolling_fault").mean()), "1"),
         **weighed,
     }
+
+
+def fault_metrics(agent: RezeroAgent) -> dict[str, Metric]:
+    """How many encoders were found to stand still, and wheels to slip."""
+    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.faults)), "1")}
 
 
 def rms(vectors: np.ndarray) -> float:

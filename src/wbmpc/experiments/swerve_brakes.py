@@ -211,7 +211,7 @@ def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
 
     plant = bench.plant("X")
     period = bench.period
-    monitor = BrakeMonitor(robot.state.groups["leg"])
+    monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
     agent = RollingAgent(robot, np.zeros(3), period, goals, brakes=brakes, monitor=monitor)
     if kind == "closed":

@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.control import BrakeControl, RollingAgent, SwerveAgent
-from wbmpc.control.swerve import RESERVE
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
@@ -205,7 +204,8 @@ class _Run:
         agent = SwerveAgent(
             robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
             use_gyro=s.use_gyro,
-            monitor=BrakeMonitor(robot.state.groups["leg"]), faulty=brakes.accept,
+            monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]),
+            faulty=brakes.accept,
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
         mpc.reset(home)
@@ -368,9 +368,7 @@ def _metrics(log: Log, robot: RobotModel, faults: list[str], knock: _Knock | Non
 def _planned_ratio(log: Log, robot: RobotModel) -> float:
     """Planned speeds of legs, wheels and steering (with its servo) over the planner's limits."""
     index = np.concatenate([np.arange(robot.input.size)[robot.input[g]] for g in ("leg", "steer", "wheel")])
-    limit = robot.limits.input_upper.copy()
-    limit[robot.input["steer"]] *= 1.0 + RESERVE
-    return float((np.abs(log.array("tour.wanted")) / limit)[:, index].max())
+    return float((np.abs(log.array("tour.wanted")) / robot.limits.drive_upper)[:, index].max())
 
 
 def _speed_ratio(log: Log) -> float:

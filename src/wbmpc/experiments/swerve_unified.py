@@ -104,7 +104,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     agent = SwerveAgent(
         robot, plant.truth().pose, timing.period, brakes.commanded,
         use_gyro=settings.use_gyro, lag=settings.drive_lag,
-        monitor=BrakeMonitor(robot.state.groups["leg"]), faulty=brakes.accept,
+        monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]), faulty=brakes.accept,
     )  # fmt: skip
     _stand(plant, agent, timing, settings.rest)
     mpc.reset(home)

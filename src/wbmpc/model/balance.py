@@ -43,17 +43,20 @@ def load_offset(base: BallBase, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
 @dataclass(frozen=True)
 class Balance:
     """``pole`` [1/s]: how fast a lean grows, the mean of both axes. ``reach`` (n) [m]: the largest divergent component that the
-    wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium)."""
+    wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium). ``answer`` [m/N]: a
+    steady horizontal force f on the tool counts like a divergent component of ``answer`` f, the mean of both axes: a robot
+    that leans by so much against it balances without torque."""
 
     pole: float
     reach: Array
+    answer: float
 
     @classmethod
     def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
         """About the equilibrium for arm angles [rad]."""
         base = robot._ball()
         x, u = robot.equilibrium(arm)
-        a, b, offset = _linear(robot, base, x, u)
+        a, b, pushed, offset = _linear(robot, base, x, u)
         # rows of the left eigenvectors, scaled to offset + rate / pole
         poles, left = np.linalg.eig(a.T)
         unstable = np.argsort(-poles.real)[:2]
@@ -62,29 +65,31 @@ class Balance:
         scale = offset @ np.linalg.inv(
             chosen[3:BASE]
         )  # (2, 2): divergent component of the angles to that of the offset
-        effect = scale @ chosen.T @ b / pole
+        effect, answer = (scale @ chosen.T @ slope / pole for slope in (b, pushed))
         limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
         most = robot.description.limits.spin_effort
         angles = 2.0 * np.pi * np.arange(directions) / directions
         reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
-        return cls(pole, np.array(reach))
+        return cls(pole, np.array(reach), 0.5 * float(np.trace(answer)))
 
 
-def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array]:
-    """A (10, 10) and B (10, wheels) of the base with the arm held, and the offset's slope (2, 2) by (pitch, roll)."""
+def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array]:
+    """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, and the
+    offset's slope (2, 2) by (pitch, roll)."""
     q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
-    given = ca.SX.sym("u", u.size)
+    given, hand = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
     more = ca.SX.zeros(robot.input.size - u.size)
     force = base.generalised_force(q, ca.vertcat(given, more), ca.SX.zeros(robot.parameters.size))
     force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
-    parts = [ca.jacobian(force, q), ca.jacobian(force, given), ca.jacobian(load_offset(base, q), q)]
+    push = ca.jacobian(base.tool_force(q, ca.vertcat(hand, 0)), hand)
+    parts = [ca.jacobian(force, q), ca.jacobian(force, given), push, ca.jacobian(load_offset(base, q), q)]
     slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
-    by_q, by_u, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
+    by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
     mass = np.linalg.inv(robot.mass_matrix(x[:n])[:BASE, :BASE])
     a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
-    b = np.vstack([np.zeros((BASE, wheels)), mass @ by_u[:BASE, :wheels]])
-    return a, b, offset[:, 3:BASE]
+    accelerates = lambda slope: np.vstack([np.zeros((BASE, slope.shape[1])), mass @ slope[:BASE]])
+    return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE]
 
 
 def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.errors import unknown_name
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.symbolic import Chain, solve_spd
 from wbmpc.model.tree import Frame, Link, Tree
 from wbmpc.robots import BallBaseDescription, RobotDescription
@@ -23,7 +23,8 @@ class BallBase:
     """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) forces or wrenches of the world.
 
     ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
-    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``. Parameters w: ``disturbance`` (nq),
+    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``; ``mount`` (3) [m] of the inertial
+    unit in the base's frame. Parameters w: ``disturbance`` (nq),
     generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``payload`` [kg], a point mass at the tool,
     where the description has it: left out, functions of w count none.
     """
@@ -39,6 +40,7 @@ class BallBase:
         frames = {n: Frame(f.link + shift, f.position, f.rotation) for n, f in tree.frames.items()}
         self.tree = Tree(tuple(links), frames)
         self.tool = frames[description.arm.tool]
+        self.mount = self._mount(description)
         arm = list(description.arm.joints)
         self._moving = [*range(5), *(self.tree.joint(n) for n in arm)]
         pose = ["x", "y", "yaw", "pitch", "roll"]
@@ -54,6 +56,22 @@ class BallBase:
         if self.base.payload:
             self.parameters["payload"] = ["mass"]
         self.unit_quaternions: tuple[int, ...] = ()
+
+    def _mount(self, description: RobotDescription) -> NDArray[np.float64]:
+        """Position (3) [m] of the inertial unit, the frame ``imu``, in the base's frame; the origin without one."""
+        frame = self.tree.frames.get("imu")
+        if frame is None:
+            return np.zeros(3)
+        link, position, rotation = frame.link, np.asarray(frame.position, float), frame.rotation
+        while link > 4 and self.tree.links[link].joint is None:  # a link of its own, without a joint
+            own = self.tree.links[link]
+            link, position, rotation = own.parent, own.position + own.rotation @ position, own.rotation @ rotation
+        if link != 4 or not np.allclose(rotation, np.eye(3), atol=1e-6):
+            raise InputError(
+                f"{description.model}: frame 'imu': the inertial unit of a base of type ball needs to be fixed to "
+                f"'{self.base.body}' with the same axes"
+            )
+        return position
 
     def _contacts(self, tool: str) -> dict[str, dict[str, str]]:
         """By frame the input groups of what acts there."""

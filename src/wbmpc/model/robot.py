@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 class Limits:
     """Bounds of state (nx) and input (nu); infinite where there is none.
 
-    ``input_change`` (nu): how fast an input that is a joint's speed may change [rad/s²].
+    ``input_change`` (nu): how fast an input that is a joint's speed may change [rad/s²]; ``drive_upper`` (nu): largest command to
+    a drive, above ``input_upper`` where it has a reserve to follow the plan.
     """
 
     state_lower: Array
@@ -43,6 +44,7 @@ class Limits:
     input_lower: Array
     input_upper: Array
     input_change: Array
+    drive_upper: Array
 
 
 class Dynamics:
@@ -157,7 +159,10 @@ class RobotModel:
                 lower[i] = -upper[i]
         elif "base" in self.input:
             size[self.input["base"]] = [limits.base_linear, limits.base_linear, limits.base_angular]
-        return Limits(lower, upper, -size, size, change)
+        drive = size.copy()
+        for name in self.input.groups.get("steer", ()):
+            drive[self.input.index(f"steer.{name}")] = limits.drive_velocity.get(name, rate.get(name, np.inf))
+        return Limits(lower, upper, -size, size, change, drive)
 
     def dynamics(self) -> Dynamics:
         """The equations of motion as a value for an optimal control problem."""

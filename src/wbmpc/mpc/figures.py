@@ -74,7 +74,8 @@ class Report:
     ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
     ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
     planned for; ``passed``: plans with states outside hard limits by more than 0.1 % of the range, ``worst_passed``: by how much
-    of it at most, ``passed_where``: a sentence of that; ``clamped``: ticks at which the policy asked for more than the drives
+    of it at most, ``passed_where``: a sentence of that; ``apart``: plans that start elsewhere than in the state they were asked to,
+    ``worst_apart``: by how much of 1 + |x| at most; ``clamped``: ticks at which the policy asked for more than the drives
     give. ``latency``: from observation to policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin
     late; ``tick``: their duration; ``sent``: from a tick's time to its command; ``late_commands``: by part of the tick, see
     :class:`Punctuality`.
@@ -94,6 +95,8 @@ class Report:
     passed: int
     worst_passed: float
     passed_where: str
+    apart: int
+    worst_apart: float
     latency: Spread
     ready: Spread
     jitter: Spread
@@ -108,12 +111,14 @@ class Report:
         outside = (
             f"; {self.passed} plans outside hard limits, worst {100.0 * self.worst_passed:.2g} % ({self.passed_where})"
         )
+        apart = f"; {self.apart} plans start elsewhere, worst by {100.0 * self.worst_apart:.2g} % of 1 + |x|"
         return "\n".join(
             [
                 f"{self.state}",
                 f"controller: {self.ticks} ticks, {self.misses} missed; begins late by {ms(self.jitter)}, takes {ms(self.tick)}",
                 f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
-                + (outside if self.passed else ""),
+                + (outside if self.passed else "")
+                + (apart if self.apart else ""),
                 f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
             ]
         )

@@ -16,8 +16,11 @@ from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
 
 _LOG = logging.getLogger("wbmpc")
-#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
-Guess = Callable[[Solver, float, np.ndarray], None]
+#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates, and says whether
+#: it has.
+Guess = Callable[[Solver, float, np.ndarray], bool]
+#: Iterations from trajectories that the guess wrote: one or two seldom make them keep limits, and would be refused.
+WRITTEN_ITERATIONS = 15
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,8 @@ class Statistics:
 
     ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
     was accepted, so that the plan is the last one moved on; ``passed``: plans in force whose states are outside hard limits by
-    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that.
+    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that;
+    ``apart``: plans that start elsewhere than in the observed state, ``worst_apart``: by how much at most (:attr:`Solver.apart`).
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
@@ -67,12 +71,19 @@ class Statistics:
     passed: int = 0
     worst_passed: float = 0.0
     passed_where: str = ""
+    apart: int = 0
+    worst_apart: float = 0.0
 
     def pass_by(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""
         self.passed += 1
         if share > self.worst_passed:
             self.worst_passed, self.passed_where = share, where
+
+    def start_apart(self, share: float) -> None:
+        """Count a plan that starts elsewhere."""
+        self.apart += 1
+        self.worst_apart = max(self.worst_apart, share)
 
     @property
     def failed_share(self) -> float:
@@ -109,7 +120,7 @@ class MPC:
         # rows of some modes: where they are among all, and the parameters that switch them
         self._switched = np.flatnonzero(planes.switches >= 0)
         self._switches = planes.switches[self._switched] + self.solver.problem.node.slices["switch"].start
-        self._first = first_iterations
+        self._first, self._again = first_iterations, max(1, WRITTEN_ITERATIONS // settings.iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -179,6 +190,9 @@ class MPC:
         self.statistics.no_step += int(stuck)
         if self.passed:
             self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
+        apart = self.solver.apart
+        if apart:
+            self.statistics.start_apart(apart)
         self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
         return self._policy
 
@@ -223,16 +237,15 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
-        passes = self._first if self._t is None else 1
         if self._reachable:
             self._go_on_from(observation.t, delta)
+        start = time.perf_counter()
+        written = self.guess is not None and self.guess(self.solver, observation.t, x0)
+        passes = self._first if self._t is None else self._again if written else 1
         status, count, elapsed = 0, 0, 0.0
         for k in range(passes):
-            start = time.perf_counter()
-            if self.guess is not None and k == 0:
-                self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
-            elapsed = time.perf_counter() - start
+        elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
         broken = self._not_finite_part()

@@ -400,6 +400,8 @@ class Runner:
             passed=int(board["passed"]),
             worst_passed=board["worst_passed"],
             passed_where=board.note,
+            apart=int(board["apart"]),
+            worst_apart=board["worst_apart"],
             latency=spread("latency"),
             ready=spread("ready"),
             jitter=spread("jitter"),

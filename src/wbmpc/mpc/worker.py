@@ -16,7 +16,18 @@ from wbmpc.mpc.clock import Clock, Loop, Ticker, WallClock, follow
 from wbmpc.mpc.mpc import MPC, Observation
 
 #: What the worker counts, and its records [s].
-NUMBERS = ("ready", "updates", "misses", "failures", "repeated", "failed", "passed", "worst_passed")
+NUMBERS = (
+    "ready",
+    "updates",
+    "misses",
+    "failures",
+    "repeated",
+    "failed",
+    "passed",
+    "worst_passed",
+    "apart",
+    "worst_apart",
+)
 RECORDS = ("solve_time", "update_time")
 #: What the runner tells the worker: when 0 is, whether to begin and to end.
 ORDERS = ("origin", "begin", "end")
@@ -63,6 +74,7 @@ class Worker:
                     if usable:
                         self._publish()
                         self._count_passed()
+                        self._count_apart()
                     board.sample("update_time", clock.now() - start)
             except Exception as error:
                 self.error = error
@@ -133,6 +145,13 @@ class Worker:
             if share > board["worst_passed"]:
                 board["worst_passed"] = share
                 board.note = f"{self.mpc.where_passed()}, at {self._message.values['t']:.3f} s"
+
+    def _count_apart(self) -> None:
+        """So are plans that start elsewhere than where they were asked to."""
+        apart, board = self.mpc.solver.apart, self.board
+        if apart > 0.0:
+            board.count("apart")
+            board["worst_apart"] = max(board["worst_apart"], apart)
 
 
 def report(board: Board, error: Exception) -> None:

@@ -36,13 +36,19 @@ class CapturePoint:
 
     In a box this is a polygon around a circle. Four directions: by at most 8 % too wide; two (a square) would be by 41 %, and
     pushes along its diagonals then fell the robot at less than half the impulse.
+
+    ``answer`` [m/N] (:class:`wbmpc.model.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
+    the hand that is expected, and the component is counted from the lean that answers it.
     """
 
     robot: RobotModel
     pole: float
     directions: int = 4
+    answer: float = 0.0
 
-    reference = 0
+    @property
+    def reference(self) -> int:
+        return 2 if self.answer else 0
 
     @property
     def size(self) -> int:
@@ -58,7 +64,8 @@ class CapturePoint:
         slope = ca.jacobian(offset, s.x[:n])
         angles = np.pi * np.arange(self.directions) / self.directions
         along = np.round([np.cos(angles), np.sin(angles)], 15).T  # exact zeros
-        return ca.DM(along) @ (offset + slope @ s.x[n : 2 * n] / self.pole)
+        component = offset + slope @ s.x[n : 2 * n] / self.pole
+        return ca.DM(along) @ (component + self.answer * s.reference[:2] if self.answer else component)
 
 
 @dataclass(frozen=True)

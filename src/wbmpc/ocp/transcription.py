@@ -188,6 +188,10 @@ class Transcription:
         """For every row of a term, whether it depends on the input."""
         return depends(self.residual(term), self.u)
 
+    def with_state(self, term: Constraint) -> np.ndarray:
+        """The same of the state."""
+        return depends(self.residual(term), self.x)
+
     def broken(self, term: Constraint) -> ca.SX:
         """How far every row of a constraint is from being met, in the residual's unit; 0 in modes where it does not count."""
         r, switch = self.residual(term), self._switch(term.name)

@@ -44,14 +44,15 @@ class WheelGeometry:
 
 @dataclass(frozen=True)
 class SensorFault:
-    """From ``start`` to ``stop`` [s] the encoder of a ``wheel`` stands still (``stalled``), or the wheel slips on the ball:
-    it turns by ``speed`` [rad/s] too much."""
+    """From ``start`` to ``stop`` [s] the encoder of a wheel (its ``number``), or of an arm joint (``of`` arm), stands still
+    (``stalled``), or the wheel slips on the ball: it turns by ``speed`` [rad/s] too much."""
 
     kind: Literal["slip", "stalled"]
-    wheel: int
+    number: int
     start: float
     stop: float
     speed: float = 0.0
+    of: Literal["wheel", "arm"] = "wheel"
 
     def acts(self, t: float) -> bool:
         return self.start <= t < self.stop
@@ -75,7 +76,7 @@ class RezeroSensors:
         self._sum, self._wheel = Inertial(np.zeros(3), np.zeros(3), -1), np.zeros(len(self._turn))
         self._velocity: Array | None = None
         self._rotation, self._rest, self._given = np.eye(3), np.zeros(3), Inertial(np.zeros(3), np.zeros(3), 0)
-        self._held: dict[int, float] = {}
+        self._held: dict[tuple[str, int], float] = {}
 
     # ------------------------------------------------------------------ physics
     def advance(self, pose: Array, velocity: Array, ball: Array, ball_rate: Array) -> tuple[Inertial, Array]:
@@ -97,7 +98,7 @@ class RezeroSensors:
             self._sum = Inertial(last.turn + h * omega, last.push + middle.T @ change, last.steps + 1)
             self._wheel = self._wheel + h * (self._turn @ (lie.quaternion_to_rotation(ball) @ ball_rate))
             for fault in self._acting("slip"):
-                self._wheel[fault.wheel] += h * fault.speed
+                self._wheel[fault.number] += h * fault.speed
         self._velocity, self._rotation = at, rotation
         return self._sum, self._wheel.copy()
 
@@ -127,12 +128,15 @@ class RezeroSensors:
 
     def encoders(self, wheel: Array, arm: Array) -> tuple[Array, Array]:
         """Readings of wheels (n) and arm (m) [rad]: quantised, with the arm's zero errors."""
-        wheel = quantise(wheel, self._p.arm_counts)
-        stalled = {f.wheel for f in self._acting("stalled")}
-        self._held = {i: self._held.get(i, float(wheel[i])) for i in stalled}
-        for i, value in self._held.items():
-            wheel[i] = value
-        return wheel, quantise(arm + self.arm_offset, self._p.arm_counts)
+        given = {
+            "wheel": quantise(wheel, self._p.arm_counts),
+            "arm": quantise(arm + self.arm_offset, self._p.arm_counts),
+        }
+        stalled = {(f.of, f.number) for f in self._acting("stalled")}
+        self._held = {(of, i): self._held.get((of, i), float(given[of][i])) for of, i in stalled}
+        for (of, i), value in self._held.items():
+            given[of][i] = value
+        return given["wheel"], given["arm"]
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -36,8 +36,6 @@ from wbmpc.plant.world import (
 )
 from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
 
-#: Spin friction of the ball on the floor [m]: about 2.4 N m of yaw torque for 25 kg.
-SPIN_FRICTION = 0.01
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
 
@@ -117,9 +115,8 @@ class RezeroPlant(InWorld):
         self.offset[5 : 5 + n] = self.draw.arm_offset
         self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
         self._history: deque[tuple[Array, Array, Inertial, Array]] = deque(maxlen=1 + self._late + jitter)
-        mount = np.array(spec.site("imu").pos) if any(s.name == "imu" for s in spec.sites) else np.zeros(3)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
-        self.sensors = RezeroSensors(p, self.draw, wheels, mount, timestep, jitter, sensor_rng)
+        self.sensors = RezeroSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng)
         self.servo = ActuatorServo(
             p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
         )
@@ -136,7 +133,7 @@ class RezeroPlant(InWorld):
         base, draw, limits = self.base, self.draw, self.description.limits
         draw.apply_to_bodies(spec, balanced=(base.ball,))
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        friction = [draw.friction, SPIN_FRICTION, 1e-4]
+        friction = [draw.friction, self.perturbation.spin_friction, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
         if self.perturbation.cables > 0.0:
             lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)
@@ -188,6 +185,20 @@ class RezeroPlant(InWorld):
             each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
             p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
         )  # fmt: skip
+
+    def _mount(self) -> Array:
+        """Position (3) [m] of the inertial unit in the base's frame: of the site, or of the link, ``imu``."""
+        m, d = self.model, self.data
+        mujoco.mj_kinematics(m, d)
+        base = d.body(self.base.body)
+        for kind, count, get in (
+            (mujoco.mjtObj.mjOBJ_SITE, m.nsite, d.site),
+            (mujoco.mjtObj.mjOBJ_BODY, m.nbody, d.body),
+        ):
+            if count and mujoco.mj_name2id(m, kind, "imu") >= 0:
+                frame = get("imu")
+                return base.xmat.reshape(3, 3).T @ (frame.xpos - base.xpos)
+        return np.zeros(3)
 
     def _place(self, state: Array, torque: ArrayLike | None) -> None:
         d, n, r = self.data, self._arm_q.size, self.base.ball_radius

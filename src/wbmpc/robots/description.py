@@ -15,6 +15,8 @@ from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 
 DATA = Path(__file__).parent / "data"
+#: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
+LEAST_SPREAD = 0.05
 
 
 class _Model(BaseModel):
@@ -45,6 +47,14 @@ class OmniWheelsDescription(_Model):
     radius: float = Field(gt=0)
     zenith: float = Field(gt=0, lt=np.pi / 2)
     azimuths: tuple[float, ...] = Field(min_length=3)
+
+    @field_validator("azimuths")
+    @classmethod
+    def _every_way(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        around = np.stack([np.cos(value), np.sin(value), np.ones(len(value))])  # the axes' directions at 45 degrees
+        if np.linalg.svd(around, compute_uv=False)[-1] < LEAST_SPREAD:
+            raise ValueError("the wheels cannot turn the ball about every axis: three different azimuths are needed")
+        return value
 
 
 class BallBaseDescription(_Model):
@@ -95,11 +105,13 @@ class ArmDescription(_Model):
 class LimitsDescription(_Model):
     """Limits by joint: velocity [rad/s], acceleration [rad/s²], effort [N m], position [rad] (overrides the file's range).
 
-    ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels;
+    ``drive_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
+    ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels (needed);
     ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
     """
 
     velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
+    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
     acceleration: dict[str, Annotated[float, Field(gt=0)]] = {}
     effort: dict[str, Annotated[float, Field(gt=0)]] = {}
     position: dict[str, tuple[float, float]] = {}
@@ -107,6 +119,13 @@ class LimitsDescription(_Model):
     base_angular: float = Field(default=1.0, gt=0)
     wheel_effort: float = Field(default=np.inf, gt=0)
     spin_effort: float = Field(default=np.inf, gt=0)
+
+    @model_validator(mode="after")
+    def _reserve(self) -> Self:
+        for name, rate in self.drive_velocity.items():
+            if rate < self.velocity.get(name, np.inf):
+                raise ValueError(f"drive_velocity: '{name}' needs a velocity, and no less than that")
+        return self
 
     @field_validator("position")
     @classmethod
@@ -135,6 +154,14 @@ class RobotDescription(_Model):
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             raise ValueError(f"arm.joints and base.modules: every joint once, got '{twice[0]}' twice")
+        return self
+
+    @model_validator(mode="after")
+    def _wheels_have_limits(self) -> Self:
+        if isinstance(self.base, BallBaseDescription) and not np.isfinite(self.limits.wheel_effort):
+            raise ValueError(
+                "key 'limits.wheel_effort': a base of type ball needs the largest torque [N m] of its omni wheels"
+            )
         return self
 
     def joints(self) -> list[str]:
@@ -211,6 +238,8 @@ def _first_fault(error: ValidationError) -> str:
     key = ".".join(path)
     if fault["type"] == "extra_forbidden":
         return str(unknown_name("key", key, _sibling_keys(fault["loc"], ".".join(path[:-1])))) + more
+    if not fault["loc"]:  # of keys together: the sentence names them
+        return fault["msg"].removeprefix("Value error, ") + more
     if fault["type"].startswith("union_tag"):
         return f"key '{key}.type': valid: ball, fixed, swerve{more}"
     given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
@@ -246,6 +275,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         "base.modules": description.joints()[len(description.arm.joints) :],
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
+        "limits.drive_velocity": list(limits.drive_velocity),
         "limits.acceleration": list(limits.acceleration),
         "limits.effort": list(limits.effort),
         "limits.position": list(limits.position),
@@ -259,6 +289,10 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     for name, key in {**contacts, description.arm.tool: "arm.tool"}.items():
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
+    steering = [m.steer for m in getattr(description.base, "modules", ())]
+    for name in limits.drive_velocity:
+        if name not in steering:
+            raise unknown_name("steering joint (key 'limits.drive_velocity')", name, steering, where=description.source)
     bodies = [b.name for b in spec.bodies]
     for key in ("body", "ball"):
         body = getattr(description.base, key, None)

@@ -65,11 +65,13 @@ class BusBallAgent(RezeroAgent):
             self.measured = self.seen = RezeroMeasurement(message.now, self.seen.state, age)
             return
         self._sampled = message.time
-        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        m = message
+        state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
+        self._watch(message.time, message.arm, interval or self.period)
         if self.observer is not None:
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
@@ -187,6 +189,11 @@ class BallPilot:
         agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
         agent.fix, agent.answer = self.fix, self._answer
         return agent
+
+    @property
+    def faults(self) -> list[str]:
+        """Encoders that stand still, wheels that slip."""
+        return self.agent.faults
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

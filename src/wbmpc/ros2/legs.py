@@ -194,6 +194,7 @@ class Legs:
         before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
+        brakes.forget(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
@@ -213,6 +214,7 @@ class Legs:
         if there.any():
             brake = brakes.commanded(t).copy()
             brake[there] = 0.0
+            brakes.forget(t)
             brakes.set(t, brake)
             self.moving &= ~there
             _LOG.info("%s arrived: brakes closed", ", ".join(n for n, a in zip(self.names, there, strict=True) if a))

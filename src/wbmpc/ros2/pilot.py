@@ -40,6 +40,7 @@ class Pilot(Protocol):
     """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
+    ``faults``: what was found of its sensors in this run, as sentences.
     ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's pose at every tick; after
     ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
     from state x (nx) on. ``references`` of a task that begins at x may take long, and are made in another thread.
@@ -57,6 +58,8 @@ class Pilot(Protocol):
     parameters: Callable[[], Array] | None
     fix: Callable[[], Fix | None] | None
 
+    @property
+    def faults(self) -> list[str]: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> Any: ...
@@ -74,7 +77,7 @@ class Pilot(Protocol):
 class Pending:
     """A guess for the MPC that first puts new references and modes into force: in its own thread, between two solves."""
 
-    def __init__(self, then: Callable[[Solver, float, Array], None] | None = None) -> None:
+    def __init__(self, then: Callable[[Solver, float, Array], bool] | None = None) -> None:
         self._then = then
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
@@ -96,7 +99,7 @@ class Pending:
         with self._lock:
             self._once = once
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
+    def __call__(self, solver: Solver, t: float, x0: Array) -> bool:
         with self._lock:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
@@ -107,5 +110,5 @@ class Pending:
             solver.set_schedule(schedule)
         if once is not None:
             once(solver, x0)
-        elif self._then is not None:
-            self._then(solver, t, x0)
+            return True
+        return self._then is not None and self._then(solver, t, x0)

@@ -99,6 +99,11 @@ class SwervePilot:
         columns = [np.interp(times, twists.times, v) for v in twists.values[:, self.robot.input["base"]].T]
         return np.stack(columns, axis=1)
 
+    @property
+    def faults(self) -> list[str]:
+        """Nobody watches its sensors."""
+        return []
+
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
         """Everything at rest, brakes closed."""

@@ -129,4 +129,6 @@ class Teller:
         entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, c.figures())]
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
+        found = c.pilot.faults
+        entries += [status(WARNING, f"{c.settings.node}: sensors", "; ".join(found), "", {})] if found else []
         self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})

@@ -3,15 +3,19 @@
 Augmented Lagrangians, equalities of the state alone and of the end have multipliers, so that a step need not meet them. What a
 full step leaves of them, r, is a certificate where they cannot be met: with the dynamics and the rows of the Riccati recursion
 eliminated, J by what is left of the inputs, r is the residual of least squares, Jᵀ W r = 0 (W: the intervals' lengths). Where
-limits of inputs are in the way, or the multipliers have not grown far enough yet, it is not. How far they could still be met is
-the cosine between r and J Jᵀ W r, which no scaling of all rows or of all inputs changes.
+the multipliers have not grown far enough yet it is not. How far they could still be met is the cosine between r and J Jᵀ W r,
+which no scaling of all rows or of all inputs changes.
+
+Where hard limits of inputs are in the way, Jᵀ W r is a sum of their gradients with multipliers that are not negative (Farkas). That
+may pass: a goal comes nearer, a swing comes back, a push is over. So limits are waited for two horizons, and longer while
+what is missed changes, that is while something moves; not where no state has a part in it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUMS, compiled
+from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUMS, compiled
 from wbmpc.solver.exact import least_squares_multipliers
 from wbmpc.solver.lanes import equality_size, load_block, stage_lanes, unpack
 from wbmpc.solver.places import (
@@ -22,6 +26,9 @@ from wbmpc.solver.places import (
     END_J,
     EQUALITY_BOUND,
     GRID,
+    HELD_BY,
+    HELD_FOR,
+    HELD_SHARE,
     LANE_E,
     LANE_U,
     LANE_X,
@@ -54,13 +61,21 @@ from wbmpc.solver.places import (
     U,
     X,
 )  # fmt: skip
-from wbmpc.solver.row_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.row_table import HARD, MULTIPLIER, bounds_inputs, counts, entry, kind_of, node_rows, row_penalty
 from wbmpc.solver.stages import row_index
 
 #: Below this cosine what is missed cannot be met: contradictions had up to 2e-3, what limits or pushes kept away 0.1 and more.
 STUCK = 1e-2
 #: So many solves in a row.
 PATIENCE = 10
+#: Below this share of the square of Jᵀ W r limits let nothing of it pass.
+HELD = 1e-3
+#: An input that is nearer to its hard limit than this [the range] is held by it.
+AT_LIMIT = 0.02
+#: So many horizons long.
+HORIZONS = 2.0
+#: What changes by this share while it is waited for may still be met.
+SAME = 0.02
 
 
 @compiled(NUM, NUMS, INTS, INT, INT)
@@ -127,11 +142,36 @@ def add_missed(m, o, k):  # type: ignore[no-untyped-def]
                     m[o[CHAINED] + i] += left * row_slope(m, o, k, j, i)
 
 
-@compiled(NUM, NUMS, INTS)
-def steepest(m, o):  # type: ignore[no-untyped-def]
-    """Jᵀ W r into ``u_trial``, inputs beyond the policy's feedback that keep the rows of the recursion; its square's sum."""
+@compiled(NUM, NUMS, INTS, INT, NUM)
+def take_limits(m, o, k, most):  # type: ignore[no-untyped-def]
+    """Takes from node k's gradient in ``chained`` what hard rows of the inputs do not let pass: J times a multiplier ≥ 0 of those
+    that are active. Returns the largest such part, if it is more than ``most``; which row goes to ``state``."""
+    _, boxes, general = node_rows(o, k)
+    first, gradient = o[NX] + 1, o[CHAINED]
+    for j in range(boxes + general):
+        q = k * o[ROWS] + j
+        if not bounds_inputs(m, o, j) or row_penalty(m, o, j) < np.inf or m[o[ROW_H] + q] > AT_LIMIT:
+            continue
+        along, square = 0.0, 0.0
+        for i in range(first, first + o[NU]):
+            slope = row_slope(m, o, k, j, i)
+            along, square = along + slope * m[gradient + i], square + slope * slope
+        if along <= 0.0:  # the row is no obstacle to less of what is missed
+            continue
+        for i in range(first + o[NU]):
+            if i != o[NX]:
+                m[gradient + i] -= along / square * row_slope(m, o, k, j, i)
+        if along / np.sqrt(square) > most:
+            most, m[o[STATE] + HELD_BY] = along / np.sqrt(square), q
+    return most
+
+
+@compiled(NUM2, NUMS, INTS, BOOL)
+def steepest(m, o, limited):  # type: ignore[no-untyped-def]
+    """Jᵀ W r into ``u_trial``, inputs beyond the policy's feedback that keep the rows of the recursion; its square's sum, and that
+    of the states' part (costates). ``limited``: without what limits of the inputs do not let pass."""
     nx, nu, lx, lz, costate, gradient = o[NX], o[NU], o[LX], o[LZ], o[ADJOINT], o[CHAINED]
-    total = 0.0
+    total, of_states, most = 0.0, 0.0, 0.0
     for i in range(lz):
         m[gradient + i] = 0.0
     add_missed(m, o, o[N])
@@ -151,6 +191,8 @@ def steepest(m, o):  # type: ignore[no-untyped-def]
                 if i != nx:
                     m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
         add_missed(m, o, k)
+        if limited:
+            most = take_limits(m, o, k, most)
         for j in range(nu):
             m[free + j] = m[gradient + nx + 1 + j]
         if o[NG] > 0:
@@ -164,7 +206,8 @@ def steepest(m, o):  # type: ignore[no-untyped-def]
             m[costate + i] = m[gradient + i]
             for j in range(nu):
                 m[costate + i] += m[o[K] + (k * nu + j) * lx + i] * m[gradient + nx + 1 + j]
-    return total
+            of_states += m[costate + i] ** 2
+    return total, of_states
 
 
 @compiled(NUM, NUMS, INTS)
@@ -231,18 +274,38 @@ def hold_multipliers(m, o):  # type: ignore[no-untyped-def]
                 m[o[ROW_L] + q] = m[o[ROW_N] + q] + (change if kind_of(m, o, first + j) == MULTIPLIER else -change)
 
 
+@compiled(BOOL, NUMS, INTS, NUM)
+def keeps_on(m, o, share):  # type: ignore[no-untyped-def]
+    """Whether limits have been in the way for :data:`HORIZONS`, and ``share`` has been the same."""
+    state = o[STATE]
+    if abs(share - m[state + HELD_SHARE]) > SAME * m[state + HELD_SHARE]:
+        m[state + HELD_SHARE], m[state + HELD_FOR] = share, 0.0
+    return m[state + HELD_FOR] >= HORIZONS * m[o[GRID] + o[N]]
+
+
 @compiled(BOOL, NUMS, INTS, NUMS)
 def contradicts(m, o, s):  # type: ignore[no-untyped-def]
-    """Whether rows with multipliers have contradicted each other for :data:`PATIENCE` solves, this one the last."""
+    """Whether rows with multipliers have contradicted each other for :data:`PATIENCE` solves, this one the last, or limits of the
+    inputs have been in the way for long enough."""
     if o[MULTIPLIERS] == 0:
         return False
     state = o[STATE]
-    share, stuck = most_missed(m, o), False
+    share, stuck, held, told = most_missed(m, o), False, False, False
+    m[state + HELD_BY] = -1.0
     if share > s[EQUALITY_BOUND]:
-        down = steepest(m, o)
-        stuck = down <= STUCK * np.sqrt(response(m, o) * missed_square(m, o))
+        down, _ = steepest(m, o, False)
+        size = missed_square(m, o)
+        stuck = down <= STUCK * np.sqrt(response(m, o) * size)
+        if not stuck:
+            left, of_states = steepest(m, o, True)
+            held = left <= HELD * down
+            stuck = held and of_states <= HELD * down
+    if held:
+        told = keeps_on(m, o, share)
+    else:
+        m[state + HELD_SHARE], m[state + HELD_FOR] = 0.0, 0.0
     m[state + CONTRADICTED] = m[state + CONTRADICTED] + 1.0 if stuck else 0.0
-    if stuck:
+    if stuck or told:
         hold_multipliers(m, o)
         m[state + UNEQUAL] = share
-    return m[state + CONTRADICTED] >= PATIENCE
+    return told or m[state + CONTRADICTED] >= PATIENCE

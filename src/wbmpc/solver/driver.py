@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM6, NUMS, compiled
+from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM6, NUMS, compiled
 from wbmpc.solver.contradiction import contradicts
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.places import (
@@ -74,6 +74,8 @@ from wbmpc.solver.workspace import LOG
 CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED, EQUALITY_MISSED = range(7)
 
 LOG_COLUMNS = len(LOG)
+#: What a direction is told to be where it ends nothing: of use, or to be sought again.
+GO_ON, AGAIN = -1, -2
 #: A step that the slacks cut to less than this, with the measured state outside a limit, is not worth taking.
 JAMMED = 0.25
 
@@ -253,85 +255,152 @@ def starts_anew(m, o, x0, s):  # type: ignore[no-untyped-def]
     return True
 
 
+@compiled(INT, NUMS, INTS, NUMS, NUMS, INT, NUM4)
+def unusable(m, o, s, log, row, found):  # type: ignore[no-untyped-def]
+    """The status that a direction ends a solve with, AGAIN where it is to be sought once more with a convex subproblem, or GO_ON.
+    ``found``: cost, violation, largest component, slope."""
+    cost, violation, largest, slope = found
+    if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
+        known = np.isfinite(cost) and np.isfinite(violation)
+        log[row + 2] = np.nan
+        if known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
+            return AGAIN
+        return NOT_FINITE
+    if abs(cost) > HUGE or largest > HUGE:
+        return DIVERGED
+    return GO_ON
+
+
+@compiled(NUM3, NUMS, INTS, NUMS, BOOL, NUM, NUM3)
+def judge(m, o, s, feasible, kkt, barrier):  # type: ignore[no-untyped-def]
+    """(CONVERGED, AGAIN where the barrier problem is solved and μ has been lowered, or GO_ON; next level and bias).
+
+    ``barrier``: the level that μ is to fall to, μ of the iteration before, and how far the plan would still move with μ."""
+    level, last_mu, bias = barrier
+    state, certify, rows = o[STATE], s[CERTIFY] > 0.0, row_count(o) > 0
+    mu, product = m[state + MU], m[state + PRODUCT]
+    if certify and mu < last_mu:
+        bias = moved(m, o) * mu / (last_mu - mu)
+    last = mu <= level or not rows
+    small = not last or moved(m, o) <= UNSETTLED
+    if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
+        if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
+            return 1.0 * CONVERGED, level, bias
+        level = max(0.2 * mu, s[MU_FLOOR]) if last else level
+        m[state + MU], m[state + FILTERED] = next_mu(mu, level, 0.0, mu), 0.0
+        return 1.0 * AGAIN, level, bias
+    return 1.0 * GO_ON, level, bias
+
+
+@compiled(NUM2, NUM4, NUM2, NUM, NUM)
+def weigh(found, optimality, penalty, first):  # type: ignore[no-untyped-def]
+    """(Weight of the violation in the merit, first step length to try) from those before.
+
+    ``found``: cost, slope, curvature, drop of the violation; ``optimality``: KKT residual, and that of the iteration before."""
+    cost, slope, curvature, drop = found
+    kkt, last_kkt = optimality
+    if drop > 1e-10:
+        penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
+    # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
+    invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
+    first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
+    return penalty, first
+
+
+@compiled(BOOL, NUMS, INTS, NUMS, NUMS)
+def gives_up(m, o, x0, s):  # type: ignore[no-untyped-def]
+    """Whether a solve ends where no step length was accepted; else another direction is to be tried."""
+    state = o[STATE]
+    if m[state + HOLD] == 1.0 and s[KEEP] == 0.0:  # once more along the step itself
+        m[state + HOLD] = 0.0
+        return False
+    m[state + SHIFT] = max(10.0 * m[state + SHIFT], 1e-4)
+    if m[state + SHIFT] <= s[LARGEST_SHIFT]:
+        return False
+    if s[KEEP] > 0.0 and row_count(o) > 0:  # the trial point that is looked at is to be the iterate
+        trial(m, o, x0, 0.0, False)
+    return True
+
+
+@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM, NUM)
+def go_on(m, o, s, alpha, kkt, violation, last_residual, level):  # type: ignore[no-untyped-def]
+    """The trial point becomes the iterate, with its slacks and multipliers. Returns as :func:`settle_rows`."""
+    state, shift = o[STATE], m[o[STATE] + SHIFT]
+    m[state + SHIFT], m[state + THETA] = (
+        0.2 * shift if shift > 1e-6 else 0.0,
+        min(1.0, 2.0 * m[state + THETA] + 0.01),
+    )
+    take(m, o)
+    if o[WISHES] > 0:
+        take_wishes(m, o, alpha)
+    m[state + LAST_ALPHA], o[POLICY] = alpha, 1
+    if row_count(o) > 0:
+        return settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
+    return last_residual, 0.0
+
+
+@compiled(INT, NUMS, INTS, NUMS, BOOL, NUM, INT)
+def one_more(m, o, s, cut, hold, limit):  # type: ignore[no-untyped-def]
+    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
+
+    Where inputs are still outside, a last one holds them within the rows."""
+    state = o[STATE]
+    short = cut or max(m[state + MISSED], m[state + UNDUE]) > LIMIT_TOLERANCE
+    if limit < int(s[ITERATIONS]) + int(s[EXTRA]) and (short or misses_equality(m, o, s)):
+        return limit + 1
+    if m[state + MISSED] > LIMIT_TOLERANCE and s[KEEP] > 0.0 and hold + o[NG] == 0.0:
+        m[state + HOLD] = 2.0
+        return limit + 1
+    return limit
+
+
 @compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
 def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
-    penalty, first, last_kkt, last_residual, certify = 0.0, 1.0, np.inf, np.inf, s[CERTIFY] > 0.0
-    rows, state, limit, it = row_count(o) > 0, o[STATE], int(s[ITERATIONS]), 0
+    penalty, first, last_kkt, last_residual, it = 0.0, 1.0, np.inf, np.inf, 0
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
-    hold = m[state + HOLD]
-    again = rows and (certify or (s[EXTRA] > 0.0 and s[START_ANEW] > 0.0)) and s[SINGLE] == 0.0
+    state, limit, hold = o[STATE], int(s[ITERATIONS]), m[o[STATE] + HOLD]
+    again = row_count(o) > 0 and (s[CERTIFY] > 0.0 or (s[EXTRA] > 0.0 and s[START_ANEW] > 0.0)) and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
         it += 1
-        if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
-            known = np.isfinite(cost) and np.isfinite(violation)
-            log[row + 2] = np.nan
-            if known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
-                continue
-            return NOT_FINITE, it
-        if abs(cost) > HUGE or largest > HUGE:
-            return DIVERGED, it
-        mu, product = m[state + MU], m[state + PRODUCT]
-        feasible = met(m, o, violation, log[row + 6] - m[state + WISHED], s[FEASIBILITY])
-        if certify and mu < last_mu:
-            bias = moved(m, o) * mu / (last_mu - mu)
-        last, last_mu = mu <= level or not rows, mu
-        small = not last or moved(m, o) <= UNSETTLED
-        if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
-            if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
-                return CONVERGED, it
-            level = max(0.2 * mu, s[MU_FLOOR]) if last else level
-            m[state + MU], m[state + FILTERED], first, last_kkt = next_mu(mu, level, 0.0, mu), 0.0, 1.0, np.inf
+        ended = unusable(m, o, s, log, row, (cost, violation, largest, slope))
+        if ended == AGAIN:
+            continue
+        if ended != GO_ON:
+            return ended, it
+        mu, feasible = m[state + MU], met(m, o, violation, log[row + 6] - m[state + WISHED], s[FEASIBILITY])
+        found, level, bias = judge(m, o, s, feasible, kkt, (level, last_mu, bias))
+        last_mu = mu
+        if found == CONVERGED:
+            return CONVERGED, it
+        if found == AGAIN:
+            first, last_kkt = 1.0, np.inf
             continue
         if again and starts_anew(m, o, x0, s):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
         drop = violation - m[state + LEFT]
-        if drop > 1e-10:
-            penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
-        # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
-        invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
-        first = max(0.5 * first, 0.1) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
+        penalty, first = weigh((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
         last_kkt = kkt
-        if not certify:
+        if s[CERTIFY] == 0.0:
             first = longest_step(m, o, it == 1)
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
-        shift = m[state + SHIFT]
         if alpha == 0.0:
             m[state + COST], m[state + VIOLATION] = log[row], log[row + 1]
-            if m[state + HOLD] == 1.0 and s[KEEP] == 0.0:  # once more along the step itself
-                m[state + HOLD] = 0.0
-                continue
-            m[state + SHIFT] = max(10.0 * shift, 1e-4)
-            if m[state + SHIFT] > s[LARGEST_SHIFT]:
-                if s[KEEP] > 0.0 and rows:  # the trial point that is looked at is to be the iterate
-                    trial(m, o, x0, 0.0, False)
+            if gives_up(m, o, x0, s):
                 return verdict_at_the_limit(m, o, s, NO_STEP), it
             continue
-        m[state + SHIFT], m[state + THETA] = (
-            0.2 * shift if shift > 1e-6 else 0.0,
-            min(1.0, 2.0 * m[state + THETA] + 0.01),
-        )
-        take(m, o)
-        if o[WISHES] > 0:
-            take_wishes(m, o, alpha)
-        if rows:
-            last_residual, changed = settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
-            if changed > 0.0:
-                last_kkt = np.inf
-        log[row + 4], m[state + LAST_ALPHA] = alpha, alpha
+        log[row + 4] = alpha
+        last_residual, changed = go_on(m, o, s, alpha, kkt, violation, last_residual, level)
+        if changed > 0.0:
+            last_kkt = np.inf
         if hold > 0.0:
             m[state + HOLD] = hold
-        o[POLICY] = 1
-        short = alpha < 0.9 * first or max(m[state + MISSED], m[state + UNDUE]) > LIMIT_TOLERANCE
-        most = int(s[ITERATIONS]) + int(s[EXTRA])
-        if it == limit and limit < most and (short or misses_equality(m, o, s)):
-            limit += 1
-        elif it == limit and m[state + MISSED] > LIMIT_TOLERANCE and s[KEEP] > 0.0 and hold + o[NG] == 0.0:
-            hold, limit = 2.0, limit + 1  # a last time, with inputs held within the rows
-            m[state + HOLD] = hold
+        if it == limit:
+            limit = one_more(m, o, s, alpha < 0.9 * first, hold, limit)
+            hold = max(hold, m[state + HOLD])
     return verdict_at_the_limit(m, o, s, ITERATION_LIMIT), it

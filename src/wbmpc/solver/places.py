@@ -46,10 +46,12 @@ SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
 #: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row;
 #: by how much the violation without wishes is less than the 1-norm with all equalities; by how much planned states are outside
 #: hard rows (0 up to the tolerance), where most (as above), and the same of the rows whose L1 slack is not what gives way there;
-#: for how many solves in a row equalities with multipliers have contradicted each other.
+#: for how many solves in a row equalities with multipliers have contradicted each other, by what share they are missed since limits
+#: of the inputs are in their way (0: they are not), for how long [s], and which limit holds them most (−1: none).
 MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
 HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
 WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED, PASSED, PASSED_AT, UNDUE, CONTRADICTED = range(20, 28)
+HELD_SHARE, HELD_FOR, HELD_BY = range(28, 31)
 #: By how much planned inputs and states may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
 

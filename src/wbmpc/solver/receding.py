@@ -16,12 +16,14 @@ from wbmpc.solver.places import (
     GRID,
     GRID_BASE,
     GRID_OLD,
+    HELD_FOR,
     JUMPS,
     LX,
     NP,
     NU,
     NX,
     SLOPES,
+    STATE,
     UT,
     XT,
     K,
@@ -202,6 +204,7 @@ def receding_solve(m, o, numbers, integers, t0, delta, x0, settings, log):  # ty
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
         shift(m, o, delta)
+    m[o[STATE] + HELD_FOR] += delta
     sample_all(m, o, numbers, integers, t0)
     return solve(m, o, x0, settings, log)
 

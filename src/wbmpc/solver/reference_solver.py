@@ -265,7 +265,7 @@ class InterpretedSolver(InterpretedDirections):
             curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
             run.penalty = max(run.penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
         invisible = abs(s["slope"]) + run.penalty * drop < 1e-5 * (1.0 + abs(cost))
-        run.first = max(0.5 * run.first, 0.1) if kkt > run.last_kkt and invisible else min(1.3 * run.first, 1.0)
+        run.first = max(0.5 * run.first, 0.01) if kkt > run.last_kkt and invisible else min(1.3 * run.first, 1.0)
         run.last_kkt = kkt
         if not c.certify:
             run.first = self._longest_step(s["du"], run.count == 1)

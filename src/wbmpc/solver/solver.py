@@ -22,6 +22,9 @@ from wbmpc.solver.places import (
     CONTRADICTED,
     COST,
     GIVEN_WAY,
+    HELD_BY,
+    HELD_FOR,
+    HELD_SHARE,
     LIMIT_TOLERANCE,
     LONGEST,
     MISSED,
@@ -185,7 +188,7 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED]] = 0.0
+        self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
         if self.settings.backend == "interpreted":
             self.twin.forget()
         else:
@@ -343,11 +346,20 @@ class Solver:
             return f"{names[row]} {by}, at the first input"
         node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
         own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        return f"{own.name} {by} at node {node}: it cannot be met together with others"
+        node_by, row_by = divmod(int(self.ws.state[HELD_BY]), self.ws.rows_h.shape[1])
+        others = f"'{self.problem.path.rows[row_by].name}' at node {node_by}" if node_by >= 0 else "others"
+        return f"{own.name} {by} at node {node}: it cannot be met together with {others}"
 
     @property
     def passed(self) -> float:
         """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
         worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
+        return worst if worst > LIMIT_TOLERANCE else 0.0
+
+    @property
+    def apart(self) -> float:
+        """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
+        beside 1 + |x|; 0 up to the tolerance."""
+        worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())
         return worst if worst > LIMIT_TOLERANCE else 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.ocp import AugmentedLagrangian, Transcription
+from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
 from wbmpc.solver.settings import HUGE
@@ -64,8 +64,16 @@ def _must_hold(problem: Transcription, term: Any) -> bool:
 
 
 def _gives_way(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is a hard limit with an L1 slack: whatever the start, there is a solution that misses it."""
-    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not problem.with_input(term).all())
+    """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
+    solution that misses it."""
+    alone = problem.with_input(term) & ~problem.with_state(term)
+    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not alone.all())
+
+
+def _can_contradict(problem: Transcription) -> bool:
+    """Whether anything that must be met looks at states. Where nothing does, a motion of the model closes all gaps."""
+    terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and _must_hold(problem, t)]
+    return any(problem.with_state(t).any() and not _gives_way(problem, t) for t in terms)
 
 
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
@@ -128,8 +136,10 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
             f"largest violation: {missed}, a limit that may give way, for it has a slack: more iterations",
         )
     bent = _bent(solver, missed)
+    only_gaps = not missed and not _can_contradict(problem)
     slow = bent != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
-    if not (held_up or slow) and (solution.status is Status.NO_STEP or _stuck(unmet, feasibility)):
+    stuck = _stuck(unmet, feasibility) and not only_gaps
+    if not (held_up or slow) and (solution.status is Status.NO_STEP or stuck):
         status = Status.INFEASIBLE
     if missed:
         return status, f"largest violation: {missed}{bent}"

@@ -49,7 +49,7 @@ def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
     front, left = g.hinge[:, 0] > 0.0, g.hinge[:, 1] > 0.0
     if g.modules != 4 or front.sum() != 2 or left.sum() != 2:
         raise InputError(
-            f"{robot.description.name}: configuration {name} needs two front and two rear legs; give angles"
+            f"{robot.description.name}: configuration {name} is of bases with two front and two rear legs; others have angles only"
         )
     # turning by a positive angle moves the foot of a leg along ±x to the left or to the right
     outward = np.sign(np.cos(g.leg_heading)) * np.where(left, 1.0, -1.0)

@@ -28,9 +28,13 @@ def standing(robot: RobotModel) -> SwerveBase:
     """The robot's base if it stands on three feet or more, or :class:`InputError`."""
     base = robot.base
     if not isinstance(base, SwerveBase) or base.geometry.modules < 3:
-        kind = robot.description.base.type
+        kind = (
+            f"of {base.geometry.modules}"
+            if isinstance(base, SwerveBase)
+            else f"of type '{robot.description.base.type}'"
+        )
         raise InputError(
-            f"{robot.description.name}: stability needs a swerve base with 3 modules or more, not '{kind}'"
+            f"{robot.description.name}: stability needs a swerve base with 3 modules or more, not one {kind}"
         )
     return base
 

@@ -90,7 +90,7 @@ class Crossing:
 def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Crossing]:
     """Where zero-moment points (k, 2) at times (k,) leave and enter support triangles, on nominally level ground.
 
-    There the robot may rock: it does if one of the triangles that are left has carried it. Linear between samples. A
+    There the robot may rock: it does if one of the triangles that are left has carried it. Points are linear between samples. A
     crossing that enters nothing and after which no triangle is left tips the robot over. Raises :class:`InputError` for
     times that do not rise and points that are not finite (no load on the ground).
     """
@@ -101,16 +101,33 @@ def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Cros
             f"zero-moment points: {t.size} finite points (x, y) are needed, one for each time, got {p.shape}"
         )
     triangles = support_triangles(corners)
-    distances = np.stack([edge_distances(corners[list(k)], p).min(axis=-1) for k in triangles], axis=-1)
-    inside = distances > 0.0
     found: list[Crossing] = []
-    for k in np.flatnonzero(np.any(inside[1:] != inside[:-1], axis=1)):
-        for n in np.flatnonzero(inside[k + 1] != inside[k]):
-            share = distances[k, n] / (distances[k, n] - distances[k + 1, n])
-            when = float(t[k] + share * (t[k + 1] - t[k]))
-            gone, come = ((triangles[n],), ()) if inside[k, n] else ((), (triangles[n],))
-            found.append(Crossing(when, gone, come))
+    for n in triangles:
+        enters, leaves = _inside(edge_distances(corners[list(n)], p))
+        for k in np.flatnonzero(np.isfinite(enters)):
+            found.append(Crossing(float(t[k] + enters[k] * (t[k + 1] - t[k])), (), (n,)))
+        for k in np.flatnonzero(np.isfinite(leaves)):
+            found.append(Crossing(float(t[k] + leaves[k] * (t[k + 1] - t[k])), (n,), ()))
     return _merged(sorted(found, key=lambda c: c.time))
+
+
+def _inside(distances: Array) -> tuple[Array, Array]:
+    """At which share (k - 1) of each interval between samples a point enters a triangle and leaves it, NaN where it does not.
+
+    From its ``distances`` (k, 3) to the edges' lines, positive inside, which are linear in time: it is in from where the last of
+    them becomes positive, up to where the first is no longer.
+    """
+    before, after = distances[:-1], distances[1:]
+    change = np.where(before == after, np.inf, before - after)
+    share = before / change  # where an edge's line is crossed
+    comes, goes = (before <= 0.0) & (after > 0.0), (before > 0.0) & (after <= 0.0)
+    begins = np.where(comes, share, -np.inf).max(axis=1)
+    ends = np.where(goes, share, np.inf).min(axis=1)
+    there = ((before > 0.0) | (after > 0.0)).all(axis=1) & (begins < ends)
+    return (
+        np.where(there & np.isfinite(begins), begins, np.nan),
+        np.where(there & np.isfinite(ends), ends, np.nan),
+    )
 
 
 def _rising(times: ArrayLike) -> Array:
@@ -122,13 +139,21 @@ def _rising(times: ArrayLike) -> Array:
 
 
 def _merged(found: list[Crossing]) -> list[Crossing]:
-    """Crossings of one edge as one: its triangles are left and entered at the same time, up to rounding."""
-    out: list[Crossing] = []
+    """Crossings of one edge as one: its triangles are left and entered at the same time, up to rounding. One that is left and
+    entered again at once, at a sample on its edge, is neither."""
+    groups: list[list[Crossing]] = []
     for c in found:
-        if out and c.time - out[-1].time < 1e-9:
-            last = out.pop()
-            c = Crossing(last.time, last.left + c.left, last.entered + c.entered)
-        out.append(c)
+        if groups and c.time - groups[-1][-1].time < 1e-9:
+            groups[-1].append(c)
+        else:
+            groups.append([c])
+    out = []
+    for group in groups:
+        left, entered = ([n for c in group for n in getattr(c, name)] for name in ("left", "entered"))
+        both = set(left) & set(entered)
+        if len(both) < len(set(left) | set(entered)):
+            gone, come = (tuple(n for n in side if n not in both) for side in (left, entered))
+            out.append(Crossing(group[0].time, gone, come))
     return out
 
 
@@ -150,7 +175,8 @@ def support_switches(
     points (k, 2) [m] at the times, and the forces (k,) [N] that press on the ground. The robot rocks when a foot would have
     to pull; the switch is dated to when that foot carries less than ``unloaded`` [N]. Rocking itself is taken as short.
     Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
-    its zero-moment point before it tilted, or else on the one that it stands on more firmly.
+    its zero-moment point before it tilted, or else on the one that it stands on more firmly. Where it would rock back at once, for
+    on both of two neighbours it tips to the other, it balances on their common edge: there the prediction ends.
     """
     t, points = _rising(times), checked_feet(feet)
     faces = resting_triangles(points, heights)
@@ -162,6 +188,7 @@ def support_switches(
     now: Triangle | None = max(faces, key=firmness)
     found: list[Switch] = []
     k = 0
+    at_once: set[Triangle] = set()  # faces on which it has stood at sample k
     while now is not None:
         carried = forces[now]
         tipped = np.flatnonzero((carried[k:] < 0.0).any(axis=1))
@@ -170,7 +197,10 @@ def support_switches(
         i = k + int(tipped[0])
         foot = int(np.argmin(carried[i]))
         others = [f for f in faces if now[foot] not in f and len(set(f) & set(now)) == 2]
+        at_once = {*(at_once if i == k else ()), now}
         best = max(others, key=lambda f: float(forces[f][i].min()), default=None)
+        if best in at_once:
+            break
         when = _falls_below(t[k : i + 1], carried[k : i + 1, foot], unloaded)
         found.append(Switch(when, tuple(sorted(now)), tuple(sorted(best or ()))))
         now, k = best, i

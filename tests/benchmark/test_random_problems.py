@@ -1,0 +1,59 @@
+"""A few seeds of the random round. Truth: IPOPT, which gets the L1 slacks as unknowns; a roll-out, which has no gaps."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import random_problems
+from random_rival import Rival
+
+from wbmpc.solver import Status
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_ours_is_ipopts(seed: int) -> None:
+    drawn = random_problems.draw(seed)
+    solver, ours = random_problems.attempt(drawn, drawn.settings)
+    assert random_problems.verdict(ours, Rival(solver, drawn.x0), drawn.x0)[0] == "same"
+
+
+def test_another_answer_is_told() -> None:
+    drawn = random_problems.draw(2)
+    solver, ours = random_problems.attempt(drawn, drawn.settings)
+    other = Rival(solver, drawn.x0)
+    moved = replace(ours, x=ours.x + 1e-3 * np.arange(len(ours.x))[:, None])
+    assert random_problems.verdict(moved, other, drawn.x0)[0] == "ours violates"
+    wrong = replace(ours, status=Status.RELAXED)
+    assert random_problems.verdict(wrong, other, drawn.x0)[0] == "wrong about giving way"
+
+
+def test_a_limit_of_state_and_input_with_a_slack_is_not_infeasible() -> None:
+    """Seed 3 ends at the iteration limit with a row x and u give way to; IPOPT's slack is as large."""
+    drawn = random_problems.draw(3)
+    solver, ours = random_problems.attempt(drawn, drawn.settings)
+    assert (
+        ours.status is Status.ITERATION_LIMIT and "mixed" in ours.detail and "a limit that may give way" in ours.detail
+    )
+    other = Rival(solver, drawn.x0)
+    assert other.solve(other.vector(ours.x, ours.u), near=False).slack > 0.1
+
+
+def test_gaps_alone_are_not_infeasible() -> None:
+    """Seed 1132 has limits of inputs alone."""
+    drawn = random_problems.draw(1132)
+    _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=60))
+    assert ours.status is Status.ITERATION_LIMIT and ours.detail.startswith("gaps of the dynamics"), ours
+
+
+def test_short_steps_where_the_merit_drowns_in_rounding() -> None:
+    """Seed 95 needs steps below 0.1 there: it did not end within 1000 iterations."""
+    drawn = random_problems.draw(95)
+    _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=150))
+    assert ours.status is Status.RELAXED
