@@ -80,7 +80,7 @@ robustness: $(VENV)/.installed
 # the ball robot on other floors, with masses in its hand, over cables, with late drives (hours; goes on where it stopped)
 ball-robustness: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/robustness.py --out runs/ball-robustness --only \
-	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle $(ROBUSTNESS_ARGS)
+	  rezero-steps rezero-push-hand rezero-push-ball rezero-wholebody rezero-circle rezero-door $(ROBUSTNESS_ARGS)
 
 # the ball robot's experiments over the reporting seeds as the protocol has them (hours; goes on where it stopped)
 ball: $(VENV)/.installed

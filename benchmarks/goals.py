@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,12 @@ HEAD = ("experiment", "metric", "goal", "paper", "ours: median (95 %, worst)", "
 def order_statistics(values: Iterable[float | None]) -> tuple[float, float, float, float, float]:
     """Smallest, 5 %, median, 95 % and largest; a figure that is not finite (None) counts as infinite.
 
-    Order statistics, nothing between values: a mean with infinity is not a figure.
+    The median is the usual one, of an even number the mean of the two in the middle; 5 and 95 % are order statistics, nothing
+    between values: a mean with infinity is not a figure.
     """
     known = np.array([np.inf if v is None else float(v) for v in values])
-    low, middle, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.5, 0.95))
-    return float(known.min()), low, middle, high, float(known.max())
+    low, high = (float(np.quantile(known, q, method="nearest")) for q in (0.05, 0.95))
+    return float(known.min()), low, statistics.median(known.tolist()), high, float(known.max())
 
 
 def goal_rows(

@@ -2,7 +2,8 @@
 
 Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
 [--controllers mpc lqr scheduled-lqr …] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER]; ``--draw`` only draws what
-FOLDER has. Rivals have the gains of push_map_gains.json. Of several controllers the first is compared with each of the others,
+FOLDER has. Rivals have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
+regulator that only has to stand, and rolls away). Of several controllers the first is compared with each of the others,
 direction by direction.
 """
 
@@ -28,9 +29,9 @@ Table = dict[str, list[float | None]]
 GAINS = Path(__file__).with_name("push_map_gains.json")
 
 
-def gains(mode: str, controller: str) -> dict[str, float]:
+def gains(mode: str, controller: str, file: Path | None = None) -> dict[str, float]:
     """Those found for a controller with hand or ball held; none where none were searched."""
-    found: dict[str, float] = json.loads(GAINS.read_text()).get(mode, {}).get(controller, {})
+    found: dict[str, float] = json.loads((file or GAINS).read_text()).get(mode, {}).get(controller, {})
     return found
 
 
@@ -41,17 +42,17 @@ def write_gains(mode: str, controller: str, found: dict[str, float]) -> None:
     GAINS.write_text(json.dumps(everything, indent=1) + "\n")
 
 
-def settings_of(mode: str, controller: str) -> tuple[str, ...]:
+def settings_of(mode: str, controller: str, file: Path | None = None) -> tuple[str, ...]:
     """Settings of a run with that controller and its gains; none for the MPC."""
     if controller == "mpc":
         return ()
     key = controller.replace("-", "_")
-    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in gains(mode, controller).items())
+    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in gains(mode, controller, file).items())
 
 
 def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
     """All pushes by controller."""
-    of = lambda mode, name: (*settings_of(mode, name), *given.given)
+    of = lambda mode, name: (*settings_of(mode, name, given.gains), *given.given)
     lengths = tuple(given.lengths)
     return {
         name: [p for m in given.modes for p in points(m, given.directions, lengths, given.seed, of(m, name))]
@@ -133,6 +134,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--set", dest="given", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=["mpc"])
+    parser.add_argument("--gains", type=Path, help="of rivals")
     parser.add_argument(
         "--fine",
         type=float,
@@ -145,6 +147,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.directions < 1 or given.fine <= 0.0 or min(given.lengths) <= 0.0 or given.seed < 0:
         parser.error("--directions needs at least 1, --lengths and --fine numbers above 0, --seed a number from 0 on")
+    if given.gains is not None and not given.gains.is_file():
+        parser.error(f"--gains: there is no file '{given.gains}'")
     file = given.out / "push_map.json"
     todo = todo_of(given)
     everything = [p for chosen in todo.values() for p in chosen]

@@ -94,12 +94,14 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
     ),
     "rezero-push-hand": (
         ("not_recovered", 1.0, "1"),
+        ("rest_error_world_max", 1e3, "mm"),
         ("hand_error_max", 1e3, "mm"),
         ("tilt_max", 180.0 / np.pi, "deg"),
         ("fell", 1.0, "1"),
     ),
     "rezero-push-ball": (
         ("not_recovered", 1.0, "1"),
+        ("rest_error_world_max", 1e3, "mm"),
         ("ball_travel_max", 1e3, "mm"),
         ("tilt_max", 180.0 / np.pi, "deg"),
         ("fell", 1.0, "1"),
@@ -120,10 +122,13 @@ SHOWN: dict[str, tuple[tuple[str, float, str], ...]] = {
         ("force_error_ratio_low", 100.0, "%"),
         ("force_error_ratio_high", 100.0, "%"),
         ("touch_peak", 1.0, "N"),
+        ("rest_hand_swing", 1e3, "mm"),
+        ("rest_hand_error", 1e3, "mm"),
         ("fell", 1.0, "1"),
     ),
     "rezero-frequency": (
         ("torque_error_ratio", 1.0, "1"),
+        ("rise_time_ratio", 1.0, "1"),
         ("rise_time_plain", 1.0, "s"),
         ("rise_time_shaped", 1.0, "s"),
         ("fell_shaped", 1.0, "1"),

@@ -85,7 +85,7 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     with pytest.raises(FallForeseen):
         for k in range(40, 80):
             forecast.feel(0.0025 * k, leaning(lean))
-    planned, still = FallForecast(pushed, ARM), plan(lean)
+    planned, still = FallForecast(pushed, ARM), plan(lean, at=0.05)
     u = np.zeros((2, 9))
     u[0, pushed.input["force"]] = [against, 0.0, 0.0]  # the last state of the plan leans no more
     for _ in range(8):

@@ -26,7 +26,7 @@ def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
         if k == 40:
             sensorless.observer.zero()
             plant.push(FORCE, body="arm_forearm_link", point=[0.0, 0.0, 0.3])
-        sensorless.update(plant.state(), torque, 0.0025)
+        sensorless.update(plant.state(), torque, 0.0025, 0.0)
         out.append(sensorless.force)
         torque = TORQUE + np.array([0.0, 0.0, 0.0, 0.2, -0.3, 0.2]) * np.sin(0.2 * k)
         plant.step(RezeroCommand(torque), 5)

@@ -9,9 +9,10 @@ import pytest
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
+from wbmpc.experiments import REGISTRY, rezero_circle, rezero_wholebody
 from wbmpc.experiments.rezero_push import RezeroPushHandSettings
 from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
+from wbmpc.experiments.rezero_task import BENT_ARM, Task
 from wbmpc.model import load_robot
 
 BALL = [n for n in REGISTRY if n.startswith("rezero-")]
@@ -31,6 +32,26 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         InputError, match=rf"{name}: --set {given.split('=')[0].removesuffix('.kind')}: this experiment does not use it"
     ):
         configure(REGISTRY[name].config_type, [given], name)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("rezero-push-hand", ["forces=[]"], "forces"),
+        ("rezero-push-ball", ["forces=[-50]"], "forces"),
+        ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-door", ["forces=[0]"], "forces"),
+        ("rezero-door", ["forces=[-8]"], "forces"),
+        ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
+        ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
+        ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: str) -> None:
+    """No pushes, pushes into each other, no step, a step that begins before the run."""
+    with pytest.raises(InputError) as error:
+        configure(REGISTRY[name].config_type, given, name)
+    assert words in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", BALL)
@@ -58,3 +79,37 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
     assert held.state == pytest.approx(state)
     assert np.array_equal(replace(held, state=usual.state).torque, usual.torque)
     assert of(hand=0.1).hand == pytest.approx(0.1 * usual.hand)
+
+
+@pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
+def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
+    given: list[Task] = []
+    module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]
+    monkeypatch.setattr(module, "run_task", lambda _, settings, seed, task, *more: given.append(task))
+    short = {
+        "rezero-wholebody": ["settle=0.5", "move=0.5", "hold=1"],
+        "rezero-circle": ["settle=0.5", "lap=1", "rounds=1"],
+    }
+    settings = configure(REGISTRY[name].config_type, ["controller=lqr", *short[name]], name)
+    REGISTRY[name].run(settings, 0)
+    robot, body = load_robot("rezero"), given[0].references["body"]
+    home = robot.pose(robot.equilibrium(BENT_ARM)[0])[0]
+    for t in (0.0, 0.75, 1.0, 1.7):
+        x = body.at(t)
+        ball, hand = np.zeros(2), home
+        if name == "rezero-circle":
+            ball = rezero_circle.ball_path(settings, np.array([t]))[0]
+        else:
+            times, places = rezero_wholebody.hand_path(settings, home)
+            hand = np.array([np.interp(t, times, places[:, i]) for i in range(3)])
+        assert robot.pose(x)[0] == pytest.approx(hand, abs=1e-3)
+        assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9
+        # it leans as it balances, and its speeds are those of its way
+        lean = robot.equilibrium(x[robot.state["arm"]])[0][3:5]
+        assert x[3:5] == pytest.approx(lean, abs=1e-3)
+        n = robot.base.nq
+        assert (
+            x[n:] == pytest.approx((body.at(t + 0.05)[:n] - body.at(max(t - 0.05, 0.0))[:n]) / 0.1, abs=0.05)
+            or t == 0.0
+        )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -113,3 +115,13 @@ def test_without_the_row_the_force_is_missed() -> None:
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15
     assert figures["touch_peak"] > 8.0
+
+
+@pytest.mark.parametrize("touching", [True, False])
+def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, touching: bool) -> None:  # type: ignore[no-untyped-def]
+    """Seed 202 at 8 N: a slow door held the elbow within a few counts, its encoder was called stalled and the motors were off."""
+    monkeypatch.setattr(control.RezeroAgent, "_watch", lambda self, *_: setattr(self, "_accelerates", np.ones(3)))
+    agent = control.DoorAgent.__new__(control.DoorAgent)
+    agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
+    agent._watch(0.0, np.zeros(3), 0.0025)
+    assert (agent._accelerates is None) == touching

@@ -32,6 +32,10 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
     t, state = log.times("state"), log.array("state")
     assert m["ball_travel_max"] == pytest.approx(np.hypot(state[:, 0], state[:, 1]).max())
     assert m["tilt_max"] == log.array("tilt").max()
+    place = state[:, :2] if held == "ball" else log.array("hand") - log.array("hand")[0]
+    at_rest = [(t >= end - 0.5) & (t < end) for end in (7.5, 13.5)]
+    away = max(float(np.linalg.norm(place[window], axis=1).max()) for window in at_rest)
+    assert m["rest_error_world_max"] == pytest.approx(away, abs=0.015) and 0.0 < m["rest_error_max"] < 0.05
     # 60 N for 0.2 s give 12 N s: about 0.5 m/s for 25 kg, along x first and then along y
     speed = BALL.state["base_velocity"].start
     for k, axis in enumerate((0, 1)):

@@ -14,6 +14,7 @@ from needs import MISSING, needs_dds, private
 
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
+from wbmpc.plant.inertial import SensorFault
 from wbmpc.ros2 import Network
 
 pytestmark = needs_dds
@@ -358,3 +359,19 @@ def test_what_it_needs(made: Callable[..., Any]) -> None:
     with pytest.raises(InputError, match="needs an inertial unit"):
         made(topics={"imu": ""})
     assert BallSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
+
+
+def test_an_encoder_that_stands_still_is_told_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
+    s = made(rates={"diagnostics": 50.0})
+    balancing(s)
+    now = s.sim.plant.time
+    s.sim.plant.sensors.faults = (SensorFault("stalled", 0, now, np.inf),)
+    s.hand(dx=0.1)
+    s.run(0.6)
+    said = "the encoder of wheel_0 stands still"
+    assert s.control.running and any(said in f for f in s.control.pilot.faults)
+    assert any(said in m for m in s.messages(1))
+    s.sim.plant.sensors.faults += (SensorFault("stalled", 1, s.sim.plant.time, np.inf, of="arm"),)
+    s.hand(dx=-0.1)
+    assert s.until(lambda: not s.control.running)
+    assert "the encoder of arm_shoulder stands still; motors off" in s.control.state

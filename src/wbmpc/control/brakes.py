@@ -94,9 +94,9 @@ class BrakeControl:
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
         self.geometry = robot.base.geometry
         closed = np.zeros(len(self.legs))
-        self._times: list[float] = [-np.inf]
-        self._states: list[Array] = [self._checked(closed if start is None else start)]
-        self._known: dict[int, tuple[float, float]] = {}  # leg: since when [s] it is otherwise than told, and how
+        # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
+        self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
+        self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than told
         self._tell()
 
     def _checked(self, brake: ArrayLike) -> Array:
@@ -115,45 +115,49 @@ class BrakeControl:
             raise InputError(f"brakes: the time of an event must be finite, got {t}")
         if leg is not None:
             refuse_floating(self.geometry, leg, self._checked(brake))
-        place = int(np.searchsorted(self._times, t))
-        if place < len(self._times) and self._times[place] == t:
-            self._states[place] = self._checked(brake)
-        else:
-            self._times.insert(place, float(t))
-            self._states.insert(place, self._checked(brake))
+        state, (times, states) = self._checked(brake), self._events
+        place = int(np.searchsorted(times, t))
+        rest = place + int(place < len(times) and times[place] == t)
+        self._events = [*times[:place], float(t), *times[rest:]], [*states[:place], state, *states[rest:]]
         self._tell()
 
     def commanded(self, t: float) -> Array:
         """Brakes (n) at t [s], 1 = open."""
-        return self._states[bisect_right(self._times, t + 1e-9) - 1]
+        times, states = self._events
+        return states[bisect_right(times, t + 1e-9) - 1]
 
     def accept(self, fault: BrakeFault) -> None:
         """Plan with what a brake really does until its next command: a leg that does not open is held, one that does not hold
         is free; one that opens or holds after all is as commanded again."""
-        if fault.kind in ("opens after all", "holds after all"):
+        if fault.withdraws:
             self._known.pop(fault.leg, None)
         else:
-            self._known[fault.leg] = fault.time, 0.0 if fault.kind == "does not open" else 1.0
+            self._known[fault.leg] = fault
         self._tell()
+
+    def doubted(self, t: float) -> list[BrakeFault]:
+        """What is planned with at t [s] in place of commands: faults that were accepted, until the next command of the brake."""
+        return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
 
     def forget(self, t: float) -> None:
         """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
-        first = bisect_right(self._times, t - self.delay) - 1
+        first = bisect_right(self._events[0], t - self.delay) - 1
         if first > 0:
-            self._known = {leg: k for leg, k in self._known.items() if self._changes(leg, k[0]) > self._times[first]}
-            self._times = [-np.inf, *self._times[first + 1 :]]
-            self._states = self._states[first:]
+            times, states = self._events
+            self._known = {leg: k for leg, k in self._known.items() if self._changes(leg, k.time) > times[first]}
+            self._events = [-np.inf, *times[first + 1 :]], states[first:]
 
     def _changes(self, leg: int, since: float) -> float:
         """When [s] the next command of a leg's brake comes after ``since`` [s]."""
-        first = bisect_right(self._times, since)
-        later = zip(self._times[first:], pairwise(self._states[first - 1 :]), strict=True)
+        times, states = self._events
+        first = bisect_right(times, since)
+        later = zip(times[first:], pairwise(states[first - 1 :]), strict=True)
         return next((t for t, (a, b) in later if a[leg] != b[leg]), np.inf)
 
     def schedule(self) -> ModeSchedule:
         """The planner's modes over time."""
-        late = [t + self.delay for t in self._times]
-        events = sorted({t for t in (*self._times, *late) if np.isfinite(t)})
+        times = self._events[0]
+        events = sorted({t for t in (*times, *(t + self.delay for t in times)) if np.isfinite(t)})
         states = [self._planned(-np.inf), *map(self._planned, events)]
         modes = [Mode("".join("CO"[int(b)] for b in s), {"brake": tuple(s)}) for s in states]
         # events at which nothing changes are left out
@@ -162,11 +166,11 @@ class BrakeControl:
 
     def _planned(self, t: float) -> Array:
         """λ (n) at t [s]: open since at least the delay."""
-        recent = self._states[bisect_right(self._times, t - self.delay) : bisect_right(self._times, t)]
+        times, states = self._events
+        recent = states[bisect_right(times, t - self.delay) : bisect_right(times, t)]
         state = np.min([*recent, self.commanded(t), self.commanded(t - self.delay)], axis=0)
-        for leg, (since, value) in self._known.items():
-            if t < self._changes(leg, since):
-                state[leg] = value
+        for fault in self.doubted(t):
+            state[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
         return np.asarray(state)
 
     def _tell(self) -> None:

@@ -122,6 +122,13 @@ class DoorAgent(RezeroAgent):
     def _pushed(self) -> Array:
         return self.force[:2]
 
+    def _watch(self, t: float, arm: Array, h: float) -> None:
+        """While the hand touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
+        cannot say then that an arm's encoder stands."""
+        super()._watch(t, arm, h)
+        if self.contact.touching:
+            self._accelerates = None
+
     def _feel(self, m: RezeroMeasurement) -> None:
         """The contact force in world axes, with the last known attitude of the hand."""
         state = self.measured.state if self.measured is not None else self.robot.home

@@ -33,13 +33,18 @@ class BrakeFault:
     kind: Literal["does not hold", "does not open", "opens after all", "holds after all"]
     angle: float
 
+    @property
+    def withdraws(self) -> bool:
+        """Whether it takes an earlier one of its leg back."""
+        return self.kind in ("opens after all", "holds after all")
+
     def __str__(self) -> str:
         seen = "was to move by" if self.kind in ("does not open", "holds after all") else "moved by"
         return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} rad ({self.time:.2f} s)"
 
 
 class BrakeMonitor:
-    """Watches n legs at a fixed period.
+    """Watches n legs at a fixed period; ``time`` [s] of the last look.
 
     ``moved`` [rad]: motion of a closed leg that is a fault, less ``creep`` [rad/s]: what moves no faster is none. ``expected``
     [rad]: planned motion of an open leg during which it has stayed within ``still`` [rad] (a few counts of its encoder) for
@@ -85,7 +90,7 @@ class BrakeMonitor:
         self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
         self._told = np.zeros(n, bool)
         self._unsettled = -np.inf  # when legs that were told last had not been held in the plan
-        self._time = 0.0
+        self.time = -np.inf
 
     def update(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> list[BrakeFault]:
         """What is new after measured angles ``leg`` (n) [rad] at t [s], brakes (n, 1 = open) and planned ``rate`` (n) [rad/s].
@@ -94,11 +99,11 @@ class BrakeMonitor:
         """
         angle, is_open, planned = np.asarray(leg, float), np.asarray(brake, float) > 0.5, np.asarray(rate, float)
         if self._open is None:
-            self._open, self._anchor, self._time = is_open, angle.copy(), t
+            self._open, self._anchor, self.time = is_open, angle.copy(), t
             self._since[:] = t - self.settle
         changed = is_open != self._open
         self._since[changed], self._told[changed], self._open = t, False, is_open
-        h, self._time = t - self._time, t
+        h, self.time = t - self.time, t
         settled = t - self._since >= self.settle - 1e-9
         loose = is_open | self._told  # may move, as far as is known
         stuck = self._told & is_open

@@ -37,25 +37,25 @@ class EncoderFault:
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
-    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) while the joint should have turned by
-    ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more the model says
-    that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model accelerate a
-    joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.) At its
-    ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels are judged by the filter; what it says counts once it has
-    said so for ``patience`` [s]. ``faults``: all that were told, each part once.
+    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``least`` [s] while the joint should
+    have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
+    the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
+    accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
+    At its ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels are judged by the filter; what it says counts once
+    it has said so for ``patience`` [s]. ``faults``: all that were told, each part once.
     """
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.01, crawl: float = 0.05, doubt: float = 2.0, patience: float = 0.05,
+        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
     ) -> None:  # fmt: skip
         self.joints, self.wheels, self.still, self.expected = list(joints), wheels, still, expected
-        self.crawl, self.doubt, self.patience = crawl, doubt, patience
+        self.crawl, self.doubt, self.least, self.patience = crawl, doubt, least, patience
         self.faults: list[EncoderFault] = []
         low, high = stops or (np.full(len(self.joints), -np.inf), np.full(len(self.joints), np.inf))
         self._low, self._high = low + NEAR, high - NEAR
         self._anchor = np.full(len(self.joints), np.nan)
-        self._speed, self._gone, self._then = np.zeros((3, len(self.joints)))
+        self._speed, self._gone, self._then, self._stood = np.zeros((4, len(self.joints)))
         self._said: dict[str, float] = {}
 
     def update(
@@ -81,7 +81,8 @@ class EncoderMonitor:
         self._speed = np.where(moves, _beyond(speed, self.crawl), self._speed + gained)
         self._then = np.where(moves, acceleration, self._then)
         self._gone = np.where(moves, 0.0, self._gone + h * self._speed)
-        return np.flatnonzero(np.abs(self._gone) > self.expected)
+        self._stood = np.where(moves, 0.0, self._stood + h)
+        return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.least - 1e-9))
 
     def _lasting(self, h: float, said: Sequence[str]) -> list[str]:
         """What the filter says and has said most of the time."""

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiments.rezero_rivals import REGULATORS
 from wbmpc.experiments.rezero_task import (
     BENT_ARM,
     AccurateSettings,
@@ -14,6 +15,7 @@ from wbmpc.experiments.rezero_task import (
     ball_felt,
     common_plots,
     hand_felt,
+    reaching,
     rms,
     run_task,
 )
@@ -80,5 +82,10 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
     def plots(log: Log) -> list[Plot]:
         return common_plots(log, hand, ball_path(settings, log.times("state")))
 
-    task = Task(BENT_ARM, duration, {"body": Reference(grid, body)})
+    reference = Reference(grid, body)
+    if settings.controller in REGULATORS:
+        times = np.arange(0.0, grid[-1], 0.05)
+        places = ball_path(settings, times)
+        reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
+    task = Task(BENT_ARM, duration, {"body": reference})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

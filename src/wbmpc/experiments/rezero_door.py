@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -73,7 +73,7 @@ class RezeroDoorSettings(RezeroSettings):
     push: PushCost | None = None
     scheme: DoorScheme = DoorScheme()
     door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
-    forces: tuple[float, ...] = Field((8.0, 16.0), min_length=1, max_length=2)
+    forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
     rise: float = Field(0.3, ge=0, le=10.0)
     settle: float = Field(3.0, ge=0.5, le=60.0)
     speed: float = Field(0.1, gt=0, le=1.0)

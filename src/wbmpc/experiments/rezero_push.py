@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_task import (
@@ -34,10 +34,19 @@ NEAR, LAST = 0.05, 0.5
 class RezeroPushSettings(RezeroSettings):
     """``forces`` [N], each along x and then along y, for ``length`` [s]; ``pause`` [s] from one push to the next."""
 
-    forces: tuple[float, ...] = (50.0, 100.0, 200.0)
+    forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
     length: float = Field(0.2, gt=0, le=5.0)
     pause: float = Field(7.0, ge=2.0, le=60.0)
     settle: float = Field(3.0, ge=0.5, le=60.0)
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> Self:
+        if self.pause < self.length + LAST:
+            raise ValueError(
+                f"pause: {self.pause:g} s from one push to the next, which are {self.length:g} s long and judged by the last "
+                f"{LAST:g} s; at least {self.length + LAST:g} s are needed"
+            )
+        return self
 
 
 class RezeroPushBallSettings(RezeroPushSettings):
@@ -72,15 +81,21 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t = log.times("state")
         away = np.linalg.norm(hand_felt(log) - hand if held == "hand" else ball_felt(log) - ball, axis=1)
-        back = []
+        world = np.linalg.norm(log.array("hand") - hand if held == "hand" else log.array("state")[:, :2] - ball, axis=1)
+        back, at_rest, in_world = [], [], []
         for push in task.pushes:
             end = push.start + settings.pause
             window = (t >= end - LAST) & (t < end)
-            back.append(bool(window.any() and t[-1] >= end - 0.1 and away[window].max() < NEAR))
+            there = bool(window.any() and t[-1] >= end - 0.1)
+            at_rest.append(float(away[window].max()) if there else float("inf"))
+            in_world.append(float(world[window].max()) if there else float("inf"))
+            back.append(at_rest[-1] < NEAR)
         travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
         return {
             "not_recovered": Metric(float(len(back) - sum(back)), "1", goal=0.0),
             "recovered": Metric(float(all(back)), "1"),
+            "rest_error_max": Metric(max(at_rest), "m"),
+            "rest_error_world_max": Metric(max(in_world), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
             "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),

@@ -55,8 +55,10 @@ STEPS_AND_PUSHES = RezeroCost(
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
-    """80 Hz, a horizon of 1.3 s in 65 intervals."""
-    return MpcSettings(rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu)
+    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
+    return MpcSettings(
+        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, start_anew=False
+    )
 
 
 class RezeroSettings(ExperimentSettings):
@@ -145,6 +147,27 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
         return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
 
     return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
+
+
+def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.ndarray, start: np.ndarray) -> Reference:
+    """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the hand as near as it can be to ``hand``
+    (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
+    arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
+
+    def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        x = robot.equilibrium(angles, yaw=float(start[2]))[0]
+        x[:2] = place
+        return x
+
+    states, angles = np.empty((times.size, start.size)), arm
+    for k, (place, goal) in enumerate(zip(ball, hand, strict=True)):
+        if k == 0 or not (np.array_equal(place, ball[k - 1]) and np.array_equal(goal, hand[k - 1])):
+            away = lambda z, p=place, g=goal: np.concatenate([robot.pose(state(p, z))[0] - g, 1e-3 * (z - arm)])
+            angles = least_squares(away, angles, diff_step=1e-5).x
+        states[k] = state(place, angles)
+    moves = np.gradient(states[:, :velocity], times, axis=0)
+    states[:, velocity:] = moves
+    return Reference(times, states)
 
 
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiments.rezero_rivals import REGULATORS
 from wbmpc.experiments.rezero_task import (
     BENT_ARM,
     AccurateSettings,
@@ -14,6 +15,7 @@ from wbmpc.experiments.rezero_task import (
     ball_felt,
     common_plots,
     hand_felt,
+    reaching,
     rms,
     run_task,
 )
@@ -97,5 +99,9 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
         )
         return [*common_plots(log, wanted(t), np.zeros(2)), joint, ratio]
 
-    task = Task(BENT_ARM, float(ends[-1]), {"hand": Reference.poses(times, places, quaternion)})
+    references = {"hand": Reference.poses(times, places, quaternion)}
+    if settings.controller in REGULATORS:
+        grid = np.arange(0.0, float(ends[-1]), 0.05)
+        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
+    task = Task(BENT_ARM, float(ends[-1]), references)
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

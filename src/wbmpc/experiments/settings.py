@@ -27,7 +27,8 @@ class Settings(BaseModel):
 class MpcSettings(Settings):
     """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
     ``delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
-    point (hard) or relaxed barriers (soft), both with ``barrier_mu``."""
+    point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``start_anew``: see
+    :class:`wbmpc.solver.InteriorPoint`."""
 
     rate: float = Field(50.0, gt=0, le=10_000)
     horizon: float = Field(10.0, gt=0)
@@ -37,10 +38,12 @@ class MpcSettings(Settings):
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(3e-3, gt=0)
+    start_anew: bool = True
 
     def solver(self) -> SQP:
         """The solver's real-time settings."""
-        return SQP.real_time(self.iterations, interior_point=InteriorPoint("real_time", self.barrier_mu))
+        interior_point = InteriorPoint("real_time", self.barrier_mu, start_anew=self.start_anew)
+        return SQP.real_time(self.iterations, interior_point=interior_point)
 
 
 class ControlSettings(Settings):

@@ -19,8 +19,8 @@ _LOG = logging.getLogger("wbmpc")
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates, and says whether
 #: it has.
 Guess = Callable[[Solver, float, np.ndarray], bool]
-#: Passes of the solver from trajectories that the guess wrote: one pass seldom makes them keep limits, and would be refused.
-WRITTEN_PASSES = 10
+#: Iterations from trajectories that the guess wrote: one or two seldom make them keep limits, and would be refused.
+WRITTEN_ITERATIONS = 15
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class MPC:
         # rows of some modes: where they are among all, and the parameters that switch them
         self._switched = np.flatnonzero(planes.switches >= 0)
         self._switches = planes.switches[self._switched] + self.solver.problem.node.slices["switch"].start
-        self._first = first_iterations
+        self._first, self._again = first_iterations, max(1, WRITTEN_ITERATIONS // settings.iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -241,7 +241,7 @@ class MPC:
             self._go_on_from(observation.t, delta)
         start = time.perf_counter()
         written = self.guess is not None and self.guess(self.solver, observation.t, x0)
-        passes = self._first if self._t is None else WRITTEN_PASSES if written else 1
+        passes = self._first if self._t is None else self._again if written else 1
         status, count, elapsed = 0, 0, 0.0
         for k in range(passes):
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)

@@ -21,7 +21,8 @@ class Perturbation(BaseModel):
     ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
     ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
     drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
-    open to closed and back. ``friction`` of the floor: a range, or one number. ``encoder_jitter`` [s]: the values of a
+    open to closed and back. ``friction`` of the floor: a range, or one number; ``spin_friction`` [m], of a ball on it, about the
+    vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a
     message are up to this old.
     ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
     ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
@@ -60,6 +61,7 @@ class Perturbation(BaseModel):
     joint_loss: float = Field(default=2.0, ge=0)
     brake_delay: float = Field(default=0.10, ge=0)
     friction: tuple[float, float] = (0.6, 0.9)
+    spin_friction: float = Field(default=0.01, ge=0, le=1)
     encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
     encoder_counts: int = Field(default=2**14, ge=0)
     arm_counts: int = Field(default=2**17, ge=0)
@@ -95,7 +97,7 @@ class Perturbation(BaseModel):
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:
         """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
-        kept = {"drive_lag": 0.020, "friction": 0.8}
+        kept = {"drive_lag": 0.020, "friction": 0.8, "spin_friction": 0.01}
         return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
 
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:

@@ -36,8 +36,6 @@ from wbmpc.plant.world import (
 )
 from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
 
-#: Spin friction of the ball on the floor [m]: about 2.4 N m of yaw torque for 25 kg.
-SPIN_FRICTION = 0.01
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
 
@@ -135,7 +133,7 @@ class RezeroPlant(InWorld):
         base, draw, limits = self.base, self.draw, self.description.limits
         draw.apply_to_bodies(spec, balanced=(base.ball,))
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        friction = [draw.friction, SPIN_FRICTION, 1e-4]
+        friction = [draw.friction, self.perturbation.spin_friction, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
         if self.perturbation.cables > 0.0:
             lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)

@@ -156,6 +156,7 @@ class BallPilot:
     """See :class:`wbmpc.ros2.pilot.Pilot`. The agent's model is an MPC of its own: a solver's memory has one owner."""
 
     keeps = needs_imu = True
+    watches = "sensors"
     fix: Callable[[], Fix | None] | None = None
 
     def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
@@ -194,6 +195,9 @@ class BallPilot:
     def faults(self) -> list[str]:
         """Encoders that stand still, wheels that slip."""
         return self.agent.faults
+
+    def inspect(self) -> None:
+        """Its filter finds them in the tick."""
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

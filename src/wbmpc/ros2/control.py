@@ -128,6 +128,8 @@ class ControlNode:
         if not self.running:
             self._stand()
         self._take_up()
+        self.breathe()
+        self.pilot.inspect()
         self._move_legs()
         self._lead()
         self.teller.tell()
@@ -183,11 +185,7 @@ class ControlNode:
         if self.runner is not None:
             trouble = self._held or (self.body.fault if self.pilot.keeps else "")
             if self.running and trouble:
-                return (
-                    f"{self.runner.state}: holds its place: {trouble}"
-                    if self._held
-                    else f"{self.runner.state}: {trouble}"
-                )
+                return f"{self.runner.state}: {'holds its place: ' if self._held else ''}{trouble}"
             if self.running and self._task is not None:
                 return f"{self.runner.state}: {self._task.said}"
             return self.runner.state

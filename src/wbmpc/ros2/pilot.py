@@ -40,7 +40,8 @@ class Pilot(Protocol):
     """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
-    ``faults``: what was found of its sensors in this run, as sentences.
+    ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as sentences; ``inspect``, called in the
+    node's own thread now and then, looks for those that would take too long in a tick.
     ``parameters``: see :class:`wbmpc.mpc.Runner`; ``fix``: asked for another localisation's pose at every tick; after
     ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
     from state x (nx) on. ``references`` of a task that begins at x may take long, and are made in another thread.
@@ -52,6 +53,7 @@ class Pilot(Protocol):
     mpc: MPC
     agent: Any
     keeps: bool
+    watches: str
     brakes: BrakeControl | None
     legs: Array | None
     needs_imu: bool
@@ -60,6 +62,7 @@ class Pilot(Protocol):
 
     @property
     def faults(self) -> list[str]: ...
+    def inspect(self) -> None: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> Any: ...

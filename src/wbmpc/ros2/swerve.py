@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, SwerveAgent
+from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.swerve_problem import swerve_mpc
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.mpc import SteeringGuess
@@ -21,7 +25,12 @@ from wbmpc.ros2.pilot import Estimate, Fix, Groups, Pending
 from wbmpc.ros2.settings import GROUPS, RosSettings
 from wbmpc.solver import Solver
 
+_LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
+#: A tick as the monitor of brakes wants it: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
+Tick = tuple[float, Array, Array, Array]
+#: The monitor looks at ticks that are this far apart [s], and at most at so many at once.
+LOOK, BACKLOG = 0.01, 4000
 #: A brake is open this long [s] after its command.
 BRAKE_DELAY = 0.1
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
@@ -38,6 +47,15 @@ class BusAgent(SwerveAgent):
 
     fix: Callable[[], Fix | None] | None = None
     _placed = False
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+
+    def _watch(self, t: float, brake: Array, rate: Array) -> None:
+        """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
+        assert self.measured is not None
+        self.ticks.append((t, self.measured.leg, brake, rate))
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
@@ -62,6 +80,7 @@ class SwervePilot:
     """See :class:`wbmpc.ros2.pilot.Pilot`."""
 
     keeps = needs_imu = False
+    watches = "brakes"
     parameters = None
     fix: Callable[[], Fix | None] | None = None
 
@@ -89,9 +108,17 @@ class SwervePilot:
         s, brakes = self.settings, self.brakes
         commanded = brakes.commanded if brakes is not None else None
         gyro = s.use_gyro and self._has_imu
-        agent = BusAgent(self.robot, pose, self.period, commanded, lag=s.drive_lag, use_gyro=gyro)
+        agent = BusAgent(
+            self.robot, pose, self.period, commanded, lag=s.drive_lag, use_gyro=gyro, monitor=self._new_monitor()
+        )
         agent.fix = self.fix
         return agent
+
+    def _new_monitor(self) -> BrakeMonitor | None:
+        if self.brakes is None:
+            return None
+        names = [self.settings.bus_name(n) for n in self.brakes.legs]
+        return BrakeMonitor(names, limit=self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _preview(self, times: Array, pose: Array) -> Array:
         assert self._twists is not None
@@ -101,8 +128,23 @@ class SwervePilot:
 
     @property
     def faults(self) -> list[str]:
-        """Nobody watches its sensors."""
-        return []
+        """Brakes that do not answer, until their next command, or until they do after all."""
+        if self.brakes is None or self.agent.seen is None:
+            return []
+        return [str(fault) for fault in self.brakes.doubted(self.agent.seen[0].time)]
+
+    def inspect(self) -> None:
+        """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
+        monitor, ticks = self.agent.monitor, self.agent.ticks
+        if monitor is None or self.brakes is None:
+            return
+        while ticks:
+            tick = ticks.popleft()
+            if tick[0] - monitor.time < LOOK - 0.5 * self.period:
+                continue
+            for fault in monitor.update(*tick):
+                _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
+                self.brakes.accept(fault)
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

@@ -50,7 +50,8 @@ class Teller:
     def tell(self) -> None:
         """Publish what is due."""
         now = time.perf_counter()
-        said = self.controller.state, *self.controller.refused().values()
+        c = self.controller
+        said = c.state, *c.refused().values(), *c.pilot.faults
         if said != self._said and now - self._told > SOON:
             self._said, self._due["say"][0] = said, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
@@ -130,5 +131,5 @@ class Teller:
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
         found = c.pilot.faults
-        entries += [status(WARNING, f"{c.settings.node}: sensors", "; ".join(found), "", {})] if found else []
+        entries += [status(WARNING, f"{c.settings.node}: {c.pilot.watches}", "; ".join(found), "", {})] if found else []
         self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})

@@ -47,6 +47,7 @@ from wbmpc.solver.places import (
     ROW_SLOPE,
     SHIFT,
     SINGLE,
+    START_ANEW,
     STATE,
     TAU,
     THETA,
@@ -361,7 +362,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
     level, last_mu, bias = s[MU_END], s[MU_START], 0.0
     begin(m, o, x0, s)
     state, limit, hold = o[STATE], int(s[ITERATIONS]), m[o[STATE] + HOLD]
-    again = row_count(o) > 0 and (s[CERTIFY] > 0.0 or s[EXTRA] > 0.0) and s[SINGLE] == 0.0
+    again = row_count(o) > 0 and (s[CERTIFY] > 0.0 or (s[EXTRA] > 0.0 and s[START_ANEW] > 0.0)) and s[SINGLE] == 0.0
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)

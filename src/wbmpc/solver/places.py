@@ -75,10 +75,11 @@ SETTINGS = (
     "keep_slacks",
     "mu_floor",
     "equality_bound",
+    "start_anew",
 )
 (
     ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR, EQUALITY_BOUND,
+    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR, EQUALITY_BOUND, START_ANEW,
 ) = range(len(SETTINGS))  # fmt: skip
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}

@@ -160,7 +160,7 @@ class InterpretedSolver(InterpretedDirections):
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
-        again = self.has_rows and bool(c.certify or c.extra_when_cut) and not c.single_shooting
+        again = self.has_rows and bool(c.certify or (c.extra_when_cut and c.start_anew)) and not c.single_shooting
         run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
         while run.count < run.limit:
             self.shift = run.shift

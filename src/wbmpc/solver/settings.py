@@ -33,6 +33,9 @@ class InteriorPoint:
     it at ``mu`` and starts every solve from slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration
     per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many
     more iterations while the step is cut below 0.9 of the longest that is tried (docs/derivations.md, section 3).
+    ``start_anew=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
+    motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of the ball robot
+    began metres off, and a push of 120 N s felled it instead of 260.
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
     """
 
@@ -42,6 +45,7 @@ class InteriorPoint:
     least_slack: float | None = None
     tau: float = 0.995
     extra_when_cut: int = 10
+    start_anew: bool = True
     reset: bool = True
 
     def __post_init__(self) -> None:
@@ -72,6 +76,7 @@ class InteriorPoint:
             "tau": 0.99 if real_time else self.tau,
             "extra_when_cut": float(self.extra_when_cut if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
+            "start_anew": float(self.start_anew),
             "mu_floor": mu if real_time or self.mu is not None else min(LEAST_MU, mu),
         }
 
