@@ -32,6 +32,8 @@ from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
 _LOG = logging.getLogger("wbmpc")
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-9
+#: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
+_TICK_ENDS, _LOOP_ENDS = 0.5, 5.0
 
 
 class RobotInterface(Protocol):
@@ -99,8 +101,18 @@ class Runner:
     # ------------------------------------------------------------------ life
     def start(self) -> None:
         """Begin by the wall clock; returns when all threads run. The MPC's process is ready before time 0."""
+        self._check_new()
+        try:
+            self._launch()
+        except BaseException:
+            self.shutdown()
+            raise
+
+    def _check_new(self) -> None:
         if self.state != "not started":
             raise InputError(f"runner: can be started once; it is: {self.state}")
+
+    def _launch(self) -> None:
         if self.remote:
             self._start_process()
         loops = self._begin()
@@ -117,26 +129,36 @@ class Runner:
             thread.start()
 
     def run(self, seconds: float) -> Report:
-        """Run for ``seconds`` or until it has stopped, then shut down. In virtual time the stop's ticks go on to the end."""
-        if isinstance(self.clock, VirtualClock):
-            interleave(self.clock, self._begin(), seconds)
-        else:
-            self.start()
-            self._stopped.wait(seconds)
-        self.shutdown()
+        """Run for ``seconds`` or until it has stopped, then shut down, also after Ctrl-C. In virtual time the stop's ticks go on
+        to the end."""
+        self._check_new()
+        try:
+            if isinstance(self.clock, VirtualClock):
+                interleave(self.clock, self._begin(), seconds)
+            else:
+                self._launch()
+                self._stopped.wait(seconds)
+        finally:
+            self.shutdown()
         return self.report()
 
     def shutdown(self) -> None:
-        """End all loops; the robot is stopped a last time."""
+        """End all loops. The robot is stopped as soon as no tick runs; only then the MPC is waited for, which may hang."""
         self.orders["end"] = 1.0
         self._ended.set()
+        try:
+            for thread in self._threads[:1]:  # the controller's, which also stops the robot when it ends
+                if thread.is_alive():
+                    thread.join(min(self.settings.watchdog, _TICK_ENDS))
+        finally:
+            self._stop_robot()
         for thread in self._threads:
-            thread.join(5.0)
+            if thread.is_alive():
+                thread.join(_LOOP_ENDS)
         if self._process is not None:
-            self._process.join(5.0)
+            self._process.join(_LOOP_ENDS)
             if self._process.is_alive():
                 self._process.kill()
-        self._stop_robot()
         if not self._stopped.is_set():
             self.state = f"shut down after {self.clock.now():.1f} s"
 
@@ -188,7 +210,10 @@ class Runner:
     def _control_thread(self, loop: Loop) -> None:
         if self.settings.priority:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.settings.priority))
-        follow(self.clock, loop)
+        try:
+            follow(self.clock, loop)
+        finally:
+            self._stop_robot()  # whatever becomes of the thread that shuts down
 
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
@@ -196,6 +221,8 @@ class Runner:
         while not self.orders["end"]:
             due = self.ticker.due
             yield due
+            if self.orders["end"]:
+                break
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
@@ -233,7 +260,7 @@ class Runner:
         before = self._cuts()
         command = self.agent.command(due, self.plans)
         self._check_command(command)
-        if self._stopped.is_set():  # by the watchdog, while this tick hung
+        if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
             return
         over(now())
         self.robot.write(command)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import wait
@@ -194,6 +195,7 @@ def serve(
 ) -> None:
     """A worker in a process of its own, by the wall clock, as long as the process that started it is there."""
     end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the parent, which ends this process
     clock = WallClock()
     try:
         if setup is not None:
