@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,19 @@ def test_the_robot_is_stopped_before_the_mpc_has_ended() -> None:
     runner.shutdown()
     assert inputs == [0.0] == [robot.u]
     assert not any(thread.is_alive() for thread in runner._threads)
+
+
+def test_a_priority_that_is_not_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: int, *ignored: object) -> None:
+        assert thread == runner._threads[0].native_id
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    clock = WallClock()
+    runner = Runner(ToyRobot(clock), ToyAgent(PERIOD), make_mpc(), replace(PATIENT, priority=50), clock)
+    with pytest.raises(InputError, match=r"priority 50 is not to be had \(Operation not permitted\)"):
+        runner.start()
+    assert not any(thread.is_alive() for thread in runner._threads) and runner.robot.stops > 0
 
 
 def test_a_runner_runs_once_in_virtual_time_too() -> None:
