@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from numbers import Integral
 
 import numpy as np
 
@@ -111,7 +110,11 @@ class MPC:
     ) -> None:
         if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
-        if isinstance(first_iterations, bool) or not isinstance(first_iterations, Integral) or first_iterations < 1:
+        if (
+            isinstance(first_iterations, bool)
+            or not isinstance(first_iterations, (int, np.integer))
+            or first_iterations < 1
+        ):
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
