@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,6 +40,27 @@ def test_first_policy_is_the_iterated_solution() -> None:
     np.testing.assert_allclose(policy.times, 3.0 + found.times)
     np.testing.assert_allclose(policy.x[0], START, atol=1e-9)
     assert mpc.period == pytest.approx(0.02)
+
+
+def test_iterations_of_the_first_plan_are_those_of_all_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    mpc, counts = make(first_iterations=4), []
+    run = mpc.solver.run
+
+    def counted(*given: Any) -> tuple[int, int]:
+        counts.append(run(*given)[1])
+        return 0, counts[-1]
+
+    monkeypatch.setattr(mpc.solver, "run", counted)
+    mpc.update(Observation(0.0, START))
+    assert counts == [1] * 4 and mpc.figures["iterations"] == 4
+    mpc.update(Observation(0.02, START))
+    assert counts == [1] * 5 and mpc.figures["iterations"] == 1
+
+
+@pytest.mark.parametrize("senseless", [0, -3, 2.5, np.nan, "many", True])
+def test_first_iterations_are_checked(senseless: Any) -> None:
+    with pytest.raises(InputError, match=r"mpc\.first_iterations: must be a whole number from 1 on, got"):
+        make(first_iterations=senseless)
 
 
 def test_closed_loop_reaches_its_goal() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from realtime_toys import (
 )
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc import MPC, Observation, Plans, RealTime, Runner, VirtualClock, WallClock
+from wbmpc.mpc.clock import follow
 from wbmpc.mpc.figures import Spread
 from wbmpc.mpc.safety import Latency, not_finite
 
@@ -287,6 +290,11 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
         "0.500 s: command.u is not made of numbers, got 'fast'",
         False,
     ),
+    "the agent ends the interpreter": (
+        lambda r: late_command(r, sys.exit),
+        "0.500 s: the controller raised SystemExit: ",
+        False,
+    ),
     "another kind of command": (
         lambda r: late_command(r, lambda: np.zeros(1)),
         "0.500 s: command is of type ndarray, the first one was a Force",
@@ -320,6 +328,46 @@ def test_an_exception_of_the_mpc_is_a_safe_stop() -> None:
     runner = virtual(mpc=FaultyMPC(lambda n: raises("bad table")() if n == 10 else None))
     check_stopped(runner, r"0.182 s: the MPC raised RuntimeError: bad table")  # the tick after 9 · 0.02 + the offset
     assert isinstance(runner.error, RuntimeError)
+
+
+def test_an_mpc_that_ends_the_interpreter_is_a_safe_stop() -> None:
+    runner = virtual(mpc=FaultyMPC(lambda n: sys.exit(3) if n == 10 else None))
+    check_stopped(runner, r"0.182 s: the MPC raised SystemExit: 3")
+
+
+def test_threads_that_die_are_told() -> None:
+    """Whatever is raised outside a tick or a solve, here by the clock."""
+
+    class Broken(VirtualClock):
+        def wait(self, until: float) -> None:
+            raise KeyboardInterrupt("no time")
+
+    runner = virtual()
+    control, worker = runner._begin()
+    runner._mpc_thread(Broken(), worker)
+    assert runner.board["failed"] and runner.board.text == "KeyboardInterrupt: no time"
+    runner._control_thread(partial(follow, Broken(), control))
+    assert runner.state == "stopped at 0.000 s: the controller raised KeyboardInterrupt: no time"
+    assert runner.robot.stops == 1
+
+
+def test_the_watchdog_waits_for_the_next_tick_only_from_when_it_is_due() -> None:
+    """By hand: period 0.2 s, limit 0.09 s; the tick due at 0.2 s never begins, which the 17th look, one every 0.018 s, sees."""
+    runner = virtual(control_rate=5.0, watchdog=0.09)
+    control = runner._begin()[0]
+    next(control)
+    next(control)
+    looks: list[bool] = []
+
+    def look(after: float) -> bool:
+        runner.clock.wait(runner.clock.now() + after)
+        looks.append(runner.stopped)
+        return len(looks) > 17
+
+    runner._ended.wait = look  # type: ignore[method-assign, assignment]
+    runner._watch()
+    assert looks == [False] * 17 + [True]
+    assert re.fullmatch(r"stopped at 0\.306 s: a tick .* not ended for 0\.106 s, the limit is 0\.09 s", runner.state)
 
 
 def test_an_mpc_that_always_fails_leaves_its_policy_for_the_horizon() -> None:
@@ -376,13 +424,28 @@ def test_what_is_not_finite_is_named() -> None:
 
 
 def test_settings_are_checked() -> None:
-    for given, message in (
-        ({"control_rate": 0.0}, "control_rate must be positive"),
-        ({"max_policy_age": -1.0}, "max_policy_age must be positive"),
-        ({"percentile": 0.0}, "percentile must be above 0"),
-    ):
-        with pytest.raises(InputError, match=message):
-            RealTime(**given)  # type: ignore[arg-type]
+    inf, nan = np.inf, np.nan
+    senseless: dict[str, tuple[Any, ...]] = {
+        "control_rate": (0.0, inf, nan, "a", None),
+        "max_policy_age": (-1.0, nan, "b"),
+        "max_observation_age": (0.0, nan),
+        "patience": (0.0, inf),
+        "watchdog": (inf, nan, -1.0, True),
+        "percentile": (0.0, 101.0, nan),
+        "window": (0, 2.5, nan, inf, True),
+        "margin": (nan, -1.0, inf),
+        "max_latency": (inf, nan, 0.0),
+        "offset": (nan, 1e9, -1e-3, 10.0),
+        "records": (0, 1.5, 1e9),
+        "priority": (200, -1, 1.5, "high"),
+        "keep": ("no", 1),
+    }
+    assert set(senseless) == {f.name for f in fields(RealTime)}
+    for name, values in senseless.items():
+        for value in values:
+            with pytest.raises(InputError, match=f"^real time: {name} must be .*, got {value!r}$"):
+                RealTime(**{name: value})
+    RealTime(control_rate=np.float64(5), window=np.int64(1), offset=0, margin=0, priority=99, records=1)
     with pytest.raises(InputError, match="needs 'sizes' and the wall clock"):
         Runner(ToyRobot(WallClock()), ToyAgent(PERIOD), make_mpc)
 

@@ -94,7 +94,8 @@ class Statistics:
 class MPC:
     """One problem solved again and again from the shifted last solution.
 
-    ``rate`` [Hz] is checked by the loop. ``first_iterations``: iterations of the first solve. ``guess``: see
+    ``rate`` [Hz] is checked by the loop. ``first_iterations``: calls of the solver for the first plan,
+    each with the iterations that ``solver`` has (of :meth:`SQP.real_time` one, or as many as it is given). ``guess``: see
     :data:`Guess`. A solve that fails keeps the last policy and starts the next one from its plan.
     """
 
@@ -109,6 +110,12 @@ class MPC:
     ) -> None:
         if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
+        if (
+            isinstance(first_iterations, bool)
+            or not isinstance(first_iterations, (int, np.integer))
+            or first_iterations < 1
+        ):
+            raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
         self.solver = Solver(ocp, settings)
@@ -124,6 +131,7 @@ class MPC:
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
+        self._iterations = 0  # of all calls of the solver for the last plan
         self._broken = 0  # passes in a row that ended with numbers that are not finite
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
@@ -220,14 +228,14 @@ class MPC:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Of the last pass: iterations, cost, constraint violation, optimality, solve time [s]; where the grid follows
+        """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
         events, how many found no node."""
         count = self._outcome[1]
         row = self.solver.log[max(count, 1) - 1]
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
         if self.ocp.align_events:
             found["events_without_node"] = float(self.events_without_node)
-        return {"solve_time": self.solve_time, "iterations": float(count), **found}
+        return {"solve_time": self.solve_time, "iterations": float(self._iterations), **found}
 
     def advance(self, observation: Observation) -> bool:
         """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
@@ -242,9 +250,10 @@ class MPC:
         start = time.perf_counter()
         written = self.guess is not None and self.guess(self.solver, observation.t, x0)
         passes = self._first if self._t is None else self._again if written else 1
-        status, count, elapsed = 0, 0, 0.0
+        status, count, elapsed, self._iterations = 0, 0, 0.0, 0
         for k in range(passes):
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
+            self._iterations += count
         elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)

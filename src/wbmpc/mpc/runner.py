@@ -32,6 +32,8 @@ from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
 _LOG = logging.getLogger("wbmpc")
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-9
+#: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
+_TICK_ENDS, _LOOP_ENDS = 0.5, 5.0
 
 
 class RobotInterface(Protocol):
@@ -86,7 +88,7 @@ class Runner:
         self.state, self.error = "not started", None  # type: str, BaseException | None
         self._no_parameters = np.zeros(size.parameters)
         self._stopped, self._ended = threading.Event(), threading.Event()
-        self._stop_error: Exception | None = None
+        self._stop_error: BaseException | None = None
         self._halt_lock = threading.Lock()
         self._answered, self._until, self._beat = 0, 0.0, 0.0
         #: why the last policy is kept beyond its time; empty when it is not
@@ -99,44 +101,77 @@ class Runner:
     # ------------------------------------------------------------------ life
     def start(self) -> None:
         """Begin by the wall clock; returns when all threads run. The MPC's process is ready before time 0."""
+        self._check_new()
+        try:
+            self._launch()
+        except BaseException:
+            self.shutdown()
+            raise
+
+    def _check_new(self) -> None:
         if self.state != "not started":
             raise InputError(f"runner: can be started once; it is: {self.state}")
+
+    def _launch(self) -> None:
         if self.remote:
             self._start_process()
         loops = self._begin()
-        runs = [partial(self._control_thread, loops[0])]
+        runs: list[Callable[[], None]] = [partial(follow, self.clock, loops[0])]
         if len(loops) > 1:  # of the two only the controller's waits end with a spin: it keeps the interpreter
             clock = WallClock(self.clock.origin, spin=0.0) if isinstance(self.clock, WallClock) else self.clock
-            runs.append(partial(follow, clock, loops[1]))
+            runs.append(partial(self._mpc_thread, clock, loops[1]))
         if getattr(self.clock, "in_turns", False):  # one thread: nothing depends on the machine's speed
             runs = [partial(interleave, self.clock, loops, math.inf)]
+        runs[0] = partial(self._control_thread, runs[0])
         self._threads = [threading.Thread(target=run, daemon=True) for run in runs]
         if not getattr(self.clock, "in_turns", False):  # there a tick may wait for a solve
             self._threads.append(threading.Thread(target=self._watch, daemon=True))
         for thread in self._threads:
             thread.start()
+        if self.settings.priority:
+            self._set_priority(self._threads[0])
+
+    def _set_priority(self, thread: threading.Thread) -> None:
+        level = self.settings.priority
+        try:
+            os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(level))
+        except OSError as error:
+            raise InputError(
+                f"real time: priority {level} is not to be had ({error.strerror}): it needs the right to it"
+                " (CAP_SYS_NICE, or rtprio in limits.conf); 0 needs none"
+            ) from error
 
     def run(self, seconds: float) -> Report:
-        """Run for ``seconds`` or until it has stopped, then shut down. In virtual time the stop's ticks go on to the end."""
-        if isinstance(self.clock, VirtualClock):
-            interleave(self.clock, self._begin(), seconds)
-        else:
-            self.start()
-            self._stopped.wait(seconds)
-        self.shutdown()
+        """Run for ``seconds`` or until it has stopped, then shut down, also after Ctrl-C. In virtual time the stop's ticks go on
+        to the end."""
+        self._check_new()
+        try:
+            if isinstance(self.clock, VirtualClock):
+                interleave(self.clock, self._begin(), seconds)
+            else:
+                self._launch()
+                self._stopped.wait(seconds)
+        finally:
+            self.shutdown()
         return self.report()
 
     def shutdown(self) -> None:
-        """End all loops; the robot is stopped a last time."""
+        """End all loops. The robot is stopped as soon as no tick runs; only then the MPC is waited for, which may hang."""
         self.orders["end"] = 1.0
         self._ended.set()
+        try:
+            for thread in self._threads[:1]:  # the controller's, which also stops the robot when it ends
+                if thread.is_alive():
+                    thread.join(min(self.settings.watchdog, _TICK_ENDS))
+        finally:
+            self._stop_robot()
         for thread in self._threads:
-            thread.join(5.0)
+            if thread.is_alive():
+                thread.join(_LOOP_ENDS)
         if self._process is not None:
-            self._process.join(5.0)
+            self._process.join(_LOOP_ENDS)
             if self._process.is_alive():
                 self._process.kill()
-        self._stop_robot()
         if not self._stopped.is_set():
             self.state = f"shut down after {self.clock.now():.1f} s"
 
@@ -159,7 +194,7 @@ class Runner:
 
     def _begin(self) -> list[Loop]:
         self.clock.restart()
-        self.state = "standing by for the first policy"
+        self.state, self._beat = "standing by for the first policy", self.clock.now()
         self.orders["origin"] = getattr(self.clock, "origin", 0.0)
         self.orders["begin"] = 1.0
         if self.remote:
@@ -185,10 +220,20 @@ class Runner:
             raise InputError(f"runner: the MPC's process did not come up: {self.board.text or ended}")
 
     # ------------------------------------------------------------------ control
-    def _control_thread(self, loop: Loop) -> None:
-        if self.settings.priority:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.settings.priority))
-        follow(self.clock, loop)
+    def _control_thread(self, run: Callable[[], None]) -> None:
+        try:
+            run()
+        except BaseException as error:  # also what means to end an interpreter: here it would end a thread, unnoticed
+            self._raised(error)
+        finally:
+            self._stop_robot()  # whatever becomes of the thread that shuts down
+
+    def _mpc_thread(self, clock: Clock, loop: Loop) -> None:
+        assert self._worker is not None
+        try:
+            follow(clock, loop)
+        except BaseException as error:
+            self._worker.fail(error)
 
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
@@ -196,6 +241,8 @@ class Runner:
         while not self.orders["end"]:
             due = self.ticker.due
             yield due
+            if self.orders["end"]:
+                break
             start = clock.now()
             own.sample("jitter", start - due)
             self._beat = start
@@ -205,14 +252,15 @@ class Runner:
                     self._tick(due)
                 except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
-                except Exception as error:
-                    self.halt(f"the controller raised {type(error).__name__}: {error}", error)
+                except (Exception, SystemExit) as error:
+                    self._raised(error)
             if self._stopped.is_set():
                 self._stop_robot()
             end = clock.now()
             own.sample("tick", end - start)
             own.count("ticks")
             own.count("misses", self.ticker.over(end))
+            self._beat = self.ticker.due  # until then no tick has to run
         sys.setswitchinterval(usual)  # the clock may have changed it
 
     def _tick(self, due: float) -> None:
@@ -233,7 +281,7 @@ class Runner:
         before = self._cuts()
         command = self.agent.command(due, self.plans)
         self._check_command(command)
-        if self._stopped.is_set():  # by the watchdog, while this tick hung
+        if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
             return
         over(now())
         self.robot.write(command)
@@ -254,7 +302,7 @@ class Runner:
         assert self.watch is not None
         try:
             self.watch(due, self._beat - due, self.plans)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self.watch = None
             _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
 
@@ -350,10 +398,13 @@ class Runner:
             self._stopped.set()
         _LOG.error("%s", self.state, exc_info=self.error)
 
+    def _raised(self, error: BaseException) -> None:
+        self.halt(f"the controller raised {type(error).__name__}: {error}", error)
+
     def _stop_robot(self) -> None:
         try:
             self.robot.stop()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if self._stop_error is not None:
                 return
             self._stop_error = error
@@ -366,8 +417,7 @@ class Runner:
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""
-        limit, looked, worst = self.settings.watchdog, self.clock.now(), 0.0
-        self._beat = beat = looked
+        limit, looked, worst, beat = self.settings.watchdog, self.clock.now(), 0.0, self._beat
         while not self._ended.wait(0.2 * limit):
             now = self.clock.now()
             worst = max(worst, now - looked) if self._beat == beat else now - looked

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
 from wbmpc.errors import InputError, RunAborted
+
+#: Greatest time [s] and rate [Hz] that make sense.
+_MOST = 1e6
 
 
 class SafeStop(RunAborted):
@@ -44,13 +49,29 @@ class RealTime:
     keep: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("control_rate", "max_observation_age", "patience", "watchdog", "max_latency", "window", "records"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"real time: {name} must be positive, got {getattr(self, name)}")
-        if self.max_policy_age is not None and not self.max_policy_age > 0.0:
-            raise InputError(f"real time: max_policy_age must be positive, got {self.max_policy_age}")
-        if not 0.0 < self.percentile <= 100.0:
-            raise InputError(f"real time: percentile must be above 0 and at most 100, got {self.percentile}")
+        above = "a number above 0 and at most 1e6"
+        positive = lambda v: 0.0 < v <= _MOST
+        for name in ("control_rate", "max_observation_age", "patience", "watchdog", "max_latency"):
+            self._check(name, Real, positive, above)
+        if self.max_policy_age is not None:
+            self._check("max_policy_age", Real, positive, f"{above}, or left out")
+        self._check("percentile", Real, lambda v: 0.0 < v <= 100.0, "a number above 0 and at most 100")
+        self._check("margin", Real, lambda v: 0.0 <= v <= _MOST, "a number from 0 to 1e6")
+        for name in ("window", "records"):
+            self._check(name, Integral, lambda v: 1 <= v <= 100 * _MOST, "a whole number from 1 to 1e8")
+        self._check("priority", Integral, lambda v: 0 <= v <= 99, "a whole number from 0 (none) to 99")
+        if self.offset is not None:  # an MPC that begins after that is of no use
+            self._check(
+                "offset", Real, lambda v: 0.0 <= v < self.patience, "a number from 0 to below patience, or left out"
+            )
+        if not isinstance(self.keep, bool):
+            raise InputError(f"real time: keep must be True or False, got {self.keep!r}")
+
+    def _check(self, name: str, kind: type, allowed: Callable[[Any], bool], valid: str) -> None:
+        """Raise :class:`InputError` unless the field is such a number; neither nan nor a truth value is one."""
+        value = getattr(self, name)
+        if isinstance(value, bool) or not isinstance(value, kind) or not allowed(value):
+            raise InputError(f"real time: {name} must be {valid}, got {value!r}")
 
     @property
     def period(self) -> float:

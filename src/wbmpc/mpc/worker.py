@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import wait
@@ -54,7 +55,7 @@ class Worker:
         self.board, self.orders, self.clock = board, orders, clock
         self.ticker = Ticker(mpc.period, offset)
         self._message: Message | None = None
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         self._answered, self._ready = 0, 0.0
         ws = mpc.solver.ws
         self._start = ws.x.copy(), ws.u.copy()
@@ -76,13 +77,17 @@ class Worker:
                         self._count_passed()
                         self._count_apart()
                     board.sample("update_time", clock.now() - start)
-            except Exception as error:
-                self.error = error
-                report(board, error)
+            except (Exception, SystemExit) as error:
+                self.fail(error)
                 return
             missed = self.ticker.over(clock.now())
             if missed and board["updates"] > 1:  # the first solve iterates to convergence
                 board.count("misses", missed)
+
+    def fail(self, error: BaseException) -> None:
+        """Say that this worker has ended, and why."""
+        self.error = error
+        report(self.board, error)
 
     def _look(self) -> bool:
         """Take the newest observation; whether there has been one."""
@@ -154,7 +159,7 @@ class Worker:
             board["worst_apart"] = max(board["worst_apart"], apart)
 
 
-def report(board: Board, error: Exception) -> None:
+def report(board: Board, error: BaseException) -> None:
     """Put on the board that and why the worker has ended."""
     board.text = f"{type(error).__name__}: {error}"
     board["failed"] = 1.0
@@ -194,12 +199,13 @@ def serve(
 ) -> None:
     """A worker in a process of its own, by the wall clock, as long as the process that started it is there."""
     end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the parent, which ends this process
     clock = WallClock()
     try:
         if setup is not None:
             setup()
         worker = Worker(make(), observations, policies, board, orders, clock, offset)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         report(board, error)
         raise
     board["ready"] = 1.0

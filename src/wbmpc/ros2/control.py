@@ -479,7 +479,7 @@ class ControlNode:
 def _priority() -> int:
     """Of the control thread: before all others of a process that is in the kernel's real-time class itself."""
     real_time = os.sched_getscheduler(0) == os.SCHED_FIFO
-    return os.sched_getparam(0).sched_priority + 2 if real_time else 0
+    return min(os.sched_getparam(0).sched_priority + 2, 99) if real_time else 0
 
 
 def _ms(seconds_: float) -> str:
