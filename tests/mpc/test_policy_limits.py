@@ -11,11 +11,13 @@ import pytest
 
 from realtime_toys import Force, Measured, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
+from wbmpc.errors import InputError
 from wbmpc.mpc import MPC, Mailbox, Observation, Plans, RealTime, Runner, Sizes, VirtualClock
 from wbmpc.mpc.buffer import TimedPolicy
 from wbmpc.mpc.policy import InputLimits
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint
 
 PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
 #: From here the plan is far from its bounds: at them the gains of these inputs are nearly zero.
@@ -270,3 +272,42 @@ def test_a_row_at_its_limit_leaves_a_pole_its_balance() -> None:
         x, t = mpc.solver.simulate(x, u, 0.005), t + 0.005
     assert policy.limits is not None and policy.limits.count > 50
     assert abs(x[1]) < 1e-3
+
+
+def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
+    """Twice as fine as the problem's: the policy and which rows count in which mode, as typed in above."""
+    mpc = MPC(planes(), SLQ.real_time(step=0.025, backend="interpreted"), first_iterations=1)
+    mpc.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
+    mpc.reset(START)
+    policy = mpc.update(Observation(0.0, START))
+    assert policy.active is not None and policy.active.shape == (40, 3) == (
+        len(policy.u),
+        Sizes.of(mpc.solver.ocp).rows,
+    )
+    np.testing.assert_array_equal(policy.active.sum(axis=1), [1.0] * 20 + [3.0] * 20)
+    for t in (0.0, 0.7):
+        assert slacks(policy(t, policy.state(t) + [-2.0, -8.0]), t > 0.5).min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    "settings", [SQP(), ILQR(), SQP(certify=False), SQP(interior_point=InteriorPoint("real_time"))]
+)
+def test_settings_under_which_missed_limits_are_not_told_are_refused(settings: SQP) -> None:
+    with pytest.raises(InputError, match=r"valid: (SQP|ILQR)\.real_time"):
+        MPC(trolley(), settings)
+
+
+def test_terms_that_come_too_late_are_refused_by_name(mpc: MPC) -> None:
+    solver, late = mpc.solver, Constraint("late", Rows(1, lambda s: s.u[1]), Box(-0.1, 0.1), hard=True)
+    solver.ocp.add(late)
+    with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):
+        solver.solve(START)
+    with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):
+        mpc.update(Observation(100.0, START))
+    del solver.ocp.terms["late"]
+    before = solver.ocp.terms["bounds"]
+    solver.ocp.terms["bounds"] = late
+    with pytest.raises(InputError, match="term 'late'"):
+        solver.run(START)
+    solver.ocp.terms["bounds"] = before
+    solver.run(START)
