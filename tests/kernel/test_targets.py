@@ -70,7 +70,7 @@ def test_a_target_that_llvm_does_not_know_is_refused(target: str, monkeypatch: p
     machine.target.cache_clear()
     monkeypatch.setenv("WBMPC_TARGET", target)
     try:
-        with pytest.raises(InputError, match="WBMPC_TARGET: '.*' is no target of this machine"):
+        with pytest.raises(InputError, match=r"WBMPC_TARGET: '.*' is no target of this machine"):
             machine.compile_module("")
     finally:
         machine.target.cache_clear()

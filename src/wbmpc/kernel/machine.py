@@ -83,8 +83,8 @@ def _check(name: str, features: str) -> None:
     said = next((line for line in done.stderr.splitlines() if "not a recognized" in line), "")
     if done.returncode or said:
         raise InputError(
-            f"WBMPC_TARGET: '{name}:{features}' is no target of this machine ({said or 'LLVM refuses it'}); valid: a processor, such as"
-            " x86-64-v3 or cortex-a76, and after a colon features such as +avx2,+fma"
+            f"WBMPC_TARGET: '{name}:{features}' is no target of this machine ({said or 'LLVM refuses it'}); valid: a processor such"
+            " as x86-64-v3 or cortex-a76, and after a colon features such as +avx2,+fma"
         )
 
 

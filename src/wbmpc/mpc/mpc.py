@@ -95,8 +95,9 @@ class Statistics:
 class MPC:
     """One problem solved again and again from the shifted last solution.
 
-    ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is checked by the loop. ``first_iterations``: iterations of the first solve. ``guess``: see
-    :data:`Guess`. A solve that fails keeps the last policy and starts the next one from its plan.
+    ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
+    checked by the loop. ``first_iterations``: iterations of the first solve. ``guess``: see :data:`Guess`. A solve that fails keeps
+    the last policy and starts the next one from its plan.
     """
 
     def __init__(
@@ -344,8 +345,8 @@ def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
     if untold or (settings.certify and (limits or ocp.equalities)):
         name = type(settings).__name__
         raise InputError(
-            f"mpc: {name}(certify={settings.certify}, interior point '{settings.interior_point.mode}') does not say in every plan by"
-            f" how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
+            f"mpc: {name}(certify={settings.certify}, interior point '{settings.interior_point.mode}') does not say in every plan"
+            f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
         )
 
 

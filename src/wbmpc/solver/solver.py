@@ -239,8 +239,8 @@ class Solver:
         kept = set(map(id, built)) & set(map(id, now))
         changed = next((t.name for t in (*now, *built) if id(t) not in kept), built[0].name)
         raise InputError(
-            f"term '{changed}': added, replaced or removed after the solver was made, which knows nothing of it; valid: a new Solver"
-            " or MPC"
+            f"term '{changed}': added, replaced or removed after the solver was made, which knows nothing of it; valid: a new"
+            " Solver or MPC"
         )
 
     def _bind(self) -> None:

@@ -19,8 +19,8 @@ from wbmpc.solver.solution import COLUMNS, Solution, Status
 if TYPE_CHECKING:
     from wbmpc.solver.solver import Solver
 
-#: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed; and as a share of its
-#: range, where that is less.
+#: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed; and as a share of
+#: its range, where that is less.
 RELAXED, RELAXED_SHARE = 1e-5, 1e-3
 #: An equality that is curved in the inputs and missed by less is on its way, not infeasible.
 NEARLY = 1e-2
