@@ -193,6 +193,26 @@ def test_what_cannot_be_told_apart_is_refused(system: Equations, measured: list[
         OffsetObserver(system, "d", np.zeros(2), np.zeros(1), measured=measured, noise=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("y", "u", "h", "message"),
+    [
+        (0.5, 0.0, H, r"measurement needs 2 numbers \(x.place, x.speed\), got shape \(1,\)"),
+        ([[0.5, 0.5]], 0.0, H, "measurement needs 2 numbers"),
+        ([0.0, 0.0], [0.0, 0.0], H, "input needs 1 numbers"),
+        ([0.0, 0.0], 0.0, -1.0, "at least 0 s, got -1"),
+        ([0.0, 0.0], 0.0, np.nan, "must be finite"),
+        ([0.0, np.nan], 0.0, H, "must be finite"),
+    ],
+)
+def test_what_is_no_measurement_changes_nothing(y: object, u: object, h: float, message: str) -> None:
+    observer = OffsetObserver(mass_point(), "d", [0, 0], [0], noise=1e-3)
+    before = observer.mean.copy(), observer.covariance.copy()
+    with pytest.raises(InputError, match=message):
+        observer.update(y, u, h)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(observer.mean, before[0])
+    np.testing.assert_array_equal(observer.covariance, before[1])
+
+
 def test_drift_of_a_swerve_base() -> None:
     """Its joints say nothing of it; poses do: a slope that is driven over with noise of 1 mm and 1 mrad."""
     model = robot("swerve-ur10")

@@ -61,6 +61,21 @@ def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.M
         machine.target.cache_clear()
 
 
+@pytest.mark.parametrize("target", ["nonsense:", "x86-64-v3:+nonsense"])
+def test_a_target_that_llvm_does_not_know_is_refused(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM ignores some and ends the process for others."""
+    from wbmpc.errors import InputError
+    from wbmpc.kernel import machine
+
+    machine.target.cache_clear()
+    monkeypatch.setenv("WBMPC_TARGET", target)
+    try:
+        with pytest.raises(InputError, match=r"WBMPC_TARGET: '.*' is no target of this machine"):
+            machine.compile_module("")
+    finally:
+        machine.target.cache_clear()
+
+
 def assembly(ir: str, triple: str, cpu: str) -> str:
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()

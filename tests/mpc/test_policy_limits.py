@@ -11,11 +11,13 @@ import pytest
 
 from realtime_toys import Force, Measured, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
+from wbmpc.errors import InputError
 from wbmpc.mpc import MPC, Mailbox, Observation, Plans, RealTime, Runner, Sizes, VirtualClock
 from wbmpc.mpc.buffer import TimedPolicy
 from wbmpc.mpc.policy import InputLimits
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint
 
 PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
 #: From here the plan is far from its bounds: at them the gains of these inputs are nearly zero.
@@ -239,3 +241,73 @@ def test_a_plan_at_its_row_gives_nothing_and_one_beyond_is_not_made_worse() -> N
         np.testing.assert_array_equal(limits.hold(inside.copy(), np.array(planned)), inside)
     np.testing.assert_allclose(limits.hold(np.array([2.0, 0.0]), np.zeros(2)), [1.0, 0.0])
     assert limits.count == 3
+
+
+def test_a_row_takes_feedback_from_the_inputs_that_it_couples_alone() -> None:
+    """Rows u0 + u1 ≤ 1 and u1 + u2 ≤ 1 couple three inputs; u3 has a row of its own, u4 none. Truth: by hand."""
+    rows = -np.array([[1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0]])
+    limits = InputLimits(np.full(5, -9.0), np.full(5, 9.0), rows, np.ones(3))
+    np.testing.assert_allclose(limits.hold(np.array([4.0, 0.0, 0.4, 0.3, 7.0]), np.zeros(5)), [1.0, 0.0, 0.1, 0.3, 7.0])
+    np.testing.assert_allclose(limits.hold(np.array([0.4, 0.0, 0.4, 2.0, 7.0]), np.zeros(5)), [0.4, 0.0, 0.4, 0.5, 7.0])
+
+
+def test_inputs_of_a_plan_beyond_its_bounds_are_cut_after_the_rows() -> None:
+    limits = InputLimits(np.full(2, -1.0), np.full(2, 1.0), np.array([[-1.0, -1.0]]), np.zeros(1))
+    np.testing.assert_array_equal(limits.hold(np.array([3.0, 3.0]), np.array([1.7, -1.7])), [1.0, -1.0])
+
+
+def test_a_row_at_its_limit_leaves_a_pole_its_balance() -> None:
+    """A base whose two drives are at the sum's limit, a pole on an input of its own, pushed: it comes back under feedback alone."""
+    system = ToyDynamics(3, 3, lambda x, u, w, m: ca.vertcat(u[0] + u[1], x[2], 16.0 * x[1] + u[2]))
+    ocp = OptimalControlProblem(system, 2.0, 50)
+    ocp.add(Cost("error", Rows(3, lambda s: s.x - np.array([5.0, 0.0, 0.0])), [10.0, 10.0, 1.0], at="all"))
+    ocp.add(Cost("effort", Rows(3, lambda s: s.u), 0.01))
+    ocp.add(Constraint("sum", Rows(1, lambda s: s.u[0] + s.u[1]), Box(-1.0, 1.0), hard=True))
+    mpc = MPC(ocp, rate=50.0)
+    policy = mpc.update(Observation(0.0, np.zeros(3)))
+    x, t = np.array([-0.3, 0.0, 0.1]), 0.0
+    for _ in range(200):
+        u = policy(t, x)
+        assert u[0] + u[1] <= 1.0 + 1e-6
+        x, t = mpc.solver.simulate(x, u, 0.005), t + 0.005
+    assert policy.limits is not None and policy.limits.count > 50
+    assert abs(x[1]) < 1e-3
+
+
+def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
+    """Twice as fine as the problem's: the policy and which rows count in which mode, as typed in above."""
+    mpc = MPC(planes(), SLQ.real_time(step=0.025, backend="interpreted"), first_iterations=1)
+    mpc.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
+    mpc.reset(START)
+    policy = mpc.update(Observation(0.0, START))
+    assert policy.active is not None and policy.active.shape == (40, 3) == (
+        len(policy.u),
+        Sizes.of(mpc.solver.ocp).rows,
+    )
+    np.testing.assert_array_equal(policy.active.sum(axis=1), [1.0] * 20 + [3.0] * 20)
+    for t in (0.0, 0.7):
+        assert slacks(policy(t, policy.state(t) + [-2.0, -8.0]), t > 0.5).min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    "settings", [SQP(), ILQR(), SQP(certify=False), SQP(interior_point=InteriorPoint("real_time"))]
+)
+def test_settings_under_which_missed_limits_are_not_told_are_refused(settings: SQP) -> None:
+    with pytest.raises(InputError, match=r"valid: (SQP|ILQR)\.real_time"):
+        MPC(trolley(), settings)
+
+
+def test_terms_that_come_too_late_are_refused_by_name(mpc: MPC) -> None:
+    solver, late = mpc.solver, Constraint("late", Rows(1, lambda s: s.u[1]), Box(-0.1, 0.1), hard=True)
+    solver.ocp.add(late)
+    with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):
+        solver.solve(START)
+    with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):
+        mpc.update(Observation(100.0, START))
+    del solver.ocp.terms["late"]
+    before = solver.ocp.terms["bounds"]
+    solver.ocp.terms["bounds"] = late
+    with pytest.raises(InputError, match="term 'late'"):
+        solver.run(START)
+    solver.ocp.terms["bounds"] = before
+    solver.run(START)

@@ -321,6 +321,8 @@ def test_bad_settings() -> None:
         (lambda: SLQ(step=0.0), "step must be positive"),
         (lambda: ILQR(iterations=0), "ILQR: iterations"),
         (lambda: SQP(tolerance=0.0), "tolerance"),
+        (lambda: SQP(tolerance=np.inf), "tolerance must be positive and finite"),
+        (lambda: InteriorPoint(mu=np.inf), "mu must be positive and finite"),
     ):
         with pytest.raises(InputError, match=message):
             make()
@@ -353,3 +355,26 @@ def test_the_log_has_a_row_for_every_iteration() -> None:
     rng = np.random.default_rng(0)
     counts = [solver.run(rng.normal(size=4) * rng.choice([0.3, 1.0, 3.0]), 0.0)[1] for _ in range(50)]
     assert max(counts) == len(solver.log)
+
+
+def test_a_limit_of_a_few_micrometres_that_gives_way_is_told() -> None:
+    """A box of ±3 µm, entered at 9 µm/s with a drive of 3 µm/s²: whatever it does, it stops 13.5 µm further."""
+    unit = 3e-6
+    ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 2.0, 20)
+    ocp.add(Cost("state", Rows(2, lambda s: s.x / unit), at="all"))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u / unit), 0.1))
+    ocp.add(Constraint("place", Rows(1, lambda s: s.x[:1]), sets.Box(-unit, unit), hard=True, at="all"))
+    ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-unit, unit), hard=True))
+    found = Solver(ocp).solve(np.array([0.0, 3.0 * unit]))
+    assert found.violations["place"].value > unit
+    assert found.status is Status.RELAXED and "place" in found.detail
+
+
+@pytest.mark.parametrize("at", ["path", "all"])
+def test_a_constraint_without_rows_changes_nothing(at: str) -> None:
+    nothing = Constraint("nothing", Rows(0, lambda s: ca.SX(0, 1)), sets.NonNegative(), hard=True, at=at)  # type: ignore[arg-type]
+    with_it, without = (
+        Solver(double_integrator(*c), SQP(backend="interpreted")).solve(np.array([1.0, 0.0])) for c in ([nothing], [])
+    )
+    assert with_it.status is Status.CONVERGED and "nothing" not in with_it.violations
+    np.testing.assert_allclose(with_it.u, without.u, atol=1e-8)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
+from wbmpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.receding import align
@@ -184,3 +185,26 @@ def test_more_events_than_nodes_are_refused() -> None:
     solver.set_schedule(ModeSchedule((DOWN, UP, DOWN, UP), (0.2, 0.4, 0.6)))
     with pytest.raises(InputError, match="3 events within the horizon, but 2 inner nodes"):
         solver.solve(np.array([1.0, 0.0]))
+
+
+def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
+    """An interval of a fixed grid applies one jump: two events within it are refused, counted in flight, and named."""
+    solver = ball(False)
+    close = ModeSchedule((DOWN, UP, DOWN, UP), (0.31, 0.32, 0.55))
+    solver.set_schedule(close)
+    with pytest.raises(InputError, match=r"events at 0.31 and 0.32 s can fall .* valid: align_events=True"):
+        solver.solve(np.array([1.0, 0.0]))
+    # truth: by hand, intervals of 0.1 s; an event on a node ends the interval before it
+    lost = {0.0: 1, 0.015: 0, 0.02: 1, 0.315: 0, -0.69: 0, -0.61: 1}
+    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.31, 0.32))
+    for t0, count in lost.items():
+        assert solver.events_without_node(t0) == count, t0
+    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.3, 0.35))
+    assert solver.events_without_node(0.0) == 0
+    mpc = MPC(solver.ocp, rate=10.0)
+    mpc.set_schedule(ModeSchedule((DOWN, UP, DOWN), (0.3, 0.4)))
+    with pytest.raises(InputError, match=r"events at 0.31 and 0.32 s"):
+        mpc.set_schedule(close)
+    mpc.solver.set_schedule(close)
+    mpc.update(Observation(0.0, np.array([1.0, 0.0])))
+    assert mpc.figures["events_without_node"] == 1

@@ -95,8 +95,17 @@ class OffsetObserver:
 
         ``u`` (nu): the input that acted in between. Pass what the plant got, limits included: an input that was cut and is
         believed whole is explained by a disturbance that does not exist, and the estimate winds up.
+
+        Raises :class:`InputError` for another number of entries or a step that is no time, :class:`NotFinite` for NaN.
         """
-        y, u = np.asarray(y, float), np.asarray(u, float)
+        y, u = np.atleast_1d(np.asarray(y, float)), np.atleast_1d(np.asarray(u, float))
+        for what, value, names in (("measurement", y, self.labels), ("input", u, self.dynamics.input.names)):
+            if value.shape != (len(names),):
+                raise InputError(
+                    f"offset observer: the {what} needs {len(names)} numbers ({', '.join(names)}), got shape {value.shape}"
+                )
+        if not 0.0 <= h < np.inf:
+            raise InputError(f"offset observer: the time h since the last update must be finite, at least 0 s, got {h}")
         if not (np.isfinite(y).all() and np.isfinite(u).all()):
             raise NotFinite("offset observer: the measurement and the input must be finite")
         mean, slope = (np.array(v) for v in self._step(self.mean, u, self.mode, h, self._known))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
+import sys
 from functools import cache
 from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
 
-from wbmpc.errors import KernelError
+from wbmpc.errors import InputError, KernelError
 
 
 @cache
@@ -65,9 +67,32 @@ def _initialise() -> None:
     llvm.initialize_native_asmprinter()
 
 
+#: In a process of its own, for LLVM says what it does not know on its standard error, and then may abort.
+_TRY = """
+import sys, llvmlite.binding as llvm
+llvm.initialize_native_target(), llvm.initialize_native_asmprinter()
+machine = llvm.Target.from_default_triple().create_target_machine(cpu=sys.argv[1], features=sys.argv[2], jit=True)
+machine.emit_object(llvm.parse_assembly("define double @f(double %x) { ret double %x }"))
+"""
+
+
+@cache
+def _check(name: str, features: str) -> None:
+    """Raise :class:`InputError` for a processor or a feature that LLVM does not know."""
+    done = subprocess.run([sys.executable, "-c", _TRY, name, features], capture_output=True, text=True)
+    said = next((line for line in done.stderr.splitlines() if "not a recognized" in line), "")
+    if done.returncode or said:
+        raise InputError(
+            f"WBMPC_TARGET: '{name}:{features}' is no target of this machine ({said or 'LLVM refuses it'}); valid: a processor such"
+            " as x86-64-v3 or cortex-a76, and after a colon features such as +avx2,+fma"
+        )
+
+
 def _machine(opt: int) -> Any:
     _initialise()
     cpu, flags = target()
+    if os.environ.get("WBMPC_TARGET"):
+        _check(cpu, flags)
     return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
 
 

@@ -166,7 +166,7 @@ class Sizes:
 
     @classmethod
     def of(cls, ocp: OptimalControlProblem) -> Sizes:
-        """The sizes of a problem."""
+        """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`)."""
         d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
         rows = Transcription(ocp).input_planes().offset.size if hard else 0
         return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size, rows)

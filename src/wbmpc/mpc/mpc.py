@@ -14,6 +14,7 @@ from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
+from wbmpc.solver.solver import one_jump
 
 _LOG = logging.getLogger("wbmpc")
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates, and says whether
@@ -94,9 +95,9 @@ class Statistics:
 class MPC:
     """One problem solved again and again from the shifted last solution.
 
-    ``rate`` [Hz] is checked by the loop. ``first_iterations``: calls of the solver for the first plan,
-    each with the iterations that ``solver`` has (of :meth:`SQP.real_time` one, or as many as it is given). ``guess``: see
-    :data:`Guess`. A solve that fails keeps the last policy and starts the next one from its plan.
+    ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
+    checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
+    ``guess``: see :data:`Guess`. A solve that fails keeps the last policy and starts the next one from its plan.
     """
 
     def __init__(
@@ -117,6 +118,7 @@ class MPC:
         ):
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
+        _check_settings(ocp, settings)
         self.ocp, self.rate, self.guess = ocp, float(rate), guess
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
@@ -135,7 +137,7 @@ class MPC:
         self._broken = 0  # passes in a row that ended with numbers that are not finite
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
-        #: events of the mode schedule within the last pass's horizon that got no node of their own (see ``align_events``)
+        #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._told = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
@@ -150,17 +152,21 @@ class MPC:
         """Modes over absolute time.
 
         Raises :class:`InputError`, and keeps the schedule that was there, if the grid follows events (``align_events``) and any
-        horizon to come has more of them than inner nodes.
+        horizon to come has more of them than inner nodes; or if it does not, the state jumps at events, and two to come are
+        closer together than the longest interval: plans would apply one jump for both.
         """
         self._check_room(schedule)
         self.solver.set_schedule(schedule)
 
     def _check_room(self, schedule: ModeSchedule) -> None:
         ocp = self.solver.ocp
-        if not ocp.align_events:
-            return
         nodes, since = ocp.intervals - 1, -np.inf if self._t is None else self._t
         events = np.array([t for t in schedule.events if t > since])
+        if not ocp.align_events:
+            close = np.flatnonzero(np.diff(events) < np.diff(ocp.grid).max() - 2e-9)
+            if self.solver.problem.jumps and close.size:
+                raise InputError(one_jump(*events[close[0] : close[0] + 2]))
+            return
         first, last = events[: max(events.size - nodes, 0)], events[nodes:]
         crowded = np.flatnonzero(last - first < ocp.horizon - 2e-6)
         if crowded.size:
@@ -208,8 +214,9 @@ class MPC:
         """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
         if not self.limits.offset.size:
             return None
-        active = np.ones((self.ocp.intervals, self.limits.offset.size))
-        active[:, self._switched] = self.solver.ws.p[:-1, self._switches]
+        nodes = self.solver.ws.p[:-1]  # of the solver's grid, which may be finer than the problem's
+        active = np.ones((len(nodes), self.limits.offset.size))
+        active[:, self._switched] = nodes[:, self._switches]
         return active
 
     @property
@@ -229,11 +236,11 @@ class MPC:
     @property
     def figures(self) -> dict[str, float]:
         """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
-        events, how many found no node."""
+        events or the state jumps at them, how many found no node."""
         count = self._outcome[1]
         row = self.solver.log[max(count, 1) - 1]
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
-        if self.ocp.align_events:
+        if self.ocp.align_events or self.solver.problem.jumps:
             found["events_without_node"] = float(self.events_without_node)
         return {"solve_time": self.solve_time, "iterations": float(self._iterations), **found}
 
@@ -269,11 +276,10 @@ class MPC:
         self.events_without_node = self.solver.events_without_node(t)
         if self.events_without_node and not self._told:
             self._told = True
-            _LOG.warning(
-                "mode schedule: from %.3f s on, %d events more than inner nodes: plans see the last modes late or not at all",
-                t,
-                self.events_without_node,
-            )
+            told = "events more than inner nodes: plans see the last modes late or not at all"
+            if not self.ocp.align_events:
+                told = "jumps lost, of events within one interval: the grid has to follow them (align_events=True)"
+            _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, told)
 
     def _go_on_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
@@ -338,6 +344,18 @@ class MPC:
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self.recover(observation, last.x, last.u, float(last.times[0]))
         return last
+
+
+def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
+    """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
+    limits = any(term.hard for term in ocp.inequalities)
+    untold = limits and settings.interior_point.mode != "real_time"
+    if untold or (settings.certify and (limits or ocp.equalities)):
+        name = type(settings).__name__
+        raise InputError(
+            f"mpc: {name}(certify={settings.certify}, interior point '{settings.interior_point.mode}') does not say in every plan"
+            f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
+        )
 
 
 def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:

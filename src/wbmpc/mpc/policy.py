@@ -18,7 +18,8 @@ class InputLimits:
     """What a policy holds its inputs to; ``count``: how often it had to.
 
     Bounds ``lower`` and ``upper`` (nu) cut inputs one by one. Rows ``matrix`` u + ``offset`` ≥ 0, (r, nu) and (r,), scale back what
-    feedback adds: u = u_ff + s (u − u_ff) with the largest s in [0, 1] that holds all of them.
+    feedback adds: u = u_ff + s (u − u_ff), for every group of inputs that rows couple with the largest s in [0, 1] that holds its
+    rows. Other groups, and inputs in no row, keep their feedback: a base at its limit must not take the balance from a pole.
     """
 
     def __init__(
@@ -27,6 +28,7 @@ class InputLimits:
         self.lower, self.upper, self.count = lower, upper, 0
         self.matrix = np.zeros((0, lower.size)) if matrix is None else matrix
         self.offset = np.zeros(len(self.matrix)) if offset is None else offset
+        self._coupled = _groups(self.matrix != 0.0)  # (r, nu)
 
     def hold(self, u: np.ndarray, planned: np.ndarray | None = None, active: np.ndarray | None = None) -> np.ndarray:
         """``u`` (nu), cut in place; ``planned`` (nu): without feedback; ``active`` (r): which rows count now (all: left out)."""
@@ -34,24 +36,33 @@ class InputLimits:
         if (u > upper).any() or (u < lower).any():
             far = bool((np.maximum(u - upper, lower - u) > _ROUNDING * np.maximum(np.abs(u), 1.0)).any())
             np.clip(u, lower, upper, out=u)
-        if planned is not None and self.offset.size:
-            share = self._share(u, planned, active)
-            if share < 1.0:
-                far = True
-                u -= planned
-                u *= share
-                u += planned
+        if planned is not None and self.offset.size and self._scale(u, planned, active):
+            far = True
+            np.clip(u, lower, upper, out=u)  # a plan that is outside itself
         self.count += int(far)
         return u
 
-    def _share(self, u: np.ndarray, planned: np.ndarray, active: np.ndarray | None) -> float:
-        """The largest s that holds all rows. What the plan itself lacks of a row is not made worse."""
+    def _scale(self, u: np.ndarray, planned: np.ndarray, active: np.ndarray | None) -> bool:
+        """Whether rows made feedback smaller, in place. What the plan itself lacks of a row is not made worse."""
         now = self.matrix @ u + self.offset
         bad = now < -_ROUNDING if active is None else (now < -_ROUNDING) & (active > 0.0)
         if not bad.any():
-            return 1.0
+            return False
         before = np.maximum(self.matrix[bad] @ planned + self.offset[bad], 0.0)
-        return float(np.min(before / (before - now[bad])))
+        shares = before / (before - now[bad])
+        share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
+        np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
+        return True
+
+
+def _groups(inside: np.ndarray) -> np.ndarray:
+    """For every row, (r, nu), the inputs of its group: those that it, or rows it shares inputs with, look at (``inside``)."""
+    reached = inside
+    while True:
+        wider = (reached @ inside.T) @ inside
+        if (wider == reached).all():
+            return wider
+        reached = wider
 
 
 @dataclass(frozen=True)

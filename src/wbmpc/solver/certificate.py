@@ -50,11 +50,11 @@ class Checks:
         nothing = np.zeros(self.problem.nu)
         last = self._end.call([x[n], nothing, p[n], w]) if self.end else []
         for term, values in zip(self.path, along, strict=True):
-            table = np.array(ca.DM(values)).reshape(term.residual.size, -1)
+            table = np.array(ca.DM(values)).reshape(term.residual.size, n)
             table[~self.problem.with_input(term), 0] = 0.0
             self._keep(found, term, table, 0)
         for term, values in zip(self.end, last, strict=True):
-            table = np.array(ca.DM(values)).reshape(-1, 1)
+            table = np.array(ca.DM(values)).reshape(term.residual.size, 1)
             table[self.problem.with_input(term)] = 0.0
             self._keep(found, term, table, n)
         return found

@@ -53,8 +53,8 @@ class InteriorPoint:
             raise unknown_name("interior point mode", self.mode, ("converge", "real_time"))
         for name in ("mu", "mu_start", "least_slack"):
             value = getattr(self, name)
-            if value is not None and not value > 0.0:
-                raise InputError(f"interior point: {name} must be positive, got {value}")
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"interior point: {name} must be positive and finite, got {value}")
         if not _count(self.extra_when_cut, 0):
             raise InputError(
                 f"interior point: extra_when_cut must be a whole number, at least 0, got {self.extra_when_cut}"
@@ -120,9 +120,11 @@ class SQP:
             raise unknown_name("line search", self.line_search, ("merit", "filter"))
         if self.hessian not in ("gauss_newton", "exact"):
             raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
-        for key in ("tolerance", "feasibility", "smallest_step", "equality_bound"):
-            if not getattr(self, key) > 0.0:
-                raise InputError(f"{name}: {key} must be positive, got {getattr(self, key)}")
+        for key in ("tolerance", "feasibility", "smallest_step"):
+            if not 0.0 < getattr(self, key) < np.inf:
+                raise InputError(f"{name}: {key} must be positive and finite, got {getattr(self, key)}")
+        if not self.equality_bound > 0.0:
+            raise InputError(f"{name}: equality_bound must be positive, got {self.equality_bound}")
         if not self.smallest_step <= 1.0:
             raise InputError(f"{name}: smallest_step must be at most 1, got {self.smallest_step}")
         if not self.largest_shift >= 0.0:

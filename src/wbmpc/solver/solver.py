@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from operator import is_
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -62,6 +63,14 @@ def _tell(why: str) -> None:
     _LOG.warning("%s: CasADi's interpreter evaluates the whole problem, thousands of times slower", why)
 
 
+def one_jump(first: float, second: float) -> str:
+    """What to say of two events [s] within one interval whose jumps would be applied as one."""
+    return (
+        f"mode schedule: the events at {first:g} and {second:g} s can fall into one interval, which applies one jump of the state;"
+        " valid: align_events=True, or events further apart than intervals are long"
+    )
+
+
 @dataclass
 class Solver:
     """One problem bound to one solver: owns the kernel, the memory and the warm start."""
@@ -77,7 +86,7 @@ class Solver:
         from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem = Transcription(self.ocp, self._exact())
+        self.problem, self._terms = Transcription(self.ocp, self._exact()), tuple(self.ocp.terms.values())
         self.kernel = self._build()
         if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
@@ -210,6 +219,7 @@ class Solver:
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        self._check_terms()
         if self.settings.backend == "interpreted":
             self.x0 = x0
             return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
@@ -220,6 +230,18 @@ class Solver:
             self._numbers, self._log, ctypes.addressof(out),
         )  # fmt: skip
         return out[0], out[1]
+
+    def _check_terms(self) -> None:
+        """Raise :class:`InputError` if the problem's terms are no longer those that the solver was made of."""
+        built, now = self._terms, self.ocp.terms.values()
+        if len(built) == len(now) and all(map(is_, built, now)):
+            return
+        kept = set(map(id, built)) & set(map(id, now))
+        changed = next((t.name for t in (*now, *built) if id(t) not in kept), built[0].name)
+        raise InputError(
+            f"term '{changed}': added, replaced or removed after the solver was made, which knows nothing of it; valid: a new"
+            " Solver or MPC"
+        )
 
     def _bind(self) -> None:
         """Addresses of what every solve passes on: a call then costs microseconds."""
@@ -249,6 +271,8 @@ class Solver:
         if not np.isfinite(t0):
             raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
         without = self.events_without_node(t0)
+        if without and not self.ocp.align_events:
+            raise InputError(one_jump(*self._lost_jumps(t0)[0]))
         if without:
             raise InputError(
                 f"mode schedule: {without + self.ocp.intervals - 1} events within the horizon, but {self.ocp.intervals - 1} inner"
@@ -268,13 +292,21 @@ class Solver:
         """By how many the events within a horizon from ``t0`` [s] outnumber the inner nodes, where the grid follows the schedule.
 
         The last ones then wait until the horizon has moved on: a plan changes their modes at a later node, or misses short ones.
+        Where the grid does not follow, and the state jumps at events: how many jumps are lost, as an interval applies one.
         """
         if not self.ocp.align_events:
-            return 0
+            return len(self._lost_jumps(t0)) if self.problem.jumps else 0
         numbers, integers, *_ = self.tables()
         t = np.unique(numbers[: integers[1]]) - t0
         inside = int(np.sum((t > 1e-6) & (t < self.ocp.horizon - 1e-6)))
         return max(inside - (self.ocp.intervals - 1), 0)
+
+    def _lost_jumps(self, t0: float) -> list[tuple[float, float]]:
+        """Pairs of successive events [s] that fall into one interval of the fixed grid of a horizon from ``t0`` [s]."""
+        events = np.array(self.schedule.events)
+        place = np.searchsorted(t0 + self.ocp.grid + 1e-9, events)  # an event on a node belongs to the interval before
+        same = np.flatnonzero((place[1:] == place[:-1]) & (place[1:] > 0) & (place[1:] <= self.ocp.intervals))
+        return [(float(events[i]), float(events[i + 1])) for i in same]
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
         """``x0`` as (nx) finite numbers."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
+from wbmpc.ocp.rows import row_names
+from wbmpc.ocp.sets import Box
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
 from wbmpc.solver.settings import HUGE
@@ -17,8 +19,9 @@ from wbmpc.solver.solution import COLUMNS, Solution, Status
 if TYPE_CHECKING:
     from wbmpc.solver.solver import Solver
 
-#: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed.
-RELAXED = 1e-5
+#: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed; and as a share of
+#: its range, where that is less.
+RELAXED, RELAXED_SHARE = 1e-5, 1e-3
 #: An equality that is curved in the inputs and missed by less is on its way, not infeasible.
 NEARLY = 1e-2
 
@@ -92,9 +95,10 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
     problem, ws = solver.problem, solver.ws
     for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
         term: Any = problem.ocp.terms[name]
-        if not _must_hold(problem, term) or found.value < 1e-10:
+        relaxed = _relaxed(term, found)
+        if not _must_hold(problem, term) or found.value < min(1e-10, relaxed):
             continue
-        if term.hard and found.value > RELAXED:
+        if term.hard and found.value > relaxed:
             return Status.RELAXED, str(found)
         slope = max(solver.checks.slope(term, found, ws), 1e-300)
         if term.equality and found.value > 1e3 * solver.settings.feasibility * max(slope, 1.0):
@@ -104,6 +108,15 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
             reach = f"{found.value / slope:.3g} in the variables"
             return status, f"{found}, which is {reach}: the row is too small, multiply it"
     return Status.CONVERGED, _no_minimum(solver) + certificate.unstable_interval(problem, ws).removeprefix("; ")
+
+
+def _relaxed(term: Constraint, found: Violation) -> float:
+    """From where on a violation of a hard limit counts as relaxed, in the residual's unit."""
+    if not isinstance(term.set, Box):
+        return RELAXED
+    lower, upper = term.set.bounds(term.residual.size)
+    share = RELAXED_SHARE * float((upper - lower)[row_names(term).index(found.row)])
+    return min(RELAXED, share) if share > 0.0 else RELAXED
 
 
 def _no_minimum(solver: Solver) -> str:
