@@ -370,6 +370,18 @@ def test_the_watchdog_waits_for_the_next_tick_only_from_when_it_is_due() -> None
     assert re.fullmatch(r"stopped at 0\.306 s: a tick .* not ended for 0\.106 s, the limit is 0\.09 s", runner.state)
 
 
+def test_a_tick_that_begins_too_late_commands_nothing() -> None:
+    """By hand: a process that is stopped as a whole while it waits for the tick at 0.2 s, and goes on at 0.3 s, limit 0.09 s."""
+    runner = virtual(control_rate=5.0, watchdog=0.09)
+    control = runner._begin()[0]
+    next(control)
+    next(control)
+    runner.clock.wait(0.3)
+    next(control)
+    assert re.fullmatch(r"stopped at 0\.300 s: a tick .* began 0\.100 s late, the limit is 0\.09 s.*", runner.state)
+    assert not runner.robot.writes
+
+
 def test_an_mpc_that_always_fails_leaves_its_policy_for_the_horizon() -> None:
     runner = virtual(mpc=FaultyMPC(lambda n: False if n > 10 else None))
     # the policy of the tick at 0.18 came into force at 0.1825 and was planned for 1 s

@@ -249,6 +249,7 @@ class Runner:
             self.punctuality.begin(due, start)
             if not self._stopped.is_set():
                 try:
+                    self._check_held_up(start - due)
                     self._tick(due)
                 except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
@@ -262,6 +263,14 @@ class Runner:
             own.count("misses", self.ticker.over(end))
             self._beat = self.ticker.due  # until then no tick has to run
         sys.setswitchinterval(usual)  # the clock may have changed it
+
+    def _check_held_up(self, late: float) -> None:
+        """A process that was held up as a whole goes on with all threads at once: the watchdog may look too late to see it."""
+        if late > self.settings.watchdog:
+            raise RunAborted(
+                f"a tick of the controller began {late:.3f} s late, the limit is {self.settings.watchdog:g} s: the machine is too"
+                " busy, or the process was held up"
+            )
 
     def _tick(self, due: float) -> None:
         now, over = self.clock.now, self.punctuality.over
