@@ -11,7 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.model import aligned_steering, wheel_velocities
 from wbmpc.mpc import SteeringGuess, plan_steering
-from wbmpc.mpc.steering import MOVING, NODES, STOP, lost_way
+from wbmpc.mpc.steering import MOVING, NODES, STOP
 
 MODEL = robot("swerve-ur10")
 G, RATE = MODEL.base.geometry, 3.0
@@ -59,15 +59,15 @@ def brute_force(times: np.ndarray, twists: np.ndarray, limits) -> float:  # type
         v = wheel_velocities(G, STATE["leg"], twist)
         angles.append(np.arctan2(v[:, 1], v[:, 0]) - G.wheel_heading - STATE["leg"])
         speeds.append(np.hypot(*v.T).max())
-    stop = lost_way(times, np.array(speeds), np.pi / RATE)
+    stop = [speeds[0], *np.minimum(speeds[1:], speeds[:-1])]
     # sets of stops, cheapest first; each wheel is free to choose at a stop, and goes on the nearer way elsewhere
     orders = sorted(
         product([0, 1], repeat=len(times)),
-        key=lambda s: sum((c + STOP) * x for c, x in zip(stop, s, strict=True)),
+        key=lambda s: sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, s, strict=True)),
     )
     for stops in orders:
         if all(_possible(i, stops, angles, limits) for i in range(G.modules)):
-            return float(sum((c + STOP) * x for c, x in zip(stop, stops, strict=True)))
+            return float(sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, stops, strict=True)))
     raise AssertionError("there is always a way")
 
 
@@ -93,23 +93,16 @@ def test_no_other_choice_of_stops_is_cheaper(seed: int) -> None:
     limits = (np.full(4, -2.2), np.full(4, 2.2))
     plan = planned(times, twists, limits=limits)
     speeds = [np.hypot(*wheel_velocities(G, STATE["leg"], t).T).max() for t in twists]
-    stop = lost_way(times, np.array(speeds), np.pi / RATE)
-    ours = sum(stop[k] + STOP for k in plan.stops)
+    stop = np.array([speeds[0], *np.minimum(speeds[1:], speeds[:-1])])
+    ours = sum(np.pi / RATE * stop[k] + STOP for k in plan.stops)
     assert ours == pytest.approx(brute_force(times, twists, limits), rel=1e-9)
     assert np.all(np.abs(plan.steer) <= 2.2 + 1e-9)
-
-
-def test_a_stop_costs_the_way_of_the_time_that_it_takes() -> None:
-    """Truth: the integral of a speed that rises along a straight line, and one that stays."""
-    t = np.linspace(0.0, 2.0, 21)
-    np.testing.assert_allclose(lost_way(t, 0.3 * t, 0.5)[:16], 0.15 * ((t + 0.5) ** 2 - t**2)[:16], atol=1e-12)
-    np.testing.assert_allclose(lost_way(t, np.full(21, 0.2), 0.5), 0.1, atol=1e-12)
 
 
 def test_at_rest_wheels_turn_round_for_nothing() -> None:
     """A pause in the preview is where the wheels turn round, and not the fast part after it."""
     times, twists = circling(0.45, 12.0, 61)
-    twists[18:25] = 0.0  # for longer than half a turn takes
+    twists[18:23] = 0.0
     plan = planned(times, twists)
     assert plan.stops == ()
     assert np.all(np.abs(plan.steer) <= 3.14 + 1e-9)

@@ -74,6 +74,8 @@ class SwerveAgent:
         # the model has one radius for all wheels
         self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
         self.lag = lag
+        steer = robot.state["steer"]
+        self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
         self.monitor, self.faulty = monitor, faulty
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
@@ -193,7 +195,8 @@ class SwerveAgent:
         assert policy is not None and self.measured is not None
         if t > policy.end:
             return self.stop()
-        planned = policy.state(t + self.lag)[self.robot.state["steer"]]
+        # a plan whose limits give way may lie beyond the joints' range, where no wheel can be waited for
+        planned = np.clip(policy.state(t + self.lag)[self.robot.state["steer"]], *self._steer_range)
         # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
         error = planned - self.steer - self.lag * self._turning
         off = float(np.abs(error).max()) if self.planned_steering else 0.0

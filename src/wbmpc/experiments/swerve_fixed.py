@@ -14,7 +14,7 @@ from pydantic import Field
 
 from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
-from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
+from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
@@ -61,8 +61,6 @@ class SwerveFixedSettings(ExperimentSettings):
         state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
         input=InputCost(base=5.0),
     )
-    # on coarse nodes a wheel can turn round between two of them, where no rolling row looks: what was planned so is lost later
-    mpc: MpcSettings = MpcSettings(intervals=100, iterations=3)
     robot: str = "swerve-fixed-ur10"
     motions: tuple[Name, ...] = tuple(SEGMENTS)
     random: float = Field(60.0, ge=0, le=3600)

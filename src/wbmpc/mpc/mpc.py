@@ -17,11 +17,8 @@ from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.solver import one_jump
 
 _LOG = logging.getLogger("wbmpc")
-#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates, and says whether
-#: it has.
-Guess = Callable[[Solver, float, np.ndarray], bool]
-#: Iterations from trajectories that the guess wrote: one or two seldom make them keep limits, and would be refused.
-WRITTEN_ITERATIONS = 15
+#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
+Guess = Callable[[Solver, float, np.ndarray], None]
 
 
 @dataclass(frozen=True)
@@ -129,7 +126,7 @@ class MPC:
         # rows of some modes: where they are among all, and the parameters that switch them
         self._switched = np.flatnonzero(planes.switches >= 0)
         self._switches = planes.switches[self._switched] + self.solver.problem.node.slices["switch"].start
-        self._first, self._again = first_iterations, max(1, WRITTEN_ITERATIONS // settings.iterations)
+        self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -252,16 +249,17 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
+        passes = self._first if self._t is None else 1
         if self._reachable:
             self._go_on_from(observation.t, delta)
-        start = time.perf_counter()
-        written = self.guess is not None and self.guess(self.solver, observation.t, x0)
-        passes = self._first if self._t is None else self._again if written else 1
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0
         for k in range(passes):
+            start = time.perf_counter()
+            if self.guess is not None and k == 0:
+                self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             self._iterations += count
-        elapsed = time.perf_counter() - start
+            elapsed = time.perf_counter() - start
         self._t, self._outcome = observation.t, (status, count, elapsed)
         self._count_events(observation.t)
         broken = self._not_finite_part()

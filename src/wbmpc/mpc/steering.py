@@ -6,8 +6,7 @@ the previewed motion.
 
 At standstill the linearised rolling rows do not see the steering angles (their derivative is proportional to the speed):
 a sideways goal with straight wheels is an exact stationary point. So, once, when the previewed motion begins while the
-base stands still and the plan does not move as it asks, the trajectories start from rolling inverse kinematics: wheels
-turn first, then the base moves.
+plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
 
 On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
 turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead.
@@ -42,9 +41,7 @@ def speed(twist: np.ndarray) -> np.ndarray:
 
 #: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
 #: takes; how often [s] the plan is looked at, and how long it is left alone after it was written anew.
-ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.3, 1.5, 0.1, 0.6
-#: How far [rad] a direction may lie beyond the end of a wheel's range without a stop: the base turns by that much instead.
-BEYOND = 0.25
+ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
@@ -81,13 +78,14 @@ def plan_steering(
     """The ways round that lose least of the motion's way: a dynamic programme over the nodes at which the base may stop.
 
     ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``: lower and upper (n) [rad]; ``rate`` [rad/s] of
-    a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the way that the fastest wheel
-    would roll while half a turn takes, nothing while the base rests so long; all wheels may turn round at it.
+    a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
+    times the speed there, nothing while the base rests; all wheels may turn round at it.
     """
     ways, speeds = _directions(geometry, leg, steer, twists)
+    speeds = speeds.max(axis=1)
     ways[0] = steer + _wrapped(ways[0] - steer)
     ways = np.unwrap(ways, axis=0, period=np.pi)
-    cost = lost_way(times, speeds.max(axis=1), np.pi / rate) + STOP
+    cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
     low, high = _rounds(ways, *limits)
     starts = _cheapest(cost, _reach(low, high), _first(np.any((low > 0) | (high < 0), axis=1)))
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
@@ -99,13 +97,6 @@ def plan_steering(
         if (shift != before).any() and cost[j] > STOP:
             stops.append(j)
     return SteeringPlan(times, steered, tuple(stops))
-
-
-def lost_way(times: np.ndarray, speeds: np.ndarray, length: float) -> np.ndarray:
-    """Way [m] (k,) within ``length`` [s] from each of ``times`` (k,) on at ``speeds`` (k,) [m/s], the last of which goes on."""
-    t, v = np.append(times, times[-1] + length), np.append(speeds, speeds[-1])
-    way = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
-    return np.asarray(np.interp(times + length, t, way) - way[:-1])
 
 
 def _wrapped(angle: np.ndarray) -> np.ndarray:
@@ -196,7 +187,7 @@ class SteeringGuess:
         self._armed, self._done = True, False
         self._look = -np.inf
 
-    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> bool:
+    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         base = self.robot.input["base"]
         now = float(speed(solver.ws.u[0, base]))
         if now > FAST:
@@ -204,37 +195,30 @@ class SteeringGuess:
         elif now < SLOW:
             self._armed = True
         if not self._armed or self._done:
-            return self._go_on(solver, t, x0)
+            self._go_on(solver, t, x0)
+            return
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
         if soon.max() < MOVING:
-            return False
-        self._done = True
-        if self._moves(solver, twists):
-            return self._go_on(solver, t, x0)
-        self._look = t + WRITTEN
-        return self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
+            return
+        self._done, self._look = True, t + WRITTEN
+        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
 
-    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> bool:
+    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         """Where wheels of the plan stop following the preview, as at the end of their range, write the way on anew, with a stop."""
         if t < self._look:
-            return False
+            return
         self._look = t + LOOK
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         lost = self._lost(solver, twists, x0)
         if lost is None:
-            return False
+            return
         plan = self.plan(t, float(grid[-1]), x0)
         stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
         self._look = t + WRITTEN
-        return self._write(solver, twists, x0, plan, max(min(stop, lost) - 1, 0))
-
-    def _moves(self, solver: Solver, twists: np.ndarray) -> bool:
-        """Whether the plan moves as the preview's ``twists`` ask for, but for less than half of it."""
-        h, planned = np.diff(solver.ws.grid), solver.ws.u[:, self.robot.input["base"]]
-        return bool(h @ speed(planned - twists[:-1]) < 0.5 * (h @ speed(twists[:-1])))
+        self._write(solver, twists, x0, plan, max(min(stop, lost) - 1, 0))
 
     def _lost(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> int | None:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
@@ -255,16 +239,13 @@ class SteeringGuess:
         times = np.linspace(0.0, horizon, NODES)
         twists = self.preview(t + times, x0[self.robot.state["base"]])
         leg, steer = self._angles(x0)
-        low, high = self.limits
-        return plan_steering(
-            self.robot.base.geometry, leg, steer, times, twists, (low - BEYOND, high + BEYOND), self.rate
-        )
+        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate)
 
     def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         state, modules = self.robot.state, self.robot.base.geometry.modules
         return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
 
-    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0) -> bool:
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0) -> None:
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
@@ -274,13 +255,13 @@ class SteeringGuess:
             pose, steer = x[start, state["base"]].copy(), x[start, state["steer"]].copy()
         rolling, moving = start > 0, np.flatnonzero(speed(twists) > MOVING)
         if not moving.size:
-            return False
+            return
         for k, h in enumerate(np.diff(grid)[start:], start):
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
             wanted = twists[k] if k in moving else np.zeros(3)
             target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later])
-            target = np.clip(plan.nearest(grid[later], target), *self.limits)
+            target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
             rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
@@ -291,4 +272,3 @@ class SteeringGuess:
             _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, wanted)
             pose, steer = lie.se2_step(pose, wanted * h), steer + rate * h
         x[-1, state["base"]], x[-1, state["steer"]] = pose, steer
-        return True

@@ -80,7 +80,7 @@ class Pilot(Protocol):
 class Pending:
     """A guess for the MPC that first puts new references and modes into force: in its own thread, between two solves."""
 
-    def __init__(self, then: Callable[[Solver, float, Array], bool] | None = None) -> None:
+    def __init__(self, then: Callable[[Solver, float, Array], None] | None = None) -> None:
         self._then = then
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
@@ -102,7 +102,7 @@ class Pending:
         with self._lock:
             self._once = once
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> bool:
+    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
         with self._lock:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
@@ -113,5 +113,5 @@ class Pending:
             solver.set_schedule(schedule)
         if once is not None:
             once(solver, x0)
-            return True
-        return self._then is not None and self._then(solver, t, x0)
+        elif self._then is not None:
+            self._then(solver, t, x0)

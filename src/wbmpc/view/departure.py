@@ -25,11 +25,11 @@ class Departure:
         self.goal = robot.home[self._base].copy()
         self._guess = SteeringGuess(robot, self.preview)
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> bool:
+    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
         goal = solver.references["state"].at(t)[self._base]
         if _size(goal - self.goal) > THERE:
             self.goal, self._guess = goal.copy(), SteeringGuess(self.robot, self.preview)
-        return self._guess(solver, t, x0)
+        self._guess(solver, t, x0)
 
     def preview(self, times: Array, pose: Array) -> Array:
         """Body twists (n, 3) of a straight way with a cosine's profile from ``pose`` (3) now to the goal."""

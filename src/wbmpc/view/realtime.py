@@ -101,7 +101,7 @@ class RealtimeView(Window):
         steering.skip(self._orders)
         before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
 
-        def guess(solver: Solver, t: float, x0: Array) -> bool:
+        def guess(solver: Solver, t: float, x0: Array) -> None:
             message = self.orders.read()
             if message is not None:
                 self._orders = message.values
@@ -112,7 +112,8 @@ class RealtimeView(Window):
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
-            return before is not None and before(solver, t, x0)
+            if before is not None:
+                before(solver, t, x0)
 
         mpc.guess = guess
 
