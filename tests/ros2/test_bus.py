@@ -184,6 +184,23 @@ def test_two_threads_may_send_on_one_topic_that_is_heard_in_their_process() -> N
     assert run.stdout.strip() == "2000", run.stderr
 
 
+MANY_TOPICS = """
+from wbmpc.ros2 import Network, open_node
+node = open_node("one", "dds", Network.of())
+for k in range(40):
+    node.publisher(f"/joint_{k}", "std_msgs/msg/Float64")
+print(len(node.publishers("/joint_39")))
+"""
+
+
+def test_a_robot_may_have_more_topics_of_a_type_than_a_bucket_of_the_middlewares_table() -> None:
+    """In a process of its own: a table whose entries share a hash grows for ever (Cyclone DDS holds 32 of them)."""
+    run = subprocess.run(
+        [sys.executable, "-c", MANY_TOPICS], env=everything(), timeout=60.0, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "1", run.stderr
+
+
 def test_late_joiners_get_what_is_latched(nodes: tuple[Any, Any]) -> None:
     one, other = nodes
     one.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish({"transforms": [{"child_frame_id": "imu"}]})

@@ -59,6 +59,8 @@ _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability",
 #: A domain is configured once in a process and stays.
 _DOMAINS: dict[int, tuple[Network, Domain]] = {}
 _DOMAINS_LOCK = threading.Lock()
+#: The package reads the QoS of endpoints through buffers that all threads of the process share.
+_GRAPH_LOCK = threading.Lock()
 
 
 def _open_domain(network: Network) -> None:
@@ -95,6 +97,7 @@ class DdsNode:
             raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
+        self._carriers: dict[tuple[str, tuple[str, ...]], type] = {}  # by type and names of its header
         self._readers: list[DataReader] = []
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
@@ -103,7 +106,6 @@ class DdsNode:
         ]
         self._known: tuple[dict[Any, Any], dict[Any, Any]] = {}, {}
         self._names: tuple[dict[bytes, str], DataReader] | None = None
-        self._graph_lock = threading.Lock()  # callbacks do not wait for it
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
         self._announce()
@@ -238,7 +240,7 @@ class DdsNode:
 
     def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
         wanted, found = f"rt{full_name(topic)}", []
-        with self._graph_lock:
+        with _GRAPH_LOCK:  # callbacks do not wait for it
             known = self._known[side]
             # changes only: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs
             for s in self._graph[side].take(N=4096):
@@ -311,11 +313,20 @@ class DdsNode:
             raise InputError(f"{name.removeprefix('rt')}: is used with {strange.pop()} and {kind}")
         if kind not in known:
             try:
-                known[kind] = Topic(self._participant, name, carrier(self.types, kind, header))
+                known[kind] = Topic(self._participant, name, self._carrier(kind, header))
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
         topic: Topic = known[kind]
         return topic
+
+    def _carrier(self, kind: str, header: Mapping[str, Any] | None) -> type:
+        """One class for all topics of a type: DDS takes every class for a type of its own with the same hash, and its table
+        of types, which holds 32 of those, would grow for ever."""
+        key = kind, tuple(header or ())
+        with self._lock:
+            if key not in self._carriers:
+                self._carriers[key] = carrier(self.types, kind, header)
+            return self._carriers[key]
 
     def _qos(self, qos: Qos, kind: str, mark: str = "") -> DdsQos:
         reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
