@@ -96,6 +96,8 @@ def test_the_covariance_is_that_of_the_errors() -> None:
 
 
 def test_without_tippings_nothing_is_learnt() -> None:
+    vague = estimate_mass_offset(tippings(0, np.zeros(2), np.zeros(2)), base=0.003, arm=0.001, seen=0.1)
+    assert vague.rank == 0
     found = estimate_mass_offset([], base=0.003, arm=0.001)
     assert found.rank == 0 and not found.at([0.0, 1.0]).any()
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), [0.003, 0.003, 0.001, 0.001])
