@@ -26,7 +26,7 @@ from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
 #: Standard deviations [m] of c and b beforehand, of each axis: about those of the 100 kg robot with
-#: masses ±5 % and centres of mass ±10 mm (3.5 and 2.2 mm, 2.4 and 1.2 mm over twenty draws).
+#: masses ±5 % and centres of mass ±10 mm (3.3 and 2.6 mm, 2.2 and 1.2 mm rms over twenty draws).
 BASE, ARM = 0.004, 0.002
 #: Standard deviation [m] of a zero-moment point at the time of a tipping: 20 mm/s for 20 ms, and half a millimetre of the legs'
 #: masses (which move with the legs), of heights and feet.
