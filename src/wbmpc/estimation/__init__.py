@@ -9,11 +9,13 @@ from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
+from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.estimation.payload import PayloadEstimator
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
+from wbmpc.estimation.rocking import Rocking, rockings
 from wbmpc.estimation.wheels import WheelCalibration
 
 __all__ = [
@@ -32,15 +34,20 @@ __all__ = [
     "EncoderMonitor",
     "FusedOdometry",
     "JointTracker",
+    "MassOffset",
     "MomentumObserver",
     "OdometryNoise",
     "OffsetObserver",
     "PayloadEstimator",
     "ReleaseOdometry",
     "RezeroEstimator",
+    "Rocking",
+    "Tipping",
     "WheelCalibration",
     "WheelOdometry",
     "WheelRecord",
     "calibrate",
+    "estimate_mass_offset",
     "replay",
+    "rockings",
 ]

@@ -1,22 +1,26 @@
-"""`swerve-wobble`: one wheel on a block, the stretched arm turns slowly (Pankert et al. 2022, section IV-A, Fig. 5 and 6)."""
+"""`swerve-wobble`: one wheel on a block, the stretched arm turns slowly (Pankert et al. 2022, section IV-A, Fig. 5 and 6).
+
+Before that the robot learns from three other turns how far its masses are from the model's.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
 from pydantic import Field
 
+from wbmpc.estimation import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.experiments.settings import Settings
+from wbmpc.experiments.support_prediction import AWAY, RAISE, REST, UNLOADED, Case, Support, predict, tippings
 from wbmpc.log import Log
 from wbmpc.loop import Progress, part, watched
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, draw, support_switches
-from wbmpc.stability.geometry import Triangle
+from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, draw
 
 NAME = "swerve-wobble"
 SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"
@@ -24,81 +28,80 @@ SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert e
 IDEALISATIONS = [
     "body, legs and arm are rigid, tyres are soft contacts: nothing swings after a switch as the real robot does",
     "the block is raised under the standing robot; the wheels' drives hold them still, the brakes are closed",
-    "predictions know the block's height and the planned arm motion, not the plant: masses and centres of mass are nominal",
+    "predictions know the block's height and the planned arm motion, not the plant: masses and centres of mass are nominal, "
+    "shifted by what the gyro saw in three turns before",
     "the gyro's bias is averaged over the rest before the motion",
 ]
 #: Heights [m] of the block: the paper's and two that a floor may have.
 HEIGHTS = (0.15, 0.02, 0.005)
-#: The arm turns once in TURN [s], after it was raised with RAISE [m/s] and has stood for REST [s].
-TURN, RAISE, REST = 60.0, 0.05, 2.0
-#: A wheel that carries less than UNLOADED [N] for AWAY [s] has left the ground.
-UNLOADED, AWAY = 5.0, 1.0
+#: The arm turns once in TURN [s].
+TURN = 60.0
+#: The turns that come first, on a block of another height: (configuration, wheel on the block). Together they show what the
+#: switches of H and X depend on: edges of two directions, and the arm at other angles to them.
+CALIBRATION: tuple[tuple[Literal["H", "X", "A"], int], ...] = (("H", 0), ("H", 3), ("X", 3))
+CALIBRATION_HEIGHT, CALIBRATION_TURN = 0.10, 30.0
 #: Cut-off [Hz] of the low-pass of the gyro in Fig. 6.
 CUT_OFF = 20.0
-SWITCH_NOTE = "the prediction is of the nominal robot, and the plant's centres of mass are up to 10 mm elsewhere"
+SWITCH_NOTE = (
+    "0.2 s are 2 to 3 mm of the zero-moment point; the plant's masses are ±5 %, its centres of mass ±10 mm elsewhere"
+)
 #: Samples per second of the log.
 RATE = 400
 
 
 class SwerveWobbleSettings(Settings):
-    """``heights`` [m] of the block under the left front wheel, the first one gives the rates; ``turn`` [s]."""
+    """``heights`` [m] of the block under the left front wheel, the first one gives the rates; ``turn`` [s].
+
+    ``calibration``: the turns that come first, as (configuration, wheel on the block), each ``calibration_turn`` [s] long.
+    """
 
     plant: Perturbation = Perturbation()
     robot: str = "swerve-ur10"
     heights: tuple[float, ...] = HEIGHTS
     turn: float = Field(TURN, ge=20, le=600)
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """The arm: stretched and horizontal, its first joint from half a turn through one turn."""
-
-    joints: int
-    turn: float
-    start: float
-
-    def angles(self, t: np.ndarray) -> np.ndarray:
-        """Angles (n, joints) [rad] at times t (n,) [s]; the speed rises within a second."""
-        s = np.clip(t - self.start, 0.0, None)
-        gone = np.where(s < 1.0, 0.5 * s * s, s - 0.5) * 2.0 * np.pi / self.turn
-        out = np.zeros((t.size, self.joints))
-        out[:, 0] = np.minimum(gone, 2.0 * np.pi) - np.pi
-        return out
-
-    @property
-    def end(self) -> float:
-        return self.start + self.turn + 0.5
+    calibration: tuple[tuple[Literal["H", "X", "A"], Annotated[int, Field(ge=0, le=3)]], ...] = CALIBRATION
+    calibration_turn: float = Field(CALIBRATION_TURN, ge=20, le=600)
 
 
 def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """All configurations and heights, each on its own plant of the same seed."""
+    """The calibration, then all configurations and heights, each on its own plant of the same seed."""
     robot, log = load_robot(settings.robot), Log()
-    cases = [(name, height) for height in settings.heights for name in CONFIGURATIONS]
-    predicted: dict[str, list[Switch]] = {}
-    for k, (name, height) in enumerate(cases):
-        motion = _Motion(len(robot.input.groups["arm"]), settings.turn, height / RAISE + REST)
-        own = part(progress, k, len(cases), f"{name}, {1e3 * height:g} mm")
-        _simulate(robot, settings, seed, name, height, motion, log, own)
-        predicted[_key(name, height)] = predict(robot, name, height, motion)
+    first = [
+        Case(name, CALIBRATION_HEIGHT, settings.calibration_turn, wheel, f"calibration_{k}_")
+        for k, (name, wheel) in enumerate(settings.calibration)
+    ]
+    cases = [Case(name, height, settings.turn) for height in settings.heights for name in CONFIGURATIONS]
+    for k, case in enumerate([*first, *cases]):
+        what = ("calibration: " if case in first else "") + f"{case.configuration}, {1e3 * case.height:g} mm"
+        _simulate(robot, settings, seed, case, case in cases, log, part(progress, k, len(first) + len(cases), what))
+    seen = [tipping for case in first for tipping in _seen(robot, case, log)]
+    offset = estimate_mass_offset(seen)
+    supports = [Support(robot, case) for case in cases]
+    nominal, told = ([predict(support, o) for support in supports] for o in (None, offset))
     if progress is not None:
         progress(1.0, "")
+    metrics = {**_rates(log, settings), **_switches(log, cases, nominal, told), **_offset(seen, offset)}
     return RunResult(
-        NAME, seed, True, "", _metrics(log, settings, predicted), None, log, _plots(robot, log, settings), IDEALISATIONS,
+        NAME, seed, True, "", metrics, None, log, _plots(robot, log, settings, cases, nominal, told), IDEALISATIONS,
         settings.model_dump(mode="json"),
     )  # fmt: skip
 
 
-def _key(name: str, height: float) -> str:
-    return f"{name}_{1e3 * height:g}mm"
+def _seen(robot: RobotModel, case: Case, log: Log) -> list[Tipping]:
+    """What the gyro saw of one case."""
+    t, gyro = log.times(f"gyro_{case.key}"), log.array(f"gyro_{case.key}")
+    return tippings(Support(robot, case), t, gyro - gyro[t < 0.0].mean(axis=0))
 
 
 def _simulate(
-    robot: RobotModel, settings: SwerveWobbleSettings, seed: int, name: str, height: float, motion: _Motion, log: Log,
+    robot: RobotModel, settings: SwerveWobbleSettings, seed: int, case: Case, judged: bool, log: Log,
     progress: Progress | None,
 ) -> None:  # fmt: skip
-    """Raise the block under the left front wheel, then turn the arm; channels rate, gyro, force, zmp of this case."""
-    start = assess(robot, name, arm=motion.angles(np.zeros(1))[0])
-    x, y = start.stance.feet[0]
+    """Raise the block under its wheel, then turn the arm; channel gyro of this case, and if it is ``judged`` the truth: rate and
+    force."""
+    joints, height = len(robot.input.groups["arm"]), case.height
+    start = assess(robot, case.configuration, arm=case.arm(np.zeros(1), joints)[0])
+    x, y = start.stance.feet[case.wheel]
 
     def block(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name="block", mocap=True, pos=[x, y, -0.5 * height - 1e-3])
@@ -108,48 +111,23 @@ def _simulate(
         )  # fmt: skip
 
     plant = SwervePlant(robot.description, robot.state.split(start.x), settings.plant, seed, edit=block)
-    modules, key = robot.base.geometry.modules, _key(name, height)
+    modules, key = robot.base.geometry.modules, case.key
     steps = round(1.0 / RATE / plant.timestep)
-    with watched(plant, 1.0 / RATE, motion.end, progress) as tick:
-        for k in range(round(motion.end * RATE)):
+    with watched(plant, 1.0 / RATE, case.end, progress) as tick:
+        for k in range(round(case.end * RATE)):
             t = k / RATE
             plant.data.mocap_pos[0, 2] = min(RAISE * t, height) - 0.5 * height
             measured = plant.measure()
-            if t >= motion.start - REST + 0.5:
-                truth = plant.truth()
-                log.add(f"rate_{key}", t - motion.start, plant.data.qvel[3:5])
-                log.add(f"gyro_{key}", t - motion.start, measured.gyro[:2])
-                log.add(f"force_{key}", t - motion.start, truth.wheel_force)
-            now, later = motion.angles(np.array([t, t + 1.0 / RATE]))
+            if t >= case.start - REST + 0.5:
+                log.add(f"gyro_{key}", t - case.start, measured.gyro[:2])
+                if judged:
+                    log.add(f"rate_{key}", t - case.start, plant.data.qvel[3:5])
+                    log.add(f"force_{key}", t - case.start, plant.truth().wheel_force)
+            now, later = case.arm(np.array([t, t + 1.0 / RATE]), joints)
             arm = (later - now) * RATE + 2.0 * (now - measured.arm)
             command = SwerveCommand(np.zeros(modules), np.zeros(modules), arm, np.zeros(modules))
             tick(t, command)
             plant.step(command, steps)
-
-
-def predict(robot: RobotModel, name: str, height: float, motion: _Motion) -> list[Switch]:
-    """Support switches along the planned arm motion with a block of ``height`` [m] under the left front wheel.
-
-    Times count from when the arm starts. A tilted wheel touches the ground with another point of its rim.
-    """
-    times = np.arange(motion.start, motion.end, 0.05)
-    base = assess(robot, name)
-    heights = np.zeros(len(base.stance.feet))
-    heights[0] = height
-    stance_of, states = StanceOf(robot), np.tile(base.x, (times.size, 1))
-    states[:, robot.state["arm"]] = motion.angles(times)
-    g, state = robot.base.geometry, robot.state
-    heading = g.wheel_heading + g.leg_angles(base.x[state["leg"]]) + base.x[state["steer"]]
-    along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-
-    def stance(up: np.ndarray, triangle: Triangle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        found = [stance_of(x, gravity=-9.81 * up) for x in states]
-        feet = base.stance.feet - g.wheel_radius * (along @ up[:2])[:, None] * along
-        return feet, np.array([s.zmp for s in found]), np.array([-s.force[2] for s in found])
-
-    level = stance_of(states[0]).zmp
-    switches = support_switches(times, base.stance.feet, heights, stance, UNLOADED, level)
-    return [Switch(s.time - motion.start, s.before, s.after) for s in switches]
 
 
 def unloaded(t: np.ndarray, force: np.ndarray) -> list[tuple[float, int]]:
@@ -183,29 +161,55 @@ def _filtered(gyro: np.ndarray, rest: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(lfilter(b, a, gyro - gyro[rest].mean(axis=0), axis=0), axis=1))
 
 
-def _metrics(log: Log, settings: SwerveWobbleSettings, predicted: dict[str, list[Switch]]) -> dict[str, Metric]:
-    true, imu, errors = {}, {}, []
+def _key(name: str, height: float) -> str:
+    return Case(name, height, TURN).key
+
+
+def _rates(log: Log, settings: SwerveWobbleSettings) -> dict[str, Metric]:
+    true, imu = {}, {}
     for name in CONFIGURATIONS:
         key = _key(name, settings.heights[0])
         t = log.times(f"rate_{key}")
         true[name] = float(np.linalg.norm(log.array(f"rate_{key}"), axis=1)[t >= 0.0].max())
         imu[name] = float(_filtered(log.array(f"gyro_{key}"), t < 0.0)[t >= 0.0].max())
-    for height in settings.heights:
-        for name in CONFIGURATIONS:
-            key = _key(name, height)
-            events = unloaded(log.times(f"force_{key}"), log.array(f"force_{key}"))
-            errors.append(time_error(predicted[key], events))
     least = min(true["H"], true["X"]) / true["A"]
     return {
         **{f"roll_pitch_rate_max_{n}": Metric(v, "rad/s") for n, v in true.items()},
         **{f"imu_rate_max_{n}": Metric(v, "rad/s") for n, v in imu.items()},
         "roll_pitch_rate_ratio": Metric(least, "1", paper=10.0, least=1000.0),
-        "support_switch_time_error_max": Metric(max(errors), "s", goal=0.2, goal_note=SWITCH_NOTE),
-        "support_switches": Metric(float(sum(map(len, predicted.values()))), "1"),
     }
 
 
-def _plots(robot: RobotModel, log: Log, settings: SwerveWobbleSettings) -> list[Plot | Drawing]:
+def _happened(log: Log, case: Case) -> list[tuple[float, int]]:
+    return unloaded(log.times(f"force_{case.key}"), log.array(f"force_{case.key}"))
+
+
+def _switches(log: Log, cases: list[Case], nominal: list[list[Switch]], told: list[list[Switch]]) -> dict[str, Metric]:
+    """How far the predictions are off, with what the calibration told and without."""
+    happened = [_happened(log, case) for case in cases]
+    worst, without = (
+        max(time_error(p, events) for p, events in zip(way, happened, strict=True)) for way in (told, nominal)
+    )
+    return {
+        "support_switch_time_error_max": Metric(worst, "s", goal=0.2, goal_note=SWITCH_NOTE),
+        "support_switch_time_error_nominal_max": Metric(without, "s"),
+        "support_switches": Metric(float(sum(map(len, told))), "1"),
+    }
+
+
+def _offset(seen: list[Tipping], offset: MassOffset) -> dict[str, Metric]:
+    """What the calibration found: how many tippings, and the offset of the zero-moment point."""
+    return {
+        "calibration_tippings": Metric(float(len(seen)), "1"),
+        "mass_offset_base": Metric(float(np.linalg.norm(offset.base)), "m"),
+        "mass_offset_arm": Metric(float(np.linalg.norm(offset.arm)), "m"),
+    }
+
+
+def _plots(
+    robot: RobotModel, log: Log, settings: SwerveWobbleSettings, cases: list[Case], nominal: list[list[Switch]],
+    told: list[list[Switch]],
+) -> list[Plot | Drawing]:  # fmt: skip
     key = {n: _key(n, settings.heights[0]) for n in CONFIGURATIONS}
     rates, gyros, forces = [], [], []
     for n in CONFIGURATIONS:
@@ -219,6 +223,7 @@ def _plots(robot: RobotModel, log: Log, settings: SwerveWobbleSettings) -> list[
     plots: list[Plot | Drawing] = [
         Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [rad/s]", rates),
         Plot(f"Roll-pitch rate, {height}, gyro (Fig. 6)", "time [s]", "rate [rad/s]", gyros),
+        _lateness(log, cases, nominal, told),
     ]
     plots += [
         Plot(f"Wheel forces in {n}, {height}", "time [s]", "force [N]", f)
@@ -227,13 +232,28 @@ def _plots(robot: RobotModel, log: Log, settings: SwerveWobbleSettings) -> list[
     return plots + [_path(robot, n, settings) for n in CONFIGURATIONS]
 
 
+def _lateness(log: Log, cases: list[Case], nominal: list[list[Switch]], told: list[list[Switch]]) -> Plot:
+    """Predicted less real times of all switches, one after the other; cases in which others happened are left out."""
+    series = []
+    for name, way in (("nominal masses", nominal), ("after the calibration", told)):
+        errors: list[float] = []
+        for case, switches in zip(cases, way, strict=True):
+            events = _happened(log, case)
+            known = np.isfinite(time_error(switches, events))
+            errors += [s.time - when if known else np.nan for s, (when, _) in zip(switches, events, strict=False)]
+        series.append(Series(name, np.arange(1.0, len(errors) + 1.0), np.array(errors)))
+    heights = ", ".join(dict.fromkeys(f"{1e3 * case.height:g}" for case in cases))
+    label = f"support switches in their order: blocks of {heights} mm, in each {', '.join(CONFIGURATIONS)}"
+    return Plot("Support switches, predicted less real time", label, "time [s]", series)
+
+
 def _path(robot: RobotModel, name: str, settings: SwerveWobbleSettings) -> Drawing:
     """The zero-moment point's way on level ground over the triangles (Fig. 5)."""
-    motion = _Motion(len(robot.input.groups["arm"]), settings.turn, 0.0)
-    stretched = assess(robot, name, arm=motion.angles(np.zeros(1))[0])
+    case, joints = Case(name, 0.0, settings.turn), len(robot.input.groups["arm"])
+    stretched = assess(robot, name, arm=case.arm(np.zeros(1), joints)[0])
     stance_of, x = StanceOf(robot), stretched.x.copy()
     points = []
-    for angles in motion.angles(np.linspace(0.0, motion.end, 121)):
+    for angles in case.arm(np.linspace(case.start, case.end, 121), joints):
         x[robot.state["arm"]] = angles
         points.append(stance_of(x).zmp)
     return Drawing(f"Zero-moment point in {name} (Fig. 5)", draw(stretched, np.array(points)))
