@@ -59,7 +59,7 @@ class OmniWheelsDescription(_Model):
 
 
 class BallBaseDescription(_Model):
-    """A base that balances on a ball.
+    """A base that balances on a ball: the body ``ball`` hangs on ``body`` by a ball joint, in the same frame.
 
     ``contact``: what the world does to the robot as an input: a force, or a wrench (force and moment), at each frame of
     ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
