@@ -77,7 +77,8 @@ def test_a_ball_within_the_tolerance_of_drawings(tmp_path: Path) -> None:
 
 
 def test_the_command_line_says_it_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["view", str(ball_robot(tmp_path, (BALL_JOINT, "")))]) == 2
+    path = ball_robot(tmp_path, (BALL_JOINT, ""))
+    assert main(["run", "rezero-steps", "--set", f"robot={path}", "--out", str(tmp_path / "out")]) == 2
     assert "one joint of type ball" in capsys.readouterr().err
 
 
