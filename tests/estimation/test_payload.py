@@ -50,6 +50,18 @@ def test_no_mass_is_negative_and_none_is_beyond_what_can_be() -> None:
     np.testing.assert_allclose(rest, 7.0 * weight, atol=1e-9)
 
 
+def test_an_arm_that_cannot_tell_weighs_nothing() -> None:
+    """Of 1.3 kg an arm of vertical axes feels nothing: what is left is the lean, as of 13 mm beside the middle. Straight up nobody
+    feels anything: 0.3 N m of the base would be kilograms."""
+    for q, keep, force in (
+        (HOME, lambda w: np.where(np.arange(N) < 5, w, 0.0), 1.3 * ROBOT.tool_weight(HOME)),
+        (ROBOT.equilibrium([0.0, 0.0, 0.0])[0][:N], lambda w: w, np.eye(N)[3] * -0.3),
+    ):
+        estimator = PayloadEstimator(lambda q, keep=keep: keep(ROBOT.tool_weight(q)))  # type: ignore[misc]
+        np.testing.assert_array_equal(estimator.update(q, force, 0.1), force)
+        assert estimator.mass == 0.0
+
+
 def test_what_weighs_nothing_here_teaches_nothing() -> None:
     estimator = PayloadEstimator(lambda q: np.zeros(N))
     np.testing.assert_array_equal(estimator.update(HOME, np.ones(N), H), np.ones(N))

@@ -44,6 +44,7 @@ def stepping(settings: RezeroStepsSettings, constants, offsets, turns, heading=N
                 log.add("hand_quaternion_estimated", t, np.roll(believed.as_quat(), 1))
     for t in times:
         log.add("tilt", t, 0.1 * np.sin(t))
+        log.add("state", t, np.zeros(2 * 8))  # three joints: the other three torques are the wheels'
         log.add("torque", t, [1.0, -2.5 if t > 3.0 else 0.0, 0.5, 9.0, 9.0, 9.0])
     assert len(schedule.times) == len(STEPS) + 3
     return {n: m.value for n, m in rezero_steps._metrics(log, schedule, settings, fell=False).items()}

@@ -186,11 +186,12 @@ def test_swerve_files_that_the_equations_do_not_describe(tmp_path: Path) -> None
     data = yaml.safe_load((source.parent / "swerve-ur10.yaml").read_text())
     path = tmp_path / "r.yaml"
     data["base"]["modules"][1].pop("hinge")
-    data["home"] = {}
+    data["home"], data["lock"] = {}, {"leg_RF": 0.0}
+    data["limits"] = {}
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(InputError, match="all modules or none"):
         load_robot(path)
-    data["base"]["modules"][1]["hinge"] = "leg_RF"
+    data["base"]["modules"][1]["hinge"], data["lock"] = "leg_RF", {}
     path.write_text(yaml.safe_dump(data))
     for wanted, old, new in (
         ("under the axis", '<body name="wheel_LF" pos="0 0 -0.2746">', '<body name="wheel_LF" pos="0.03 0 -0.2746">'),

@@ -77,9 +77,12 @@ def test_joints_beside_their_bodies(tmp_path) -> None:  # type: ignore[no-untype
 
 
 def test_a_robot_that_is_urdf_stays_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    text = to_urdf(load_description("swerve-ur10"))
+    source = load_description("swerve-ur10")
+    text = to_urdf(source)
     (tmp_path / "own.urdf").write_text(text)
+    held = ", ".join(f"{name}: 0" for name in source.joints() if name != "elbow_joint")
     (tmp_path / "own.yaml").write_text(
         "name: own\nmodel: own.urdf\nbase: {type: fixed, body: body}\narm: {joints: [elbow_joint], tool: tool0}\n"
+        f"lock: {{{held}}}\n"
     )
     assert to_urdf(load_description(tmp_path / "own.yaml")) == text

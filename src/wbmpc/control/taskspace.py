@@ -69,10 +69,10 @@ class TaskSpaceAgent(RezeroAgent):
         """Accelerations (5) of ball and base for their deviations (10): K of v̇ = −K (z − z₀), by LQR on the wheels."""
         n, g = self.robot.base.nq, self.gains
         a, b = (np.array(m) for m in self._model["linear"](self.home, self._rest))
-        some = [*range(5), *range(n, n + 5)]
-        a, b = a[np.ix_(some, some)], b[some][:, :3]
+        some, wheels = [*range(5), *range(n, n + 5)], len(self.robot.input.groups["wheel"])
+        a, b = a[np.ix_(some, some)], b[some][:, :wheels]
         q = np.diag([g.ball, g.ball, g.yaw, g.tilt, g.tilt, g.ball_speed, g.ball_speed, 1.0, 1.0, 1.0])
-        p = solve_continuous_are(a, b, q, g.wheel_torque * np.eye(3))
+        p = solve_continuous_are(a, b, q, g.wheel_torque * np.eye(wheels))
         gain: Array = -(a - b @ (b.T @ p) / g.wheel_torque)[5:]
         return gain
 

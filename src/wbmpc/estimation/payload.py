@@ -6,6 +6,11 @@ inertia. So the part of d that is the weight w(q) = Jᵀ(0, 0, −g) of a mass b
 parameter: m' = ``rate`` wᵀ W d / (wᵀ W w) and d' = −m' w. At the posture where that happens the model's forces stay as they
 are. W = 1 / ``spread``², by how much d is off where there is no mass: the model's own errors of mass and centre of mass, large in
 the base's lean, small in the arm's joints.
+
+The errors d has without a mass last, so that no time averages them away: they are a mass of standard deviation 1 / √(wᵀ W w).
+The arm has to be able to tell: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
+``sure`` by itself. Where it is not (a hand above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
+a lean that a displaced centre of mass causes would be taken for a mass, which then turns with the arm.
 """
 
 from __future__ import annotations
@@ -21,7 +26,8 @@ Array = NDArray[np.float64]
 
 @dataclass
 class PayloadEstimator:
-    """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m].
+    """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
+    ``sure`` [kg]: nothing is weighed where the arm's torques alone tell a mass with a larger standard deviation.
 
     ``mass`` [kg]: the estimate, from zero to ``most``.
     """
@@ -30,13 +36,17 @@ class PayloadEstimator:
     rate: float = 2.0
     spread: tuple[float, float] = (2.5, 0.6)
     most: float = 3.0
+    sure: float = 0.5
     mass: float = 0.0
 
     def update(self, q: Array, force: Array, h: float) -> Array:
         """Weigh for ``h`` [s] at joint positions q (nq); the disturbance ``force`` (nq) without what became mass."""
         weight = self.weight(q)
         scaled = weight / np.array([self.spread[0]] * 5 + [self.spread[1]] * (q.size - 5)) ** 2
+        known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])
+        if by_arm < max(0.5 * known, self.sure**-2):
+            return force
         before = self.mass
-        step = h * self.rate * float(scaled @ force) / max(float(scaled @ weight), 1e-9)
+        step = h * self.rate * float(scaled @ force) / known
         self.mass = min(max(before + step, 0.0), self.most)
         return force - (self.mass - before) * weight

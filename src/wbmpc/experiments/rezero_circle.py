@@ -9,10 +9,11 @@ from pydantic import Field
 
 from wbmpc.experiments.rezero_rivals import REGULATORS
 from wbmpc.experiments.rezero_task import (
-    BENT_ARM,
     AccurateSettings,
     Task,
     ball_felt,
+    ball_robot,
+    bent_arm,
     common_plots,
     hand_felt,
     reaching,
@@ -21,7 +22,6 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
-from wbmpc.model import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult
 
@@ -57,8 +57,9 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
     if settings.yaw == "free":
         free = settings.cost.body.model_copy(update={"yaw": 0.0})
         settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
-    robot = load_robot("rezero")
-    home = robot.equilibrium(BENT_ARM)[0]
+    robot = ball_robot(settings)
+    arm = bent_arm(settings, robot)
+    home = robot.equilibrium(arm)[0]
     duration = settings.settle + settings.rounds * settings.lap + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))
@@ -87,5 +88,5 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
         times = np.arange(0.0, grid[-1], 0.05)
         places = ball_path(settings, times)
         reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
-    task = Task(BENT_ARM, duration, {"body": reference})
+    task = Task(arm, duration, {"body": reference})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

@@ -18,6 +18,7 @@ from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, Tor
 from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
+    ball_robot,
     estimator_metrics,
     hand_felt,
     record_rezero,
@@ -26,7 +27,7 @@ from wbmpc.experiments.rezero_task import (
 from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
-from wbmpc.model import DoorGeometry, RobotModel, load_robot
+from wbmpc.model import DoorGeometry, RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import Door, DoorPlant
@@ -115,7 +116,7 @@ class Trial:
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
-    robot = load_robot("rezero", contact="force", payload=settings.weigh and settings.observer)
+    robot = ball_robot(settings, settings.weigh and settings.observer, contact="force")
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or (PushCost() if settings.scheme.row else UNTIED)

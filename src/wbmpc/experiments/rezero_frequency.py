@@ -15,6 +15,8 @@ from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     STEPS_AND_PUSHES,
     RezeroSettings,
+    ball_robot,
+    count_wheels,
     hand_felt,
     record_rezero,
     resting,
@@ -23,7 +25,7 @@ from wbmpc.experiments.rezero_task import (
 from wbmpc.experiments.settings import Settings, Weight, finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
-from wbmpc.model import InputFilter, load_robot
+from wbmpc.model import InputFilter
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
 from wbmpc.plant import Perturbation, RezeroPlant
@@ -99,13 +101,13 @@ class RezeroFrequencySettings(RezeroSettings):
 
 def frequency_mpc(settings: RezeroFrequencySettings, shaped: bool) -> MPC:
     """The MPC of the ball robot, with or without filters on its torques."""
-    f, cost = settings.filters, settings.cost
+    f, cost, robot = settings.filters, settings.cost, ball_robot(settings)
     if not shaped:
-        return MPC(rezero_problem(load_robot("rezero"), settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
+        return MPC(rezero_problem(robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     torque = cost.torque.model_copy(
         update={"wheel": f.wheel_weight * cost.torque.wheel, "arm": f.arm_weight * cost.torque.arm}
     )
-    plain = rezero_problem(load_robot("rezero"), settings.mpc, cost.model_copy(update={"torque": torque}))
+    plain = rezero_problem(robot, settings.mpc, cost.model_copy(update={"torque": torque}))
     filters = {"wheel": InputFilter(f.wheel_zero, f.wheel_pole), "arm": InputFilter(f.arm_zero, f.arm_pole)}
     return MPC(frequency_aware(plain, filters), settings.mpc.solver(), settings.mpc.rate)
 
@@ -114,7 +116,7 @@ def drive(
     name: str, settings: RezeroFrequencySettings, seed: int, log: Log, progress: Progress | None
 ) -> tuple[Ending, MPC]:
     """One variant over the step and back; channels are CHANNEL_NAME."""
-    robot = load_robot("rezero")
+    robot = ball_robot(settings)
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     mpc = frequency_mpc(settings, name == "shaped")
     set_home_references(mpc, robot, torque, home)
@@ -191,6 +193,7 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
     lead = settings.mpc.horizon if settings.preview else 0.0
     for name in endings:
         error = torque_error(log, name)
+        wheels = count_wheels(log.array(f"state_{name}"), error)
         t, hand = log.times(f"hand_{name}"), log.array(f"hand_{name}")
         step = np.array(settings.step)
         start = settings.settle - lead
@@ -200,8 +203,8 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
         steady = np.linalg.norm(hand[last] - log.array(f"wanted_{name}")[0] - step, axis=1)
         squares = lambda part: float(np.sqrt(np.mean(np.sum(part**2, axis=1) / part.shape[1])))
         out |= {
-            f"torque_error_rms_{name}": Metric(squares(error[:, :3]), "N m"),
-            f"arm_torque_error_rms_{name}": Metric(squares(error[:, 3:]), "N m"),
+            f"torque_error_rms_{name}": Metric(squares(error[:, :wheels]), "N m"),
+            f"arm_torque_error_rms_{name}": Metric(squares(error[:, wheels:]), "N m"),
             f"rise_time_{name}": Metric(rise_time(t[window], done), "s"),
             f"steady_error_{name}": Metric(float(steady.mean()) if steady.size else float("inf"), "m"),
             f"tilt_max_{name}": Metric(float(log.array(f"tilt_{name}").max()), "rad"),
@@ -220,7 +223,9 @@ def _plots(log: Log) -> list[Plot]:
     wanted = log.array(f"wanted_{done[0]}")
     moved = int(np.argmax(np.ptp(wanted, axis=0)))
     lines = [Series(n, t[n], log.array(f"hand_{n}")[:, moved]) for n in done]
-    wheel = int(np.argmax(np.ptp(log.array(f"asked_{done[0]}")[:, :3], axis=0)))  # the one that works most
+    asked = log.array(f"asked_{done[0]}")
+    count = count_wheels(log.array(f"state_{done[0]}"), asked)
+    wheel = int(np.argmax(np.ptp(asked[:, :count], axis=0)))  # the one that works most
     wheels = [
         s
         for n in done

@@ -14,6 +14,7 @@ from wbmpc.experiments.rezero_task import (
     RezeroSettings,
     Task,
     ball_felt,
+    ball_robot,
     common_plots,
     hand_felt,
     rms,
@@ -21,7 +22,6 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
-from wbmpc.model import load_robot
 from wbmpc.result import Metric, Plot, RunResult, Series
 
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
@@ -74,7 +74,7 @@ def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
 
 
 def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress: Progress | None) -> RunResult:
-    robot = load_robot("rezero")
+    robot = ball_robot(settings)
     task = _task(settings, robot.home[robot.state["arm"]])
     hand, ball = robot.pose(robot.home)[0], robot.home[:2]
 
@@ -126,7 +126,7 @@ def run_hand(settings: RezeroPushHandSettings, seed: int, progress: Progress | N
 
 def survives(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> dict[str, Any]:
     """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s]: whether the robot stays up for 4 s after it."""
-    robot = load_robot("rezero")
+    robot = ball_robot(settings)
     along = force * np.array([np.cos(direction), np.sin(direction), 0.0])
     push = Push(1.0, length, tuple(along))
     task = Task(robot.home[robot.state["arm"]], 1.0 + length + 4.0, pushes=(push,))

@@ -9,10 +9,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
-from wbmpc.experiments.rezero_task import RezeroSettings, Task, hand_felt, hand_turn_felt, resting, run_task
+from wbmpc.experiments.rezero_task import (
+    RezeroSettings,
+    Task,
+    ball_robot,
+    count_wheels,
+    hand_felt,
+    hand_turn_felt,
+    resting,
+    run_task,
+)
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing
-from wbmpc.model import RobotModel, load_robot
+from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -132,7 +141,7 @@ class Schedule:
 
 def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run over all steps."""
-    robot = load_robot("rezero")
+    robot = ball_robot(settings)
     schedule = Schedule.of(settings, robot)
     body = schedule.body(robot)
 
@@ -182,7 +191,8 @@ def rise_time(t: np.ndarray, done: np.ndarray) -> float:
 
 
 def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
-    t, hand = log.times("hand"), log.array("hand")
+    t, hand, torque = log.times("hand"), log.array("hand"), log.array("torque")
+    wheels = count_wheels(log.array("state"), torque)
     felt, true_turn, felt_turn = hand_felt(log), log.array("hand_quaternion"), hand_turn_felt(log)
     rises, steady, world, turned, turned_world = [], [], [], [], []
     norm = lambda vector: float(np.linalg.norm(vector))
@@ -213,7 +223,7 @@ def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: 
         "steady_orientation_error_world_max": Metric(worst([norm(v) for v in turned_world]), "rad"),
         "unreachable_rotation_error": Metric(unreachable, "rad"),
         "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
-        "wheel_torque_max": Metric(float(np.abs(log.array("torque")[:, :3]).max()), "N m"),
+        "wheel_torque_max": Metric(float(np.abs(torque[:, :wheels]).max()), "N m"),
         "fell": Metric(float(fell), "1", goal=0.0),
     }
 

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.control import RezeroAgent
+from wbmpc.errors import InputError
 from wbmpc.estimation import BallFilter, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
 from wbmpc.experiments.rezero_rivals import (
@@ -31,12 +32,13 @@ from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant, Truth
 from wbmpc.result import Metric, Plot, RunResult, Series
+from wbmpc.robots import load_description
 
 IDEALISATIONS = [
     "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
     "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
-    "the arm's geometry and masses are assumed (not published)",
-    "the omni wheels act as torques between ball and base; their traction limit is a clamp of 4 N m",
+    "the geometry and masses of Rezero's arm are assumed (not published)",
+    "the omni wheels act as torques between ball and base; their traction limit is a clamp (limits.wheel_effort: 4 N m)",
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
 ]
 
@@ -62,13 +64,15 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 
 class RezeroSettings(ExperimentSettings):
-    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
+    """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
+    ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
     ``lasting_after`` [s]: what is felt again so soon after a push, on a resting ball, is learnt as a force that lasts (0: never);
     ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
     with its gains (``rival``); ``tracking`` of the MPC's plans."""
 
+    robot: str = "rezero"
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
@@ -106,8 +110,13 @@ class AccurateSettings(RezeroSettings):
     rival: RivalsSettings = ACCURATE_RIVALS
 
 
-#: Where an accurate hand starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
+#: Where an accurate hand of Rezero starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
 BENT_ARM = np.array([0.0, 0.5, 2.0])
+
+
+def bent_arm(settings: RezeroSettings, robot: RobotModel) -> np.ndarray:
+    """Where an accurate hand starts, arm angles (m) [rad]: bent; other robots at their home, which is theirs to choose."""
+    return BENT_ARM if settings.robot == "rezero" else robot.home[robot.state["arm"]]
 
 
 @dataclass(frozen=True)
@@ -177,9 +186,25 @@ def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: n
     mpc.reference["torque"] = Reference.constant(torque)
 
 
+def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "none") -> RobotModel:
+    """The robot of the settings with what an experiment needs of its model, whatever its file says of that.
+
+    Raises :class:`InputError` for a base of another type.
+    """
+    kind = load_description(settings.robot).base.type
+    if kind != "ball":
+        raise InputError(f"robot: '{settings.robot}' has a base of type '{kind}'; valid: ball")
+    return load_robot(settings.robot, contact=contact, contact_frame=(), payload=payload)
+
+
 def robot_of(settings: RezeroSettings) -> RobotModel:
     """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
-    return load_robot("rezero", payload=settings.weigh and settings.observer and settings.controller == "mpc")
+    return ball_robot(settings, settings.weigh and settings.observer and settings.controller == "mpc")
+
+
+def count_wheels(state: np.ndarray, torque: np.ndarray) -> int:
+    """How many of recorded torques (n, drives) are the wheels', by the states (n, nx): the others are the arm's joints."""
+    return int(torque.shape[1] - (state.shape[1] // 2 - 5))
 
 
 def run_task(
@@ -317,5 +342,7 @@ def common_plots(log: Log, hand: np.ndarray, ball: np.ndarray) -> list[Plot]:
             Series("hand, estimated frame", t, error(hand_felt(log), hand)),
             Series("ball, world", t, error(state[:, :2], ball)),
         ]),
-        Plot("Wheel torques", "time [s]", "torque [N m]", [Series(f"wheel {i}", t, torque[:, i]) for i in range(3)]),
+        Plot("Wheel torques", "time [s]", "torque [N m]", [
+            Series(f"wheel {i}", t, torque[:, i]) for i in range(count_wheels(state, torque))
+        ]),
     ]  # fmt: skip

@@ -15,6 +15,7 @@ from wbmpc.experiments.rezero_steps import STEPS, target
 from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
+    count_wheels,
     hand_felt,
     record_rezero,
     resting,
@@ -145,6 +146,11 @@ def _plots(log: Log) -> list[Plot]:
     done = [n for n in CONTROLLERS if f"hand_{n}" in log.channels]
     t = {n: log.times(f"hand_{n}") for n in done}
     error = {n: np.linalg.norm(log.array(f"hand_{n}") - log.array(f"wanted_{n}")[:, :3], axis=1) for n in done}
+
+    def wheels(name: str) -> np.ndarray:
+        torque = log.array(f"torque_{name}")
+        return np.abs(torque[:, : count_wheels(log.array(f"state_{name}"), torque)])
+
     return [
         Plot("Hand position error", "time [s]", "error [mm]", [Series(n, t[n], 1e3 * error[n]) for n in done]),
         *(
@@ -156,6 +162,6 @@ def _plots(log: Log) -> list[Plot]:
         ),
         Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
         Plot("Largest wheel torque", "time [s]", "torque [N m]", [
-            Series(n, t[n], np.abs(log.array(f"torque_{n}")[:, :3]).max(axis=1)) for n in done
+            Series(n, t[n], wheels(n).max(axis=1)) for n in done
         ]),
     ]  # fmt: skip

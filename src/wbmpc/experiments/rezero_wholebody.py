@@ -9,10 +9,11 @@ from pydantic import Field
 
 from wbmpc.experiments.rezero_rivals import REGULATORS
 from wbmpc.experiments.rezero_task import (
-    BENT_ARM,
     AccurateSettings,
     Task,
     ball_felt,
+    ball_robot,
+    bent_arm,
     common_plots,
     hand_felt,
     reaching,
@@ -21,7 +22,6 @@ from wbmpc.experiments.rezero_task import (
 )
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress
-from wbmpc.model import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult, Series
 
@@ -59,8 +59,10 @@ def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.n
 
 def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None = None) -> RunResult:
     """One run."""
-    robot = load_robot("rezero")
-    home = robot.equilibrium(BENT_ARM)[0]
+    robot = ball_robot(settings)
+    arm, wheels = bent_arm(settings, robot), len(robot.input.groups["wheel"])
+    second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
+    home = robot.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
     times, places = hand_path(settings, position)
     ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
@@ -74,7 +76,9 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
         steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
         mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
         share = (
-            np.sqrt(np.mean(log.array("feedback")[use, 4] ** 2) / np.mean(torque[use, 4] ** 2)) if use.any() else np.inf
+            np.sqrt(np.mean(log.array("feedback")[use, second] ** 2) / np.mean(torque[use, second] ** 2))
+            if use.any()
+            else np.inf
         )
         return {
             "ball_error_rms_wholebody": Metric(rms(ball_felt(log)[use]), "m", goal=0.020),
@@ -90,10 +94,10 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
     def plots(log: Log) -> list[Plot]:
         t, torque, feedback = log.times("state"), log.array("torque"), log.array("feedback")
         joint = Plot("Torque of the second arm joint (Fig. 7, above)", "time [s]", "torque [N m]", [
-            Series("whole", t, torque[:, 4]), Series("feedforward", t, torque[:, 4] - feedback[:, 4]),
-            Series("feedback", t, feedback[:, 4]),
+            Series("whole", t, torque[:, second]), Series("feedforward", t, torque[:, second] - feedback[:, second]),
+            Series("feedback", t, feedback[:, second]),
         ])  # fmt: skip
-        share = 100.0 * np.abs(feedback[:, 4]) / np.maximum(np.abs(torque[:, 4]), LEAST_TORQUE)
+        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), LEAST_TORQUE)
         ratio = Plot(
             "Feedback over the whole torque (Fig. 7, below)", "time [s]", "share [%]", [Series("share", t, share)]
         )
@@ -103,5 +107,5 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
     if settings.controller in REGULATORS:
         grid = np.arange(0.0, float(ends[-1]), 0.05)
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
-    task = Task(BENT_ARM, float(ends[-1]), references)
+    task = Task(arm, float(ends[-1]), references)
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

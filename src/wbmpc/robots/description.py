@@ -11,8 +11,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots.checks import check_ball, check_joints, compiled
+from wbmpc.robots.lock import lock
 
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
@@ -58,7 +59,7 @@ class OmniWheelsDescription(_Model):
 
 
 class BallBaseDescription(_Model):
-    """A base that balances on a ball.
+    """A base that balances on a ball: the body ``ball`` hangs on ``body`` by a ball joint, in the same frame.
 
     ``contact``: what the world does to the robot as an input: a force, or a wrench (force and moment), at each frame of
     ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
@@ -137,7 +138,11 @@ class LimitsDescription(_Model):
 
 
 class RobotDescription(_Model):
-    """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians."""
+    """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
+
+    ``lock``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
+    ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
+    """
 
     name: str
     model: Path
@@ -211,7 +216,11 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         raise InputError(f"{path}: {_first_fault(error)}") from error
     model = description.model if description.model.is_absolute() else path.parent / description.model
     description = description.model_copy(update={"model": model, "source": str(path)})
-    _check_names(description, load_spec(description))
+    spec = load_spec(description)
+    _check_names(description, spec)
+    model = compiled(spec, description.model)
+    check_joints(description, model)
+    check_ball(description, model)
     return description
 
 
@@ -301,7 +310,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(description: RobotDescription) -> mujoco.MjSpec:
-    """The robot's file as an editable MuJoCo specification with its locked joints removed."""
+    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed."""
     path = description.model
     if not path.is_file():
         raise InputError(f"{description.source}: key 'model': there is no file {path}")
@@ -309,9 +318,18 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
+    _strip(spec, description.base.body)
     for name, angle in description.lock.items():
-        _lock(spec, name, angle, description.source)
+        lock(spec, name, angle, description.source)
     return spec
+
+
+def _strip(spec: mujoco.MjSpec, base: str) -> None:
+    """Take away what is not the robot's mechanics (drives, sensors, keyframes: plants have their own) and joints of the body
+    ``base``, which the kind of base moves."""
+    own = [j for j in spec.joints if j.parent.name == base]
+    for element in [*spec.actuators, *spec.sensors, *spec.keys, *own]:
+        spec.delete(element)
 
 
 def _urdf_spec(path: Path) -> mujoco.MjSpec:
@@ -327,33 +345,3 @@ def _urdf_spec(path: Path) -> mujoco.MjSpec:
         extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", compiler)
     return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-
-
-def _lock(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None:
-    """Remove a hinge or slide joint after moving its body to the joint's ``value`` [rad or m]."""
-    joint = next((j for j in spec.joints if j.name == name), None)
-    if joint is None:
-        raise unknown_name("joint (key 'lock')", name, [j.name for j in spec.joints], where=source)
-    body = joint.parent
-    rotation = lie.quaternion_to_rotation(_body_quaternion(spec, body, source))
-    axis = np.asarray(joint.axis, float) / np.linalg.norm(joint.axis)
-    if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
-        turn = lie.quaternion_to_rotation(lie.quaternion_about(axis, value))
-        shift = np.asarray(joint.pos) - turn @ np.asarray(joint.pos)
-    elif joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-        turn, shift = np.eye(3), value * axis
-    else:
-        raise InputError(f"{source}: key 'lock': joint '{name}' is neither a hinge nor a slide")
-    body.pos = np.asarray(body.pos) + rotation @ shift
-    body.quat = lie.rotation_to_quaternion(rotation @ turn)
-    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    spec.delete(joint)
-
-
-def _body_quaternion(spec: mujoco.MjSpec, body: mujoco.MjsBody, source: str) -> np.ndarray:
-    """Orientation of a body in its parent (or in the <frame> around it), also when the file gives Euler angles."""
-    if body.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        return np.asarray(body.quat, float) / np.linalg.norm(body.quat)
-    if body.frame is not None:
-        raise InputError(f"{source}: key 'lock': body '{body.name}' in a frame needs its orientation as a quat")
-    return np.array(spec.compile().body(body.name).quat, float)
