@@ -14,7 +14,7 @@ from pydantic import Field
 from wbmpc.control import BrakeControl, RollingAgent, SwerveAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
-from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
+from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, at_home, riding
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
 from wbmpc.experiments.swerve_calibrate import swerve_robot
@@ -172,10 +172,7 @@ class _Run:
     def start(
         self, mission: Mission, edit: Callable[[mujoco.MjSpec], None] | None = None
     ) -> tuple[np.ndarray, SwervePlant]:
-        home = self.robot.home.copy()
-        leg, steer = self.robot.state["leg"], self.robot.state["steer"]
-        home[steer] += home[leg] - mission.legs
-        home[leg] = mission.legs
+        home = at_home(self.robot, mission.legs)
         plant = SwervePlant(
             self.robot.description, self.robot.state.split(home), self.settings.plant, self.seed, edit=edit
         )

@@ -16,14 +16,14 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.stability.robot import standing
 
-#: Outward angles [rad] of front and rear legs (negative: turned inwards).
+#: Outward angles [rad] of front and rear legs from the body's x axis, ahead and behind (negative: turned inwards).
 CONFIGURATIONS = {"H": (0.0, 0.0), "X": (np.pi / 4, np.pi / 4), "A": (-0.498, 0.747)}
 
 
 def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArray[np.float64]:
     """Leg angles (n) [rad] of a configuration by name, or of n joint angles given as numbers or as "0.1,0,-0.2,0".
 
-    Names need a base with two front and two rear hinges. Raises :class:`InputError` for angles outside the limits.
+    Names need a base with two front and two rear hinges, one on each side. Raises :class:`InputError` for angles outside the limits.
     """
     geometry = standing(robot).geometry
     if not geometry.has_hinge:
@@ -46,15 +46,24 @@ def refuse_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], wh
 
 def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
     g = standing(robot).geometry
-    front, left = g.hinge[:, 0] > 0.0, g.hinge[:, 1] > 0.0
-    if g.modules != 4 or front.sum() != 2 or left.sum() != 2:
+    x, y = (g.hinge - g.hinge.mean(axis=0)).T
+    front, left = x > 0.0, y > 0.0
+    if g.modules != 4 or any((front & side).sum() != 1 or (~front & side).sum() != 1 for side in (left, ~left)):
         raise InputError(
             f"{robot.description.name}: configuration {name} is of bases with two front and two rear legs; others have angles only"
         )
-    # turning by a positive angle moves the foot of a leg along ±x to the left or to the right
-    outward = np.sign(np.cos(g.leg_heading)) * np.where(left, 1.0, -1.0)
+    # a leg along its half of the x axis moves its foot to the left by a positive angle if it is a front leg, else by a negative one
+    outward = np.where(front == left, 1.0, -1.0)
     ahead, behind = CONFIGURATIONS[name]
-    return np.asarray(outward * np.where(front, ahead, behind))
+    # where a leg stands at joint angle 0 is the description's choice
+    zero = (g.leg_heading - np.where(front, 0.0, np.pi) + np.pi) % (2.0 * np.pi) - np.pi
+    angles = outward * np.where(front, ahead, behind) - zero
+    part = robot.state["leg"]
+    low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
+    for other in (angles + 2.0 * np.pi, angles - 2.0 * np.pi):  # as where a range is 0 to 2π
+        angles = np.where(((angles < low) | (angles > high)) & (low <= other) & (other <= high), other, angles)
+    refuse_beyond(robot, "leg", angles, f"configuration {name}")
+    return angles
 
 
 def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float64]:
