@@ -93,7 +93,9 @@ def _goal(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
         return leg_angles(robot, settings.leg_goal)
     except InputError as error:
         legs = robot.base.geometry.modules
-        raise InputError(f"{error}; valid for leg_goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support") from None
+        raise InputError(
+            f"{error}; valid for leg_goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
+        ) from None
 
 
 def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSettings) -> Any:

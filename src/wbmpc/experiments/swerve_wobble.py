@@ -15,7 +15,7 @@ from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, draw, support_switches
+from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw, support_switches
 from wbmpc.stability.geometry import Triangle
 
 NAME = "swerve-wobble"
@@ -73,6 +73,9 @@ class _Motion:
 def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All configurations and heights, each on its own plant of the same seed."""
     robot, log = load_robot(settings.robot), Log()
+    stretched = _Motion(len(robot.input.groups["arm"]), settings.turn, 0.0).angles(np.zeros(1))[0]
+    for name in CONFIGURATIONS:  # what this robot cannot do is said before anything is simulated
+        assess(robot, name, arm=stretched)
     cases = [(name, height) for height in settings.heights for name in CONFIGURATIONS]
     predicted: dict[str, list[Switch]] = {}
     for k, (name, height) in enumerate(cases):
@@ -98,7 +101,7 @@ def _simulate(
 ) -> None:  # fmt: skip
     """Raise the block under the left front wheel, then turn the arm; channels rate, gyro, force, zmp of this case."""
     start = assess(robot, name, arm=motion.angles(np.zeros(1))[0])
-    x, y = start.stance.feet[0]
+    x, y = start.stance.feet[corners(robot)["LF"]]
 
     def block(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name="block", mocap=True, pos=[x, y, -0.5 * height - 1e-3])
@@ -135,7 +138,7 @@ def predict(robot: RobotModel, name: str, height: float, motion: _Motion) -> lis
     times = np.arange(motion.start, motion.end, 0.05)
     base = assess(robot, name)
     heights = np.zeros(len(base.stance.feet))
-    heights[0] = height
+    heights[corners(robot)["LF"]] = height
     stance_of, states = StanceOf(robot), np.tile(base.x, (times.size, 1))
     states[:, robot.state["arm"]] = motion.angles(times)
     g, state = robot.base.geometry, robot.state
@@ -212,9 +215,7 @@ def _plots(robot: RobotModel, log: Log, settings: SwerveWobbleSettings) -> list[
         t = log.times(f"rate_{key[n]}")
         rates.append(Series(n, t, np.linalg.norm(log.array(f"rate_{key[n]}"), axis=1)))
         gyros.append(Series(n, t, _filtered(log.array(f"gyro_{key[n]}"), t < 0.0)))
-        forces.append(
-            [Series(w, t, f) for w, f in zip(("LF", "RF", "LB", "RB"), log.array(f"force_{key[n]}").T, strict=False)]
-        )
+        forces.append([Series(w, t, log.array(f"force_{key[n]}")[:, i]) for w, i in corners(robot).items()])
     height = f"{100 * settings.heights[0]:g} cm block"
     plots: list[Plot | Drawing] = [
         Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [rad/s]", rates),
