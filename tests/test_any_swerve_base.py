@@ -167,10 +167,10 @@ def test_rear_triangles_have_both_rearmost_feet(modules: int, tmp_path: Path) ->
 
 
 def test_legs_that_begin_elsewhere_leave_the_wheels_along_their_directions(tmp_path: Path) -> None:
-    robot = load_robot(write_base(tmp_path, 5, True))
+    robot = load_robot(write_base(tmp_path, 5, True, steering=(-1.8, 1.8)))
     legs = np.array([1.0, -1.1, 0.4, -0.2, 1.1])
     x, g = at_home(robot, legs), robot.base.geometry
     part, home = robot.state["steer"], robot.home
     across = np.sin(x[part] + legs - home[part])
     np.testing.assert_allclose(across, 0.0, atol=1e-12)
-    assert np.all(np.abs(x[part]) <= 3.14) and np.array_equal(x[robot.state["leg"]], legs) and g.modules == 5
+    assert np.all(np.abs(x[part]) <= 1.8) and np.array_equal(x[robot.state["leg"]], legs) and g.modules == 5
