@@ -95,6 +95,9 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
         swerve_unified.run(SwerveUnifiedSettings(robot=str(five)), 0)
     with pytest.raises(InputError, match=r"two front and two rear"):
         swerve_brakes.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
+    four = swerve_brakes.SwerveBrakesSettings(robot=str(write_base(tmp_path, 4, True, 0.25 * np.pi)))
+    with pytest.raises(InputError, match=r"configuration A: .* outside its limits -1.2 to 1.2"):
+        swerve_brakes.run(four, 0, lambda share, text: pytest.fail("simulated before it was refused"))
 
 
 # ---------------------------------------------------------------------- steering ranges
