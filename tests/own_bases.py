@@ -7,14 +7,18 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+#: A range of steering joints [rad], or none: they turn on and on.
+Range = tuple[float, float] | None
 
-def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4) -> Path:
+
+def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4, steering: Range = (-3.14, 3.14)) -> Path:
     """A YAML and an MJCF of a base with ``modules`` modules; the first stands at the angle ``start`` [rad]."""
     names = [f"m{i}" for i in range(modules)]
     angles = start + 2.0 * np.pi * np.arange(modules) / modules
     legs = "".join(
-        _leg(n, a, 0.35 + 0.03 * (i % 2), hinged) for i, (n, a) in enumerate(zip(names, angles, strict=True))
+        _leg(n, a, 0.35 + 0.03 * (i % 2), hinged, steering) for i, (n, a) in enumerate(zip(names, angles, strict=True))
     )
+    folder.mkdir(exist_ok=True)
     (folder / "base.xml").write_text(f"""<mujoco model="ring">
   <compiler angle="radian" autolimits="true"/>
   <worldbody>
@@ -58,9 +62,10 @@ def write_base(folder: Path, modules: int, hinged: bool, start: float = 0.4) -> 
     return path
 
 
-def _leg(name: str, angle: float, reach: float, hinged: bool) -> str:
+def _leg(name: str, angle: float, reach: float, hinged: bool, steering: Range) -> str:
     """A leg of 0.3 m at ``angle``, ``reach`` from the middle; steering and wheel at its end."""
     at = f"{reach * np.cos(angle)} {reach * np.sin(angle)} 0"
+    turns = f' range="{steering[0]} {steering[1]}"' if steering else ""
     joint = f'<joint name="{name}_leg" axis="0 0 1" range="-1.2 1.2"/>' if hinged else ""
     return f"""
       <body name="{name}_arm" pos="{at}" euler="0 0 {angle}">
@@ -68,7 +73,7 @@ def _leg(name: str, angle: float, reach: float, hinged: bool) -> str:
         <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" contype="0" conaffinity="0"/>
         <body name="{name}_fork" pos="0.3 0 -0.1">
           <inertial pos="0 0 0" mass="1.5" diaginertia="0.005 0.005 0.005"/>
-          <joint name="{name}_steer" axis="0 0 1" range="-3.14 3.14"/>
+          <joint name="{name}_steer" axis="0 0 1"{turns}/>
           <body name="{name}_disc" pos="0 0 -0.12">
             <inertial pos="0 0 0" mass="1" diaginertia="0.002 0.004 0.002"/>
             <joint name="{name}_wheel" axis="0 1 0"/>

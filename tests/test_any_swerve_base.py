@@ -9,15 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from driving import Motion, drive
 from own_bases import write_base
 from wbmpc.control import BrakeControl, RollingAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
-from wbmpc.model import load_robot
+from wbmpc.experiments import swerve_brakes, swerve_unified
+from wbmpc.experiments.directions import refuse_directions
+from wbmpc.experiments.mission import at_home
+from wbmpc.experiments.swerve_unified import SwerveUnifiedSettings, rear_triangles
+from wbmpc.model import beyond_range, load_robot
 from wbmpc.plant import Perturbation, SwervePlant
-from wbmpc.stability import assess, leg_angles
+from wbmpc.stability import assess, corners, leg_angles
 
 BASES = {"3 fixed": (3, False), "4 on hinges": (4, True), "6 fixed": (6, False), "6 on hinges": (6, True)}
 SWING = 0.15
@@ -78,7 +83,97 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
 
 
 def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
+    two = load_robot(write_base(tmp_path, 2, True))
     with pytest.raises(InputError, match=r"3 modules or more, not one of 2$"):
-        assess(load_robot(write_base(tmp_path, 2, True)))
-    with pytest.raises(InputError, match=r"configuration X is of bases with two front and two rear legs"):
-        leg_angles(load_robot(write_base(tmp_path, 3, True)), "X")
+        assess(two)
+    with pytest.raises(InputError, match=r"stands on 2 wheels.*casters are not simulated"):
+        SwervePlant(two.description)
+    five = write_base(tmp_path, 5, True)
+    with pytest.raises(InputError, match=r"two front and two rear legs, one on each side"):
+        leg_angles(load_robot(five), "X")
+    with pytest.raises(InputError, match=r"two front and two rear.*leg_goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
+        swerve_unified.run(SwerveUnifiedSettings(robot=str(five)), 0)
+    with pytest.raises(InputError, match=r"two front and two rear"):
+        swerve_brakes.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
+    four = swerve_brakes.SwerveBrakesSettings(robot=str(write_base(tmp_path, 4, True, 0.25 * np.pi)))
+    with pytest.raises(InputError, match=r"configuration A: .* outside its limits -1.2 to 1.2"):
+        swerve_brakes.run(four, 0, lambda share, text: pytest.fail("simulated before it was refused"))
+
+
+# ---------------------------------------------------------------------- steering ranges
+def test_a_steering_range_of_less_than_half_a_turn_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Wheels 0 and 2 point along 45° of the body at angle 0, 1 and 3 along 135°: the range decides what they reach."""
+    wide, short = (
+        write_base(tmp_path / n, 4, False, 0.25 * np.pi, r) for n, r in (("a", (-1.57, 1.57)), ("b", (-1.2, 1)))
+    )
+    load_robot(wide)
+    assert caplog.messages == []
+    robot = load_robot(short)
+    assert "'m0_steer' (and 3 more) turns from -1.2 to 1 rad" in caplog.messages[0]
+    t, none = np.array([0.0, 0.5]), np.zeros((2, 4))
+
+    def ask(angle: float, speed: float = 0.2) -> None:
+        twists = np.array([[0.0, 0.0, 0.0], [speed * np.cos(angle), speed * np.sin(angle), 0.0]])
+        refuse_directions(robot, t, twists, none, none)
+
+    for angle in (1.2, 1.7, 0.1, -0.3, 0.1 + np.pi):
+        ask(angle)
+    ask(0.7, speed=0.01)  # hardly moves
+    with pytest.raises(InputError, match=r"at 0.50 s .*'m1_steer' to roll along 40° .*misses that by 26°"):
+        ask(0.7)  # needs 0.7 - 2.356 = -1.656 or 1.485 rad
+    with pytest.raises(InputError, match=r"'m0_steer' to roll along 126° .*misses that by 24°"):
+        ask(2.2)
+
+
+@pytest.mark.parametrize("span", [(-0.2, 1.4), (-1.0, 1.0), (2.0, 3.0)])
+def test_what_a_range_misses_is_that_of_every_half_turn(span: tuple[float, float]) -> None:
+    angle = np.linspace(-9.0, 9.0, 181)
+    turned = angle[:, None] + np.pi * np.arange(-8, 9)
+    missed = np.maximum(np.maximum(span[0] - turned, turned - span[1]), 0.0).min(axis=1)
+    np.testing.assert_allclose(beyond_range(angle[:, None], [span[0]], [span[1]])[:, 0], missed, atol=1e-12)
+    for low, high in ((-np.inf, np.inf), (0.0, np.inf), (-1.6, 1.6)):
+        assert not beyond_range(angle[:, None], [low], [high]).any()
+
+
+# ---------------------------------------------------------------------- legs
+@pytest.mark.parametrize("start", [0.7854, 0.9])
+def test_configurations_are_where_legs_point(start: float, tmp_path: Path) -> None:
+    """H along ±x and X at 45° outwards, whatever the legs' directions at joint angle 0 and the order of the modules."""
+    path = write_base(tmp_path, 4, True, start)
+    for turned in (False, True):
+        data = yaml.safe_load(path.read_text())
+        if turned:
+            data["base"]["modules"] = data["base"]["modules"][::-1]
+            path.write_text(yaml.safe_dump(data))
+        robot = load_robot(path)
+        order = (3, 2, 1, 0) if turned else (0, 1, 2, 3)  # LF, LB, RB, RF
+        assert corners(robot) == {n: order[k] for n, k in (("LF", 0), ("RF", 3), ("LB", 1), ("RB", 2))}
+        g = robot.base.geometry
+        for name, headings in (("H", (0, 180, 180, 0)), ("X", (45, 135, -135, -45))):
+            try:
+                legs = leg_angles(robot, name)
+            except InputError as error:  # 1.2 rad are what a hinge has
+                assert start > 0.8 and name == "H" and "outside its limits -1.2 to 1.2" in str(error)
+                continue
+            away = g.steer_axes(legs) - g.hinge
+            want = np.radians(headings)[list(order)]
+            np.testing.assert_allclose(away, 0.3 * np.stack([np.cos(want), np.sin(want)], axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("modules", [3, 5])
+def test_rear_triangles_have_both_rearmost_feet(modules: int, tmp_path: Path) -> None:
+    robot = load_robot(write_base(tmp_path, modules, True))
+    legs = np.full(modules, 0.1)
+    rear = sorted(range(modules), key=lambda i: robot.base.geometry.steer_axes(legs)[i, 0])[:2]
+    found = rear_triangles(robot, legs)
+    assert {tuple(sorted(t)) for t in found} == {tuple(sorted((*rear, k))) for k in range(modules) if k not in rear}
+
+
+def test_legs_that_begin_elsewhere_leave_the_wheels_along_their_directions(tmp_path: Path) -> None:
+    robot = load_robot(write_base(tmp_path, 5, True, steering=(-1.8, 1.8)))
+    legs = np.array([1.0, -1.1, 0.4, -0.2, 1.1])
+    x, g = at_home(robot, legs), robot.base.geometry
+    part, home = robot.state["steer"], robot.home
+    across = np.sin(x[part] + legs - home[part])
+    np.testing.assert_allclose(across, 0.0, atol=1e-12)
+    assert np.all(np.abs(x[part]) <= 1.8) and np.array_equal(x[robot.state["leg"]], legs) and g.modules == 5

@@ -163,6 +163,10 @@ def test_steering_branches_are_those_of_a_search_over_all() -> None:
         assert np.abs(np.sin(found - angle)).max() < 1e-9  # up to half turns
         assert cost(found) == pytest.approx(best, rel=1e-9)
     assert np.all(branches(np.ones(5), np.zeros(5), -limit, limit) == 0.0)  # a wheel that stands
+    # without a range, or with one of very many turns, a wheel that turns on and on never turns about
+    around = np.linspace(0.3, 25.0, 200)
+    for end in (np.inf, 1e16):
+        assert branches((around + np.pi) % (2 * np.pi) - np.pi, np.ones(200), -end, end) == pytest.approx(around)
 
 
 def test_the_door_is_seen_and_touches_nothing() -> None:

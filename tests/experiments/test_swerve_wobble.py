@@ -21,7 +21,7 @@ def result():  # type: ignore[no-untyped-def]
     """A plant like the model but for its centres of mass and its gyro, after one turn that shows them."""
     plant = Perturbation.none(com=0.01, gyro_noise=2e-4, gyro_bias=0.01)
     settings = SwerveWobbleSettings(
-        heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", 0),), calibration_turn=20.0
+        heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
     )
     return swerve_wobble.run(settings, 2)
 
@@ -54,8 +54,8 @@ def test_a_turn_before_tells_of_the_masses(result) -> None:  # type: ignore[no-u
     assert [name for name in result.log.channels if "calibration" in name] == ["gyro_calibration_0_H_100mm"]
 
 
-@pytest.mark.parametrize("wheel", [0, 3])
-def test_rockings_tell_the_offset_that_made_them(wheel: int) -> None:
+@pytest.mark.parametrize("wheel", ["LF", "RB"])
+def test_rockings_tell_the_offset_that_made_them(wheel: str) -> None:
     """Rates of a body that falls onto the foot it switches to, at the times that an offset of 4 and 2 mm predicts."""
     offset = MassOffset(np.array([0.002, -0.004]), np.array([0.0, 0.002]), np.eye(4), 4)
     support = Support(load_robot("swerve-ur10"), Case("H", 0.02, 60.0, wheel))

@@ -99,6 +99,19 @@ def test_no_other_choice_of_stops_is_cheaper(seed: int) -> None:
     assert np.all(np.abs(plan.steer) <= 2.2 + 1e-9)
 
 
+def test_wheels_without_a_range_never_stop() -> None:
+    """Three turns: every wheel follows its rigid-body direction without a jump. With one wheel that has a range, that one stops."""
+    times, twists = circling(0.63, 30.0, 151)
+    free = np.full(4, np.inf)
+    plan = planned(times, twists, limits=(-free, free))
+    assert plan.stops == () and sides(plan.steer, twists) < 1e-9
+    assert np.abs(np.diff(plan.steer, axis=0)).max() == pytest.approx(0.63 * 30.0 / 150, rel=1e-6)
+    free[2] = 3.14
+    mixed = planned(times, twists, limits=(-free, free))
+    assert mixed.stops and np.abs(mixed.steer[:, 2]).max() <= 3.14 + 1e-9
+    np.testing.assert_allclose(mixed.steer[:, [0, 1, 3]], plan.steer[:, [0, 1, 3]])
+
+
 def test_at_rest_wheels_turn_round_for_nothing() -> None:
     """A pause in the preview is where the wheels turn round, and not the fast part after it."""
     times, twists = circling(0.45, 12.0, 61)

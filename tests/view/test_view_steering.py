@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from driving import CONFIGURATIONS
 from wbmpc import lie
 from wbmpc.loop import Ending, Running, Watch, run_lockstep
 from wbmpc.model import load_robot
 from wbmpc.mpc import Plans
 from wbmpc.ocp import Reference
 from wbmpc.view.session import _ball, _swerve
-from wbmpc.view.steering import CONFIGURATIONS, Steering, no_orders
+from wbmpc.view.steering import Steering, no_orders
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 

@@ -11,6 +11,7 @@ from wbmpc import lie
 from wbmpc.control import BrakeControl
 from wbmpc.control.brakes import FLOATING, PASS, described, floating
 from wbmpc.errors import InputError
+from wbmpc.experiments.directions import refuse_directions
 from wbmpc.experiments.paths import _ramp as _ramped
 from wbmpc.experiments.paths import _rise
 from wbmpc.model import RobotModel, SwerveGeometry, wheel_velocities
@@ -19,6 +20,8 @@ from wbmpc.ocp import Reference
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02
+#: Angle [rad] beyond the way of a wheel that never turns round at which its range is not looked at any more.
+WINDING = 4.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,13 @@ class Mission:
     def steer(self, robot: RobotModel, t: ArrayLike) -> np.ndarray:
         """Steering angles (k, n) [rad] that roll the references at times t (k,), within the joints' limits.
 
-        A wheel and the wheel turned about roll alike; which one it is to be when is chosen for the whole mission.
+        A wheel and the wheel turned about roll alike; which one it is to be when is chosen for the whole mission. Raises
+        :class:`InputError` for a direction that is out of a range either way.
         """
         t = np.atleast_1d(np.asarray(t, float))
         g, twist = robot.base.geometry, self.twist(t)
         leg, rate = self.leg(t)
+        refuse_directions(robot, t, twist, leg, rate)
         velocity = np.array([wheel_velocities(g, a, v, r) for a, v, r in zip(leg, twist, rate, strict=True)])
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
         angle = np.arctan2(velocity[..., 1], velocity[..., 0]) - g.wheel_heading - leg
@@ -147,11 +152,22 @@ class Mission:
         mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
 
 
+def at_home(robot: RobotModel, legs: np.ndarray) -> np.ndarray:
+    """The robot's home with its legs at ``legs`` (n) [rad], the wheels along the same directions of the body."""
+    home, leg, part = robot.home.copy(), robot.state["leg"], robot.state["steer"]
+    steer = home[part] + home[leg] - legs
+    low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
+    # a wheel rolls alike the other way round, which may be within its range
+    steer += np.pi * (steer < low) - np.pi * (steer > high)
+    home[leg], home[part] = legs, np.clip(steer, low, high)
+    return home
+
+
 def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> np.ndarray:
     """Angles (k,) [rad] equal to ``angle`` (k,) up to half turns, between ``low`` and ``high``, that turn as little as possible.
 
     By dynamic programming over the samples. To turn costs more the faster the wheel rolls (``speed`` (k,) [m/s]); wheels
-    that stand keep their angle; angles close to the limits cost a little.
+    that stand keep their angle; angles close to the limits cost a little. Limits may be infinite.
     """
     moving = speed > STANDS
     if not moving.any():
@@ -159,6 +175,9 @@ def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> n
     # a wheel that stands is already as it will be, or still as it was
     known = np.flatnonzero(moving)
     angle = angle[known[np.clip(np.searchsorted(known, np.arange(angle.size)), 0, known.size - 1)]]
+    # a range without an end, or of very many turns, as far as the way can lead
+    wound = np.unwrap((angle + np.pi) % (2.0 * np.pi) - np.pi, period=np.pi)
+    low, high = max(low, wound.min() - WINDING), min(high, wound.max() + WINDING)
     half = np.arange(np.floor((low - high) / np.pi), np.ceil((high - low) / np.pi) + 1.0)
     options = (angle + np.pi) % (2.0 * np.pi) - np.pi
     options = options[:, None] + np.pi * half

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wbmpc.estimation import MassOffset, Tipping, rockings
 from wbmpc.model import RobotModel
-from wbmpc.stability import StanceOf, Switch, Triangle, assess, resting_triangles, support_switches, upright
+from wbmpc.stability import StanceOf, Switch, Triangle, assess, corners, resting_triangles, support_switches, upright
 
 Array = NDArray[np.float64]
 #: Feet (n, 2) [m], zero-moment points (k, 2) [m] and forces (k,) [N] that press on the ground.
@@ -28,13 +28,13 @@ _STEP = 0.05
 
 @dataclass(frozen=True)
 class Case:
-    """A configuration with a block of ``height`` [m] under a ``wheel``; the arm, stretched and horizontal, turns once in
-    ``turn`` [s] with its first joint, from half a turn. ``prefix``: of the names of its channels."""
+    """A configuration with a block of ``height`` [m] under a ``wheel`` (LF, RF, LB or RB); the arm, stretched and horizontal,
+    turns once in ``turn`` [s] with its first joint, from half a turn. ``prefix``: of the names of its channels."""
 
     configuration: str
     height: float
     turn: float
-    wheel: int = 0
+    wheel: str = "LF"
     prefix: str = ""
 
     @property
@@ -83,7 +83,7 @@ class Support:
         base = assess(robot, case.configuration)
         self.feet, self._x = base.stance.feet, base.x
         self.heights = np.zeros(len(self.feet))
-        self.heights[case.wheel] = case.height
+        self.heights[corners(robot)[case.wheel]] = case.height
         self.faces = resting_triangles(self.feet, self.heights)
         self.times = np.arange(case.start, case.end, _STEP)
         g, state = robot.base.geometry, robot.state

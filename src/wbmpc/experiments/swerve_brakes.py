@@ -17,7 +17,7 @@ from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import BRAKE_TORQUE, Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
 from wbmpc.result import Metric, Plot, RunResult, Series
-from wbmpc.stability import CONFIGURATIONS, assess, leg_angles
+from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
 
 NAME = "swerve-brakes"
 SUMMARY = "pushes with brakes closed and open, slip of a brake, brakes that do not answer (Pankert et al. 2022, Fig. 4)"
@@ -68,6 +68,11 @@ class _Bench:
     progress: Progress | None = None
 
     @property
+    def left_front(self) -> int:
+        """Index of the leg that is tried."""
+        return corners(self.robot)["LF"]
+
+    @property
     def steps(self) -> int:
         """Physics steps of a controller period."""
         return round(1.0 / self.settings.control.rate / 5e-4)
@@ -92,6 +97,7 @@ class _Bench:
 def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All tests one after the other, each on its own plant of the same seed."""
     bench = _Bench(settings, load_robot(settings.robot), seed, Log(), progress)
+    _refuse(bench.robot)
     moved = {(name, is_open): _push(bench, name, is_open) for name in CONFIGURATIONS for is_open in (False, True)}
     slip = _slip_torque(bench)
     slides = {name: _slide_force(bench, name) for name in CONFIGURATIONS}
@@ -99,9 +105,22 @@ def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = N
     if progress is not None:
         progress(1.0, "")
     return RunResult(
-        NAME, seed, True, "", _metrics(moved, slip, slides, faults), None, bench.log, _plots(bench.log), IDEALISATIONS,
+        NAME, seed, True, "", _metrics(moved, slip, slides, faults, bench.left_front), None, bench.log,
+        _plots(bench.log, bench.left_front), IDEALISATIONS,
         settings.model_dump(mode="json"),
     )  # fmt: skip
+
+
+def _refuse(robot: RobotModel) -> None:
+    """What this robot cannot do is said before the first test (:class:`InputError`)."""
+    for name in CONFIGURATIONS:
+        leg_angles(robot, name)
+    assess(robot, "X", arm=_reached_back(robot))
+
+
+def _reached_back(robot: RobotModel) -> np.ndarray:
+    """Arm joints of the home turned about by half a turn of the first one."""
+    return np.asarray(robot.home[robot.state["arm"]] + np.array([np.pi] + [0.0] * (len(robot.input.groups["arm"]) - 1)))
 
 
 def _push(bench: _Bench, name: str, is_open: bool) -> float:
@@ -141,20 +160,19 @@ def _slip_torque(bench: _Bench) -> float:
     The other wheels stand on blocks, and the arm reaches to the right rear, so that the robot stands on those three.
     """
     robot, height = bench.robot, bench.settings.height
-    arm = robot.home[robot.state["arm"]] + np.array([np.pi] + [0.0] * (len(robot.input.groups["arm"]) - 1))
-    feet = assess(robot, "X").stance.feet
+    feet, tried = assess(robot, "X").stance.feet, bench.left_front
 
     def blocks(spec: mujoco.MjSpec) -> None:
-        for x, y in feet[1:]:
+        for x, y in np.delete(feet, tried, axis=0):
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.15, 0.15, height / 2], pos=[x, y, height / 2],
                 friction=[0.8, 0.005, 1e-4], solref=[0.01, 1.0], **GROUND,
             )  # fmt: skip
 
-    plant = bench.plant("X", edit=blocks, lift=height, arm=arm)
+    plant = bench.plant("X", edit=blocks, lift=height, arm=_reached_back(robot))
     stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
     _step(plant, stop, 1.0, bench)
-    hinge = plant.model.joint(robot.state.groups["leg"][0])
+    hinge = plant.model.joint(robot.state.groups["leg"][tried])
     start = float(plant.data.qpos[hinge.qposadr[0]])
     torque, step = 0.6 * BRAKE_TORQUE, TORQUE_RAMP / bench.settings.control.rate
     plant.external = lambda m, d: d.qfrc_applied.__setitem__(hinge.dofadr[0], torque)
@@ -164,7 +182,7 @@ def _slip_torque(bench: _Bench) -> float:
             tick(plant.time - begin, stop)
             plant.step(stop, bench.steps)
             angle = float(plant.data.qpos[hinge.qposadr[0]]) - start
-            bench.log.add("slip", plant.time, [torque, angle, plant.truth().wheel_force[0]])
+            bench.log.add("slip", plant.time, [torque, angle, plant.truth().wheel_force[tried]])
             if abs(angle) > SLIPPED:
                 return torque
             torque += step
@@ -197,8 +215,8 @@ def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
     knocked. ``kind`` "closed": its brake never opens; "open": it does not close again; None: all is well.
     """
     robot = bench.robot
-    home = leg_angles(robot, "X")
-    outward = np.sign(home)
+    home, tried = leg_angles(robot, "X"), bench.left_front
+    outward = np.sign(home - leg_angles(robot, "H"))
 
     def goals(t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
         w = 2.0 * np.pi / SWING_PERIOD
@@ -215,14 +233,14 @@ def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
     agent = RollingAgent(robot, np.zeros(3), period, goals, brakes=brakes, monitor=monitor)
     if kind == "closed":
-        plant.brakes.fail(0, "closed")
-    hinge = plant.model.joint(robot.state.groups["leg"][0]).dofadr[0]
+        plant.brakes.fail(tried, "closed")
+    hinge = plant.model.joint(robot.state.groups["leg"][tried]).dofadr[0]
     own = bench.part(f"a brake that is {f'stuck {kind}' if kind else 'sound'}")
     with watched(plant, period, SWING_PERIOD + 3.0, own, agent) as tick:
         for k in range(round((SWING_PERIOD + 3.0) / period)):
             t = k * period
             if kind == "open" and t > FAILS:
-                plant.brakes.fail(0, "open")
+                plant.brakes.fail(tried, "open")
             plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
             agent.measure(plant.measure())
             command = agent.drive(t)
@@ -231,7 +249,7 @@ def _fault(bench: _Bench, kind: str | None) -> tuple[float, list[BrakeFault]]:
             assert agent.measured is not None
             bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
     seen_from = OPENS if kind == "closed" else KNOCK_BEGINS
-    right = [f for f in monitor.faults if f.leg == 0 and kind is not None]
+    right = [f for f in monitor.faults if f.leg == tried and kind is not None]
     return (right[0].time - seen_from if right else float("inf")), monitor.faults
 
 
@@ -240,10 +258,11 @@ def _metrics(
     slip: float,
     slides: dict[str, float],
     faults: dict[str | None, tuple[float, list[BrakeFault]]],
+    tried: int,
 ) -> dict[str, Metric]:
     closed = {n: v for (n, is_open), v in moved.items() if not is_open}
     opened = {n: v for (n, is_open), v in moved.items() if is_open}
-    wrong = sum(len([f for f in told if kind is None or f.leg != 0]) for kind, (_, told) in faults.items())
+    wrong = sum(len([f for f in told if kind is None or f.leg != tried]) for kind, (_, told) in faults.items())
     return {
         "displacement_closed": Metric(max(closed.values()), "m", goal=3e-4),
         "displacement_open": Metric(max(opened.values()), "m"),
@@ -257,18 +276,20 @@ def _metrics(
     }
 
 
-def _plots(log: Log) -> list[Plot]:
+def _plots(log: Log, tried: int) -> list[Plot]:
     def sideways(state: str) -> list[Series]:
         names = [n for n in CONFIGURATIONS if f"push_{n}_{state}" in log.channels]
         return [Series(n, log.times(f"push_{n}_{state}"), 1e3 * log.array(f"push_{n}_{state}")[:, 1]) for n in names]
 
     slip = log.array("slip")
     legs = [
-        Series(f"{'sound' if kind == 'none' else f'stuck {kind}'}", log.times(c), np.degrees(log.array(c)[:, 0]))
+        Series(f"{'sound' if kind == 'none' else f'stuck {kind}'}", log.times(c), np.degrees(log.array(c)[:, tried]))
         for kind in ("none", "closed", "open")
         for c in [f"fault_{kind}"]
     ]
-    legs.append(Series("wanted", log.times("fault_none"), np.degrees(log.array("fault_none")[:, 4]), dashed=True))
+    legs.append(
+        Series("wanted", log.times("fault_none"), np.degrees(log.array("fault_none")[:, 4 + tried]), dashed=True)
+    )
     slides = [Series(n, log.array(f"slide_{n}")[:, 0], 1e3 * log.array(f"slide_{n}")[:, 1]) for n in CONFIGURATIONS]
     return [
         Plot("Pushed sideways, brakes closed (Fig. 4b)", "time [s]", "displacement [mm]", sideways("closed")),

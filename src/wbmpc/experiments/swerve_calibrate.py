@@ -105,11 +105,12 @@ def _strokes(geometry: SwerveGeometry, leg: np.ndarray, s: SwerveCalibrateSettin
 def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     geometry, home = robot.base.geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
-    most = robot.limits.state_upper[robot.state["steer"]] - 0.01
+    part = robot.state["steer"]
+    least, most = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     phases, ramp = [_Phase(s.rest, steer, np.zeros(3), 0.0)], s.speed / ACCELERATION
     for twist, length in _strokes(geometry, leg, s) * s.rounds:
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
-        target = target - np.pi * np.sign(target) * (np.abs(target) > most)
+        target = target - np.pi * (target > most) + np.pi * (target < least)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
         steer = target
         phases += [

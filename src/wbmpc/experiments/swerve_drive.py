@@ -14,7 +14,7 @@ from pydantic import Field
 from wbmpc.control import BrakeControl, RollingAgent, SwerveAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
-from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
+from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, at_home, riding
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
 from wbmpc.experiments.swerve_calibrate import swerve_robot
@@ -29,7 +29,7 @@ from wbmpc.plant import SwervePlant
 from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
 from wbmpc.plant.world import GROUND
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.stability import CONFIGURATIONS, leg_angles
+from wbmpc.stability import CONFIGURATIONS, corners, leg_angles
 
 NAME = "swerve-drive"
 SUMMARY = (
@@ -118,12 +118,13 @@ class _Knock:
     start: float
     plant: SwervePlant
     offset: float
+    module: int
     dof: int = field(init=False)
     at: float = field(init=False, default=np.nan)
     done: float = field(init=False, default=np.nan)
 
     def __post_init__(self) -> None:
-        joint = self.plant.model.joint(self.plant.base.modules[0].hinge or "")
+        joint = self.plant.model.joint(self.plant.base.modules[self.module].hinge or "")
         self.dof, self._place = int(joint.dofadr[0]), int(joint.qposadr[0])
 
     def __call__(self, m: mujoco.MjModel, d: mujoco.MjData) -> None:
@@ -172,10 +173,7 @@ class _Run:
     def start(
         self, mission: Mission, edit: Callable[[mujoco.MjSpec], None] | None = None
     ) -> tuple[np.ndarray, SwervePlant]:
-        home = self.robot.home.copy()
-        leg, steer = self.robot.state["leg"], self.robot.state["steer"]
-        home[steer] += home[leg] - mission.legs
-        home[leg] = mission.legs
+        home = at_home(self.robot, mission.legs)
         plant = SwervePlant(
             self.robot.description, self.robot.state.split(home), self.settings.plant, self.seed, edit=edit
         )
@@ -220,7 +218,7 @@ class _Run:
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
         mpc.reset(home)
-        hit = None if knock is None else _Knock(knock, plant, plant.time)
+        hit = None if knock is None else _Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
 
         def record(now: float, command: Any, plans: Any) -> None:
@@ -376,7 +374,7 @@ def _metrics(log: Log, robot: RobotModel, faults: list[str], knock: _Knock | Non
         metrics["baseline_leg_angle_error_rms"] = Metric(_leg_error(log, "rival"), "rad")
         metrics["baseline_ratio"] = Metric(position / rival[0], "1", goal=0.5)
     if knock is not None and "knock.leg" in log.channels:
-        error = (log.array("knock.leg") - log.array("knock.leg_reference"))[:, 0]
+        error = (log.array("knock.leg") - log.array("knock.leg_reference"))[:, corners(robot)["LF"]]
         metrics["leg_knock"] = Metric(float(np.abs(error).max()), "rad")
         metrics["leg_recovery_time"] = Metric(recovery(log.times("knock.leg"), error, knock.done), "s", goal=2.0)
     closed = [_error(log, f"closed_{n}")[0] for n in CONFIGURATIONS if f"closed_{n}.base" in log.channels]

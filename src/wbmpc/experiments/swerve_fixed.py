@@ -14,6 +14,7 @@ from pydantic import Field
 
 from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
+from wbmpc.experiments.directions import refuse_directions
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import _stand
@@ -90,6 +91,8 @@ class Motion:
 
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = self.path.times[::2]
+        none = np.zeros((t.size, robot.base.geometry.modules))
+        refuse_directions(robot, t, self.path.twists[::2], none, none)
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.path.poses[::2]
         inputs = np.zeros((t.size, robot.input.size))

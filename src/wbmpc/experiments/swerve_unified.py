@@ -15,7 +15,7 @@ from pydantic import Field
 from wbmpc.control import BrakeControl, SwerveAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeMonitor
-from wbmpc.experiments.mission import Leg, Mission, Reconfiguration
+from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, Weight, finished
 from wbmpc.experiments.swerve_calibrate import swerve_robot
@@ -28,9 +28,9 @@ from wbmpc.mpc import MPC, SteeringGuess
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.plant import SwervePlant
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.stability import StanceOf, draw, leg_angles, region_margin
+from wbmpc.stability import StanceOf, draw, leg_angles, region_margin, support_triangles
 from wbmpc.stability.assessment import Assessment
-from wbmpc.stability.geometry import overlap_regions
+from wbmpc.stability.geometry import Triangle, overlap_regions
 
 NAME = "swerve-unified"
 SUMMARY = "the hand holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
@@ -48,18 +48,23 @@ GOAL = (2.0, 0.0, 0.5 * np.pi)
 #: Errors of the base [m, rad] at the end with which it counts as there; what may keep it from there.
 THERE, TURNED = 0.05, 0.05
 REACH_NOTE = "the hand weighs more: where the arm does not reach what it holds from the goal, the base ends short of it"
-#: Modules of the two support triangles over the rear feet (LF, RF, LB, RB are 0 to 3): the large region of A.
-REAR_TRIANGLES = ((0, 2, 3), (1, 2, 3))
+#: Where the legs begin if nothing else is said.
+AT_HOME = "home"
+#: A configuration by name (H, X, A), or angles [rad], one for each leg.
+Configuration = str | tuple[float, ...]
 
 
 class SwerveUnifiedSettings(ExperimentSettings):
-    """``legs``: by targets (X to A) or free, with the zero-moment point's margin in the two rear support triangles as the
-    objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]); ``use_gyro``,
-    ``rest``, ``drive_lag``: as in swerve-track."""
+    """``legs``: by targets (from ``leg_start`` to ``leg_goal``: H, X, A, or angles [rad] in brackets, one for each leg; the robot's
+    home and A if nothing is said) or free, with the zero-moment point's margin in the support triangles over the two rearmost feet
+    as the objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]), and without a goal;
+    ``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
     legs: Literal["targets", "support"] = "targets"
+    leg_start: Configuration = AT_HOME
+    leg_goal: Configuration = "A"
     support: Weight = 0.05
     reserve: float = Field(0.05, gt=0, le=0.5)
     use_gyro: bool = True
@@ -67,14 +72,40 @@ class SwerveUnifiedSettings(ExperimentSettings):
     drive_lag: float = Field(0.020, ge=0, le=0.5)
 
 
-def _problem(robot: RobotModel, settings: SwerveUnifiedSettings) -> Any:
+def rear_triangles(robot: RobotModel, legs: np.ndarray) -> tuple[Triangle, ...]:
+    """The support triangles over the two rearmost feet and each other one, legs at ``legs`` (n) [rad]: of four feet two, whose
+    overlap is the large region of A; of three the one that there is."""
+    feet = robot.base.geometry.steer_axes(legs)
+    rear = set(np.argsort(feet[:, 0], kind="stable")[:2].tolist())
+    return tuple(t for t in support_triangles(feet) if rear < set(t))
+
+
+def _start(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
+    """The state (nx) with the legs where they begin."""
+    if settings.leg_start == AT_HOME:
+        return robot.home
+    return at_home(robot, leg_angles(robot, settings.leg_start))
+
+
+def _goal(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
+    """Leg angles (n) [rad] of the goal."""
+    try:
+        return leg_angles(robot, settings.leg_goal)
+    except InputError as error:
+        legs = robot.base.geometry.modules
+        raise InputError(
+            f"{error}; valid for leg_goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
+        ) from None
+
+
+def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSettings) -> Any:
     cost = settings.cost
     free = settings.legs == "support"
     if free:
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
     ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_COMPLIANCE, accelerations=True)
     if free:
-        margin = residuals.SupportMargin(robot, REAR_TRIANGLES)
+        margin = residuals.SupportMargin(robot, rear_triangles(robot, home[robot.state["leg"]]))
         barrier = RelaxedBarrier(settings.support, settings.reserve)
         ocp.add(Constraint("support", margin, sets.NonNegative(), at="all", penalty=barrier))
     return ocp
@@ -87,16 +118,16 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
     begin = approach.duration + 1.0
-    home = robot.home
-    change = Reconfiguration(begin + OPENS + settings.plant.brake_delay, leg_angles(robot, "A"))
-    free = settings.legs == "support"
+    home, free = _start(robot, settings), settings.legs == "support"
+    opens = begin + OPENS + settings.plant.brake_delay
     mission = Mission(
-        (Leg(begin, DRIVE, GOAL),), home[robot.state["leg"]], () if free else (change,),
+        (Leg(begin, DRIVE, GOAL),), home[robot.state["leg"]],
+        () if free else (Reconfiguration(opens, _goal(robot, settings)),),
         ((begin + OPENS, 1.0), (begin + CLOSES, 0.0)),
     )  # fmt: skip
     duration = float(np.ceil((begin + DRIVE + 3.0) * 10.0) / 10.0)
     guess = SteeringGuess(robot, mission.preview)
-    mpc = MPC(_problem(robot, settings), settings.mpc.solver(), settings.mpc.rate, guess=guess)
+    mpc = MPC(_problem(robot, home, settings), settings.mpc.solver(), settings.mpc.rate, guess=guess)
     mission.set(mpc, robot, home, duration)
     t = np.arange(0.0, duration + 0.02, 0.02)
     mpc.reference["hand"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])

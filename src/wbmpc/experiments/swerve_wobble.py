@@ -5,7 +5,7 @@ Before that the robot learns from three other turns how far its masses are from 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -20,7 +20,7 @@ from wbmpc.model import RobotModel, load_robot
 from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.plant.world import GROUND
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, draw
+from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw
 
 NAME = "swerve-wobble"
 SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"
@@ -36,9 +36,10 @@ IDEALISATIONS = [
 HEIGHTS = (0.15, 0.02, 0.005)
 #: The arm turns once in TURN [s].
 TURN = 60.0
+Wheel = Literal["LF", "RF", "LB", "RB"]
 #: The turns that come first, on a block of another height: (configuration, wheel on the block). Together they show what the
 #: switches of H and X depend on: edges of two directions, and the arm at other angles to them.
-CALIBRATION: tuple[tuple[Literal["H", "X", "A"], int], ...] = (("H", 0), ("H", 3), ("X", 3))
+CALIBRATION: tuple[tuple[Literal["H", "X", "A"], Wheel], ...] = (("H", "LF"), ("H", "RB"), ("X", "RB"))
 CALIBRATION_HEIGHT, CALIBRATION_TURN = 0.10, 30.0
 #: Cut-off [Hz] of the low-pass of the gyro in Fig. 6.
 CUT_OFF = 20.0
@@ -59,7 +60,7 @@ class SwerveWobbleSettings(Settings):
     robot: str = "swerve-ur10"
     heights: tuple[float, ...] = HEIGHTS
     turn: float = Field(TURN, ge=20, le=600)
-    calibration: tuple[tuple[Literal["H", "X", "A"], Annotated[int, Field(ge=0, le=3)]], ...] = CALIBRATION
+    calibration: tuple[tuple[Literal["H", "X", "A"], Wheel], ...] = CALIBRATION
     calibration_turn: float = Field(CALIBRATION_TURN, ge=20, le=600)
 
 
@@ -71,6 +72,8 @@ def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = N
         for k, (name, wheel) in enumerate(settings.calibration)
     ]
     cases = [Case(name, height, settings.turn) for height in settings.heights for name in CONFIGURATIONS]
+    for case in cases[: len(CONFIGURATIONS)]:  # what this robot cannot do is said before anything is simulated
+        assess(robot, case.configuration, arm=case.arm(np.zeros(1), len(robot.input.groups["arm"]))[0])
     for k, case in enumerate([*first, *cases]):
         what = ("calibration: " if case in first else "") + f"{case.configuration}, {1e3 * case.height:g} mm"
         _simulate(robot, settings, seed, case, case in cases, log, part(progress, k, len(first) + len(cases), what))
@@ -101,7 +104,7 @@ def _simulate(
     force."""
     joints, height = len(robot.input.groups["arm"]), case.height
     start = assess(robot, case.configuration, arm=case.arm(np.zeros(1), joints)[0])
-    x, y = start.stance.feet[case.wheel]
+    x, y = start.stance.feet[corners(robot)[case.wheel]]
 
     def block(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name="block", mocap=True, pos=[x, y, -0.5 * height - 1e-3])
@@ -216,9 +219,7 @@ def _plots(
         t = log.times(f"rate_{key[n]}")
         rates.append(Series(n, t, np.linalg.norm(log.array(f"rate_{key[n]}"), axis=1)))
         gyros.append(Series(n, t, _filtered(log.array(f"gyro_{key[n]}"), t < 0.0)))
-        forces.append(
-            [Series(w, t, f) for w, f in zip(("LF", "RF", "LB", "RB"), log.array(f"force_{key[n]}").T, strict=False)]
-        )
+        forces.append([Series(w, t, log.array(f"force_{key[n]}")[:, i]) for w, i in corners(robot).items()])
     height = f"{100 * settings.heights[0]:g} cm block"
     plots: list[Plot | Drawing] = [
         Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [rad/s]", rates),

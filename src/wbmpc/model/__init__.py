@@ -6,7 +6,13 @@ from wbmpc.model.equations import Equations
 from wbmpc.model.held_arm import ServoedArm
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import Dynamics, Limits, RobotModel, load_robot
-from wbmpc.model.swerve import SwerveGeometry, aligned_steering, rolling_inverse_kinematics, wheel_velocities
+from wbmpc.model.swerve import (
+    SwerveGeometry,
+    aligned_steering,
+    beyond_range,
+    rolling_inverse_kinematics,
+    wheel_velocities,
+)
 from wbmpc.model.symbolic import FramePose
 
 __all__ = [
@@ -25,6 +31,7 @@ __all__ = [
     "SwerveGeometry",
     "WithDoor",
     "aligned_steering",
+    "beyond_range",
     "load_robot",
     "rolling_inverse_kinematics",
     "wheel_velocities",

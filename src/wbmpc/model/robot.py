@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +30,9 @@ from wbmpc.robots import (
 )
 
 Array = NDArray[np.float64]
+_LOG = logging.getLogger("wbmpc")
+#: By how much [rad] a steering range may be short of half a turn (files say 1.57): a wheel points 0.01 rad off at worst.
+NEARLY = 0.02
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class RobotModel:
         self.state, self.input = Layout(self.base.state), Layout(self.base.input)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
         self._check_home()
+        self._check_steering()
 
     def _check_home(self) -> None:
         for group, names in self.state.groups.items():
@@ -95,6 +100,21 @@ class RobotModel:
                     raise InputError(
                         f"{self.description.source}: key 'home.{name}': {value:g} is outside its limits {low:g} to {high:g}"
                     )
+
+    def _check_steering(self) -> None:
+        """A wheel with less than half a turn of steering cannot roll in every direction: possible, but not what is expected."""
+        names = self.state.groups.get("steer", ())
+        part = self.state["steer"] if names else slice(0, 0)
+        low, high = self.limits.state_lower[part], self.limits.state_upper[part]
+        short = np.flatnonzero(high - low < np.pi - NEARLY)
+        if short.size:
+            i = int(short[0])
+            more = f" (and {short.size - 1} more)" if short.size > 1 else ""
+            _LOG.warning(
+                "%s: steering joint '%s'%s turns from %g to %g rad, less than half a turn: no wheel rolls along what is left out, "
+                "%g to %g rad, and motions that ask for it drag the wheel",
+                self.description.source, names[i], more, low[i], high[i], high[i], low[i] + np.pi,
+            )  # fmt: skip
 
     def _make_base(self, spec: mujoco.MjSpec) -> Any:
         d = self.description

@@ -117,7 +117,8 @@ def _first(flags: np.ndarray) -> int:
 def _reach(low: np.ndarray, high: np.ndarray) -> list[int]:
     """From each node the first one (k) up to which no numbers of half turns, one for each wheel, are good for all nodes between."""
     count = len(low)
-    turns = np.arange(low.min(), high.max() + 1.0)
+    # no more half turns than a range asks for: none at all where it has no end
+    turns = np.arange(min(high.min(), 0.0), max(low.max(), 0.0) + 1.0)
     good = (low[:, :, None] <= turns) & (turns <= high[:, :, None])
     ends = np.where(good, count, np.arange(count)[:, None, None])
     ends = np.minimum.accumulate(ends[::-1], axis=0)[::-1]

@@ -76,6 +76,11 @@ class SwervePlant(InWorld):
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
+        if len(description.base.modules) < 3:
+            raise InputError(
+                f"{description.name}: it stands on 2 wheels, and would tip over: casters are not simulated; valid: 3 modules or "
+                "more (odometry and 'wbmpc calibrate' take 2)"
+            )
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         if self.perturbation.cables > 0.0:

@@ -1,7 +1,7 @@
 """Stability of robots on three feet or more: support, zero-moment point, margins, support switches."""
 
 from wbmpc.stability.assessment import Assessment, assess
-from wbmpc.stability.configurations import CONFIGURATIONS, leg_angles
+from wbmpc.stability.configurations import CONFIGURATIONS, corners, leg_angles
 from wbmpc.stability.drawing import draw
 from wbmpc.stability.geometry import (
     Region,
@@ -42,6 +42,7 @@ __all__ = [
     "Triangle",
     "area",
     "assess",
+    "corners",
     "counter_clockwise",
     "crossings",
     "draw",

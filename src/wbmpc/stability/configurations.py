@@ -16,14 +16,15 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.stability.robot import standing
 
-#: Outward angles [rad] of front and rear legs (negative: turned inwards).
+#: Outward angles [rad] of front and rear legs from the body's x axis, ahead and behind (negative: turned inwards).
 CONFIGURATIONS = {"H": (0.0, 0.0), "X": (np.pi / 4, np.pi / 4), "A": (-0.498, 0.747)}
 
 
 def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArray[np.float64]:
     """Leg angles (n) [rad] of a configuration by name, or of n joint angles given as numbers or as "0.1,0,-0.2,0".
 
-    Names need a base with two front and two rear hinges. Raises :class:`InputError` for angles outside the limits.
+    Names need a base with two front and two rear hinges, one on each side (:func:`corners`). Raises :class:`InputError` for
+    angles outside the limits.
     """
     geometry = standing(robot).geometry
     if not geometry.has_hinge:
@@ -44,17 +45,41 @@ def refuse_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], wh
             raise InputError(f"{what}: {name} at {value:g} rad is outside its limits {low:g} to {high:g}")
 
 
-def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
+def corners(robot: RobotModel) -> dict[str, int]:
+    """Which module (index) is left front, right front, left and right behind: ``LF``, ``RF``, ``LB``, ``RB``.
+
+    Raises :class:`InputError` for bases without two front and two rear hinges, one on each side.
+    """
     g = standing(robot).geometry
-    front, left = g.hinge[:, 0] > 0.0, g.hinge[:, 1] > 0.0
-    if g.modules != 4 or front.sum() != 2 or left.sum() != 2:
+    if not g.has_hinge:
+        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+    x, y = (g.hinge - g.hinge.mean(axis=0)).T
+    sides, ends = np.where(y > 0.0, "L", "R"), np.where(x > 0.0, "F", "B")
+    found = {f"{side}{end}": i for i, (side, end) in enumerate(zip(sides, ends, strict=True))}
+    if g.modules != 4 or len(found) != 4:
         raise InputError(
-            f"{robot.description.name}: configuration {name} is of bases with two front and two rear legs; others have angles only"
+            f"{robot.description.name}: configurations H, X and A are of bases with two front and two rear legs, one on each side; "
+            "others have angles only"
         )
-    # turning by a positive angle moves the foot of a leg along ±x to the left or to the right
-    outward = np.sign(np.cos(g.leg_heading)) * np.where(left, 1.0, -1.0)
-    ahead, behind = CONFIGURATIONS[name]
-    return np.asarray(outward * np.where(front, ahead, behind))
+    return {name: found[name] for name in ("LF", "RF", "LB", "RB")}
+
+
+def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
+    places = corners(robot)
+    (ahead, behind), heading = CONFIGURATIONS[name], standing(robot).geometry.leg_heading
+    # a leg along its half of the x axis moves its foot to the left by a positive angle if it is a front leg, else by a negative one
+    wanted = {"LF": (0.0, ahead), "RF": (0.0, -ahead), "LB": (np.pi, -behind), "RB": (np.pi, behind)}
+    angles = np.zeros(4)
+    for corner, (axis, turn) in wanted.items():
+        i = places[corner]
+        # where a leg stands at joint angle 0 is the description's choice
+        angles[i] = turn - ((heading[i] - axis + np.pi) % (2.0 * np.pi) - np.pi)
+    part = robot.state["leg"]
+    low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
+    for other in (angles + 2.0 * np.pi, angles - 2.0 * np.pi):  # as where a range is 0 to 2π
+        angles = np.where(((angles < low) | (angles > high)) & (low <= other) & (other <= high), other, angles)
+    refuse_beyond(robot, "leg", angles, f"configuration {name}")
+    return angles
 
 
 def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float64]:

@@ -13,10 +13,11 @@ import viser
 from viser import uplot
 
 from wbmpc.mpc.buffer import Mailbox
+from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
 from wbmpc.view.snapshot import NUMBERS, spoken
 from wbmpc.view.stage import add_follow, add_legend, name_tab
-from wbmpc.view.steering import CONFIGURATIONS, Controls, no_orders
+from wbmpc.view.steering import Controls, no_orders
 
 Array = np.ndarray
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.

@@ -13,16 +13,10 @@ from wbmpc.errors import InputError
 from wbmpc.loop import Running
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
+from wbmpc.stability import CONFIGURATIONS, leg_angles
 
 _LOG = logging.getLogger(__name__)
 Array = np.ndarray
-#: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I, for legs LF, RF, LB, RB.
-_SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
-CONFIGURATIONS = {
-    "H": 0.0 * _SIGNS,
-    "X": np.pi / 4 * _SIGNS,
-    "A": _SIGNS * np.array([-0.498, -0.498, 0.747, 0.747]),
-}
 #: How many places there are for weights in the orders.
 MOST_WEIGHTS = 16
 #: Legs are where they should be within this [rad]; then their brakes close.
@@ -117,7 +111,7 @@ class Steering:
             self._push_ends = None
             self.running.plant.push(np.zeros(3))
         if self._asked(orders, "configurations") and self.has_legs:
-            self._move_legs(list(CONFIGURATIONS.values())[int(orders["configuration"])])
+            self._configure(list(CONFIGURATIONS)[int(orders["configuration"])])
         if self._asked(orders, "brake_clicks") and self.has_legs:
             self._click(bool(orders["brakes_open"]))
         if self._legs is not None and np.abs(self.running.agent.state()[self._leg_part] - self._legs).max() < _THERE:
@@ -166,6 +160,13 @@ class Steering:
     def _leg_part(self) -> slice:
         part: slice = self.mpc.ocp.dynamics.state["leg"]
         return part
+
+    def _configure(self, name: str) -> None:
+        """Legs to a configuration by name, if the robot's hinges reach it."""
+        try:
+            self._move_legs(leg_angles(self.running.agent.robot, name))
+        except InputError as error:
+            _LOG.warning("%s", error)
 
     def _move_legs(self, angles: Array) -> None:
         """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
