@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import BallFilter, BallGeometry, BallNoise, BallState, JointTracker, RezeroEstimator
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
 from wbmpc.plant.inertial import SensorFault
@@ -319,8 +319,13 @@ def test_bad_readings_are_refused() -> None:
     f = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise())
     with pytest.raises(InputError, match="'wheel' needs 3"):
         f.update(H, np.zeros(2), np.zeros(3), np.zeros(3))
-    with pytest.raises(InputError, match="'gyro'"):
+    with pytest.raises(NotFinite, match="'gyro'"):
         f.update(H, np.zeros(3), [0.0, np.nan, 0.0], np.zeros(3))
+    with pytest.raises(NotFinite, match="'wheel'"):
+        f.update(H, [0.0, np.inf, 0.0], np.zeros(3), np.zeros(3))
+    with pytest.raises(NotFinite, match="no state follows"):
+        f.update(H, [0.0, 1e200, 0.0], np.zeros(3), np.zeros(3))
+        f.update(H, [0.0, -1e200, 0.0], np.zeros(3), np.zeros(3))
     with pytest.raises(InputError, match="positive spread"):
         f.know_lean([0, 0, 1], 0.0)
     with pytest.raises(InputError, match="ball base"):
