@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, 9.81])
 #: Probability of more than this surprise without a fault; variance [rad²] of rows that count for nothing; what a wheel must
 #: have turned [rad] before an encoder that does not move is called stalled: one that stays within so many counts.
-GATE, ANY, STALLED, STILL = 1e-4, 1.0, 5e-3, 3.0
+GATE, ANY, STALLED, STILL = 1e-4, 1.0, 1e-2, 3.0
 #: Variance [m², rad²] of what is called exact.
 _EXACT = 1e-14
 UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
