@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import signal
 import threading
@@ -15,6 +16,7 @@ import numpy as np
 from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
+_LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early.
 STOP_TIME = 0.5
@@ -190,7 +192,8 @@ def run_lockstep(
     progress: Progress | None = None,
 ) -> Ending:
     """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
-    robot and is returned, not raised.
+    robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
+    last command. Before, in the first period, errors (bad settings) are raised.
 
     ``mpc`` None: for agents that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
@@ -253,6 +256,11 @@ def _tick(
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
     except NotFinite as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
+    except Exception as error:
+        if i == 0:
+            raise
+        _LOG.debug("what was raised at %.2f s:", t, exc_info=error)  # the traceback, for who looks for the mistake
+        return Ending(f"stopped at {t:.2f} s: {type(error).__name__}: {error}")
     if plant.diverged:
         return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
     return Ending(f"the robot fell at {t:.2f} s", fell=True) if plant.fell else Ending()

@@ -171,6 +171,38 @@ def test_what_is_not_finite_stops_the_robot_and_never_reaches_it(where: str, rea
     assert all(np.isfinite(drive).all() for drive, _ in plant.commands)
 
 
+class RaisingAgent(FakeAgent):
+    """Its ``tick``-th measurement (from 1 on) ends in a mistake of the program."""
+
+    def __init__(self, tick: int) -> None:
+        super().__init__()
+        self.tick = tick
+
+    def measure(self, measurement) -> None:  # type: ignore[no-untyped-def]
+        super().measure(measurement)
+        if self.measured == self.tick:
+            raise ZeroDivisionError("nothing to divide by")
+
+
+def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    plant, recorded = fake_plant(), []
+    with caplog.at_level("DEBUG", "wbmpc"):
+        ending = run_lockstep(
+            plant, RaisingAgent(21), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
+        )
+    assert ending == Ending("stopped at 0.20 s: ZeroDivisionError: nothing to divide by")
+    assert plant.commands.pop() == (0.0, 150)
+    assert len(plant.commands) == len(recorded) == 20
+    assert "in measure" in caplog.text and "Traceback" in caplog.text
+
+
+def test_what_is_raised_before_the_first_command_is_raised() -> None:
+    plant = fake_plant()
+    with pytest.raises(ZeroDivisionError):
+        run_lockstep(plant, RaisingAgent(1), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+    assert plant.commands == []
+
+
 def test_a_simulation_that_diverged_is_left_alone() -> None:
     plant = fake_plant(diverges_after=30)
     ending = run_lockstep(plant, FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)

@@ -14,10 +14,11 @@ from scipy.stats import chi2
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import BallFilter, BallGeometry, BallNoise, BallState, JointTracker, RezeroEstimator
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
 from wbmpc.plant.inertial import SensorFault
+from wbmpc.robots import InertialDescription
 
 H, SEEDS = 0.0025, 50
 ROBOT = robot("rezero")
@@ -319,8 +320,14 @@ def test_bad_readings_are_refused() -> None:
     f = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise())
     with pytest.raises(InputError, match="'wheel' needs 3"):
         f.update(H, np.zeros(2), np.zeros(3), np.zeros(3))
-    with pytest.raises(InputError, match="'gyro'"):
+    with pytest.raises(NotFinite, match="'gyro'"):
         f.update(H, np.zeros(3), [0.0, np.nan, 0.0], np.zeros(3))
+    with pytest.raises(NotFinite, match="'wheel'"):
+        f.update(H, [0.0, np.inf, 0.0], np.zeros(3), np.zeros(3))
+    wide = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise(), InertialDescription(rate=1e12))
+    with pytest.raises(NotFinite, match="no state follows"):
+        for _ in range(3):
+            wide.update(H, np.zeros(3), [1e9, 0.0, 0.0], np.zeros(3))
     with pytest.raises(InputError, match="positive spread"):
         f.know_lean([0, 0, 1], 0.0)
     with pytest.raises(InputError, match="ball base"):

@@ -1,4 +1,4 @@
-"""Encoders that stand still. Truth: motions by formula, and how long a constant acceleration takes for a way."""
+"""Sensors that fail. Truth: motions by formula, how long a constant acceleration takes for a way, and times that are set."""
 
 from __future__ import annotations
 
@@ -99,3 +99,56 @@ def test_wheels_count_once_the_filter_has_said_so_for_a_while() -> None:
     assert say(60) == [] and say(30, "wheel_1 stalled") == []
     assert say(21, "wheel_1 stalled", "wheel_2 stalled") == ["wheel_2 stalled"]
     assert monitor.lost == "the encoders of wheel_1 and wheel_2 stand still, and 2 are needed"
+
+
+def test_rates_after_a_surprise_are_not_believed() -> None:
+    """One reading that is off by 8 mrad leaves a rate of 4 rad/s, and accelerations to match, to a joint that rests."""
+
+    def found(surprised: bool) -> list[str]:
+        monitor = EncoderMonitor(3, JOINTS)
+        for k in range(60):
+            back = k == 31
+            arm, rate = np.array([0.008 if k == 30 else 0.0, 0.0]), np.array([-4.0 * back, 0.0])
+            doubt = np.array([surprised and k in (30, 31), False])
+            monitor.update(k * H, H, arm, rate, np.array([0.0, 300.0 * back]), (), doubt)
+        return [f.part for f in monitor.faults]
+
+    assert found(True) == []
+    assert "one" in found(False)
+
+
+@pytest.mark.parametrize(
+    ("said", "seconds", "why"),
+    [
+        ("ball slips", 0.4, "the ball slips for 0.4 s"),
+        ("imu exceeds", 0.02, "the inertial unit exceeds its range for 0.02 s"),
+        ("imu jumps", 0.02, "the inertial unit jumps for 0.02 s"),
+        ("imu repeats", 0.1, "the inertial unit stands still for 0.1 s"),
+        ("two jumps", 0.02, "the encoder of two jumps for 0.02 s"),
+        ("wheel_0 slips", np.inf, ""),
+    ],
+)
+def test_what_lasts_ends_a_run_by_its_name(said: str, seconds: float, why: str) -> None:
+    monitor, t = EncoderMonitor(3, JOINTS), 0.0
+    while not monitor.lost and t < 1.0:
+        t += H
+        angle, speed, acceleration = swung(t)
+        monitor.update(t, H, angle, speed, acceleration, (said,))
+    assert t == pytest.approx(min(seconds, 1.0), abs=1.5 * H) and monitor.lost == why
+    assert len(monitor.faults) == 1
+
+
+def test_seldom_messages_end_a_run_after_three() -> None:
+    monitor = EncoderMonitor(3, JOINTS)
+    lost = []
+    for k in range(3):
+        monitor.update(0.05 * k, 0.05, *swung(0.05 * k), ("imu jumps",))
+        lost.append(bool(monitor.lost))
+    assert lost == [False, False, True]
+
+
+def test_one_bad_message_of_the_inertial_unit_is_told_and_ends_nothing() -> None:
+    monitor = EncoderMonitor(3, JOINTS)
+    for k in range(100):
+        monitor.update(k * H, H, *swung(k * H), ("imu jumps",) if k == 40 else ())
+    assert [str(f) for f in monitor.faults] == ["the inertial unit jumps (0.10 s)"] and not monitor.lost

@@ -1,7 +1,9 @@
-"""Encoders that stand still with the estimator in the loop. Truth: the faults that were set, and MuJoCo's robot."""
+"""Sensors that fail with the estimator in the loop. Truth: the faults that were set, and MuJoCo's robot."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 from wbmpc.experiments import rezero_task
 from wbmpc.experiments.rezero_push import RezeroPushHandSettings, run_hand
-from wbmpc.plant import RezeroPlant
+from wbmpc.plant import RezeroMeasurement, RezeroPlant
 from wbmpc.plant.inertial import SensorFault
 from wbmpc.result import RunResult
 
@@ -53,3 +55,32 @@ def test_two_wheels_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "(0.6" in result.faults[0] or "(0.7" in result.faults[0]
     assert 1.0 < result.log.times("state")[-1] < 1.4
     assert result.metrics["estimated_position_error_max"].value < 0.02
+
+
+def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[RezeroMeasurement], RezeroMeasurement]) -> RunResult:
+    """The same push, with messages that ``fault`` changes from 0.1 s on."""
+
+    class Faulty(RezeroPlant):
+        def measure(self) -> RezeroMeasurement:
+            m = super().measure()
+            return fault(m) if m.time > 0.1 - 1e-9 else m
+
+    monkeypatch.setattr(rezero_task, "RezeroPlant", Faulty)
+    return run_hand(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
+
+
+@pytest.mark.parametrize("field", ["gyro", "wheel"])
+def test_a_reading_that_is_not_finite_ends_the_run_with_its_log(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
+    """It was raised as bad input: nothing was written, and the last torques stayed on."""
+    result = changed(monkeypatch, lambda m: replace(m, **{field: getattr(m, field) * np.nan}))
+    assert (
+        not result.completed and result.reason.startswith("stopped at 0.10 s: ball filter: ") and field in result.reason
+    )
+    assert result.log.times("state")[-1] == pytest.approx(0.1 - 0.0025)
+
+
+def test_an_accelerometer_that_says_nothing_stops_the_robot_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = changed(monkeypatch, lambda m: replace(m, accel=np.zeros(3)))
+    assert "the inertial unit stands still for 0.1 s; motors off" in result.reason
+    assert [f.split(" (")[0] for f in result.faults] == ["the inertial unit stands still"]
+    assert result.log.array("tilt")[-1] < 0.2

@@ -387,7 +387,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
 def _run(given: list[str], debug: bool, quiet: bool, verbose: bool, registry: Mapping[str, Experiment] | None) -> int:
     """One command; what goes wrong as an exit status."""
     try:
-        with logged(verbose), silent(quiet and "--json" not in given):
+        with logged(verbose, debug), silent(quiet and "--json" not in given):
             status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
     except RunAborted as error:

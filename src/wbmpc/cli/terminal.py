@@ -104,13 +104,13 @@ def progress_bar(title: str, show: bool) -> Iterator[Callable[[float, str], None
 
 
 @contextmanager
-def logged(verbose: bool) -> Iterator[None]:
-    """What the library notes, on standard error: warnings, or everything."""
+def logged(verbose: bool, debug: bool = False) -> Iterator[None]:
+    """What the library notes, on standard error: warnings, or everything; with ``debug`` tracebacks too."""
     log, handler = logging.getLogger("wbmpc"), logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("wbmpc: %(message)s"))
     before = log.level
     log.addHandler(handler)
-    log.setLevel(logging.INFO if verbose else logging.WARNING)
+    log.setLevel(logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING)
     try:
         yield
     finally:

@@ -86,8 +86,9 @@ class RezeroAgent:
         if self.monitor is None:
             return
         assert self.estimator is not None and self.measured is not None
-        said = self.estimator.filter.faults
-        for fault in self.monitor.update(t, h, arm, self.estimator.arm.rate, self._accelerates, said):
+        joints, said = self.estimator.arm, self.estimator.faults
+        read = arm if joints.reading is None else joints.reading
+        for fault in self.monitor.update(t, h, read, joints.rate, self._accelerates, said, joints.surprised):
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise EncodersFailed(f"{self.monitor.lost}; motors off")

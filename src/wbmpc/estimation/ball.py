@@ -16,13 +16,15 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation.inertial import UNKNOWN, InertialGate
+from wbmpc.robots import InertialDescription
 
 Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, 9.81])
 #: Probability of more than this surprise without a fault; variance [rad²] of rows that count for nothing; what a wheel must
-#: have turned [rad] before an encoder that does not move is called stalled.
-GATE, ANY, STALLED = 1e-4, 1.0, 5e-3
+#: have turned [rad] before an encoder that does not move is called stalled: one that stays within so many counts.
+GATE, ANY, STALLED, STILL = 1e-4, 1.0, 1e-2, 3.0
 #: Variance [m², rad²] of what is called exact.
 _EXACT = 1e-14
 UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
@@ -105,6 +107,18 @@ class BallState:
         ])  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Explained:
+    """A state linearised at ``guess``, its ``error`` and ``covariance``, the ``faults`` that explain the readings; ``loose``:
+    whether wheels, or the ball, slip in it."""
+
+    guess: BallState
+    error: Array
+    covariance: Array
+    faults: tuple[str, ...]
+    loose: bool
+
+
 P, V, A, BG, BA = (slice(k, k + 3) for k in (0, 3, 6, 9, 12))
 
 
@@ -113,11 +127,15 @@ class BallFilter:
     log of the wheels' radius factor, wheel angles. ``covariance`` belongs to it.
 
     ``surprise``: what the redundant rows cost at the last update, chi-square with ``freedom`` = wheels + 1 degrees.
-    ``faults`` of the last update: where rolling contradicts the inertial unit beyond :data:`GATE`, or an encoder stands while
-    its wheel turns; those rows then count for nothing.
+    ``faults`` of the last update, each a part and what it does: where rolling contradicts the inertial unit beyond :data:`GATE`,
+    or an encoder stands while its wheel turns, those rows count for nothing; a message of the inertial ``unit`` that cannot be
+    true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces at those of the last good one, to :data:`UNKNOWN`.
     """
 
-    def __init__(self, geometry: BallGeometry, position: ArrayLike, rotation: ArrayLike, noise: BallNoise) -> None:
+    def __init__(
+        self, geometry: BallGeometry, position: ArrayLike, rotation: ArrayLike, noise: BallNoise,
+        unit: InertialDescription | None = None,
+    ) -> None:  # fmt: skip
         n = self._n = len(geometry.turn)
         self.geometry, self.noise = geometry, noise
         position = np.array([*np.asarray(position, float)[:2], 0.0])
@@ -133,6 +151,8 @@ class BallFilter:
         self.freedom, self.surprise = n + 1, 0.0
         self.faults: tuple[str, ...] = ()
         self._gate = float(chi2.isf(GATE, self.freedom))
+        self._inertial = InertialGate(unit or InertialDescription(), self.state.rotation.T @ GRAVITY)
+        self._still = STILL * np.sqrt(12.0) * noise.encoder
         self._read, self._turned, self._stalled = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
         self._rows = 16 + 2 * n + 1  # bias walks 6, scale 1, turning 3, push 3, shift 3, rolling n, encoders n, floor 1
         self._first = True
@@ -144,46 +164,88 @@ class BallFilter:
         self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
     ) -> BallState:
         """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s];
-        ``turning`` [N m]: torque of the wheels on the ball about the vertical."""
-        readings = [np.asarray(v, float) for v in (wheel, gyro, accel)]
-        for name, value, size in zip(("wheel", "gyro", "accel"), readings, (self._n, 3, 3), strict=True):
-            if value.shape != (size,) or not np.isfinite(value).all():
-                raise InputError(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
-        w, g, a = readings
+        ``turning`` [N m]: torque of the wheels on the ball about the vertical.
+
+        Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
+        w, *message = (
+            self._checked(name, value, size)
+            for name, value, size in (("wheel", wheel, self._n), ("gyro", gyro, 3), ("accel", accel, 3))
+        )
         if self._first:
             self.state.wheel, self._read, self._first = w.copy(), w.copy(), False
             self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
         if interval <= 0.0:
             return self.state
         self._turning += (1.0 - np.exp(-interval / self.noise.lasting)) * (turning - self._turning)
-        last = self.state
-        guess = self._integrated(last, interval, g, a)
-        error = self._explained(*self._linearised(last, guess, interval, w, a))
-        self.state = guess.moved(error)
-        self.rate = g - self.state.gyro_bias
-        self._look_for_stalled(w, guess.wheel - last.wheel)
+        try:
+            best = self._weighed(interval, w, np.stack(message))
+        except np.linalg.LinAlgError as error:
+            raise NotFinite(
+                f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
+            ) from error
+        turned = best.guess.wheel - self.state.wheel
+        self.state, self.covariance, self.faults = best.guess.moved(best.error), best.covariance, best.faults
+        self.rate = self._inertial.last[0] - self.state.gyro_bias
+        self._look_for_stalled(w, turned)
         return self.state
 
-    def _explained(self, r: Array, jx: Array, jy: Array, q: Array) -> Array:
-        """Error of the newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
-        wheel slips, the ball slips. If none is good enough the best one counts."""
+    @staticmethod
+    def _checked(name: str, given: ArrayLike, size: int) -> Array:
+        """A reading (size) of finite numbers."""
+        value = np.asarray(given, float)
+        if value.shape != (size,):
+            raise InputError(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
+        if not np.isfinite(value).all():
+            raise NotFinite(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
+        return value
+
+    def _weighed(self, h: float, wheel: Array, message: Array) -> _Explained:
+        """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.
+
+        One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
+        """
+        unit = self._inertial
+        if fault := unit.judge(h, message):
+            return self._explained(h, wheel, unit.last, fault)
+        persists = unit.persists(message)
+        best = self._explained(h, wheel, message)
+        if persists or (best.loose and unit.jumps(message)):
+            without = self._explained(h, wheel, unit.last, "jumps")
+            if persists or not without.loose:
+                unit.refuse()
+                return without
+        unit.accept(message)
+        return best
+
+    def _explained(self, h: float, wheel: Array, message: Array, fault: str = "") -> _Explained:
+        """The newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
+        wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
+        one's, which says little."""
+        gyro, accel = message
+        guess = self._integrated(self.state, h, gyro, accel)
+        r, jx, jy, q = self._linearised(self.state, guess, h, wheel, accel)
+        if fault:
+            q[0:3, 0:3], q[3:6, 3:6] = ((unknown * h) ** 2 * np.eye(3) for unknown in UNKNOWN)
         rolling = slice(16, 16 + self._n)
         plain, known = q[rolling, rolling].copy(), np.diag(np.where(self._stalled, ANY, 0.0))
-        stalled = tuple(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled))
-        best: tuple[Array, Array, tuple[str, ...]] | None = None
+        certain = (
+            *((f"imu {fault}",) if fault else ()),
+            *(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled)),
+        )
+        best: _Explained | None = None
         lowest = np.inf
         for faults, more in self._explanations():
             q[rolling, rolling] = plain + known + more
-            result = self._solved(r, jx, jy, q)
+            error, covariance, cost = self._solved(r, jx, jy, q)
             if not faults:
-                self.surprise = result[2]
-            if result[2] < lowest:
-                lowest, best = result[2], (*result[:2], stalled + faults)
+                self.surprise = cost
+            if cost < lowest:
+                lowest, best = cost, _Explained(guess, error, covariance, certain + faults, bool(faults))
             if lowest < self._gate:
                 break
-        assert best is not None
-        error, self.covariance, self.faults = best
-        return error
+        if best is None:
+            raise np.linalg.LinAlgError("the residuals are not finite")
+        return best
 
     def _explanations(self) -> Iterator[tuple[tuple[str, ...], Array]]:
         """Faults of rolling, the likely ones first, and the variance [rad²] that they give to the wheels' increments."""
@@ -196,11 +258,11 @@ class BallFilter:
         yield ("ball slips",), ANY * np.eye(n)
 
     def _look_for_stalled(self, wheel: Array, expected: Array) -> None:
-        """An encoder that reads the same while its wheel must have turned by more than :data:`STALLED`."""
-        changed = wheel != self._read
-        self._turned = np.where(changed, 0.0, self._turned + expected)
-        self._stalled = ~changed & (np.abs(self._turned) > STALLED)
-        self._read = wheel.copy()
+        """An encoder that stays within a few counts (one may flicker) while its wheel must have turned by :data:`STALLED`."""
+        moves = np.abs(wheel - self._read) > self._still
+        self._turned = np.where(moves, 0.0, self._turned + expected)
+        self._stalled = ~moves & (np.abs(self._turned) > STALLED)
+        self._read = np.where(moves, wheel, self._read)
 
     def _integrated(self, x: BallState, h: float, gyro: Array, accel: Array) -> BallState:
         """The next state by strapdown integration and rolling: where the residuals are linearised."""

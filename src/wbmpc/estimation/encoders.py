@@ -1,4 +1,4 @@
-"""A ball robot's encoders that stand still, and wheels that slip: what the filter found out, and joints that should have moved.
+"""A ball robot's sensors that fail, and wheels that slip: what the estimator found out, and joints that should have moved.
 
 A tracker of angles cannot tell a joint at rest from an encoder that stands: both read the same. What tells them apart is the
 model: under the torques that are sent the joint would have turned.
@@ -19,19 +19,45 @@ LEAST_WHEELS = 2
 NEAR = 0.01
 #: What the floor lets happen in ordinary runs: the ball spins when the robot yaws hard.
 ORDINARY = "ball spins"
+#: So long [s] after a surprising reading a joint's speed is not believed.
+DOUBTED = 0.03
+#: What ends a run, and after how long [s]: the state is extrapolated from the last good readings. (A unit that repeats itself may
+#: be a message that is late; who waits for messages has a limit of its own.) While the ball slips, its place is the inertial
+#: unit's: 0.4 s of an error of 0.1 m/s² and 2 mrad are 10 mm.
+ENDS = {
+    "imu exceeds": 0.02, "imu jumps": 0.02, "imu repeats": 0.1, "encoder jumps": 0.02, "ball slips": 0.4,
+}  # fmt: skip
+#: So many messages in a row it takes at least, however seldom they come.
+IN_A_ROW = 3
+#: The sentences of what is found, by part and kind.
+SENTENCES = {
+    "encoder stalled": "the encoder of {} stands still", "encoder jumps": "the encoder of {} jumps",
+    "imu exceeds": "the inertial unit exceeds its range", "imu repeats": "the inertial unit stands still",
+    "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class EncoderFault:
-    """At ``time`` [s] a ``part`` (wheel, arm joint, the ball) turned out to be ``stalled``, or to slip: ``str()`` tells it."""
+    """At ``time`` [s] a ``part`` (wheel, arm joint, the ball, the inertial unit: ``imu``) turned out to be ``stalled``, to slip, to
+    ``jump``; or the unit to exceed its range, or to repeat itself: ``str()`` tells it."""
 
     time: float
     part: str
     kind: str
 
     def __str__(self) -> str:
-        what = f"the encoder of {self.part} stands still" if self.kind == "stalled" else f"{self.part} {self.kind}"
-        return f"{what} ({self.time:.2f} s)"
+        return f"{sentence(self.part, self.kind)} ({self.time:.2f} s)"
+
+
+def sentence(part: str, kind: str) -> str:
+    """What is wrong with a part, without the time."""
+    return SENTENCES.get(_general(part, kind), f"{part} {kind}").format(part)
+
+
+def _general(part: str, kind: str) -> str:
+    """The key of a part's fault in :data:`ENDS` and :data:`SENTENCES`."""
+    return f"encoder {kind}" if part not in ("imu", "ball") and kind in ("stalled", "jumps") else f"{part} {kind}"
 
 
 class EncoderMonitor:
@@ -41,8 +67,9 @@ class EncoderMonitor:
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
-    At its ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels are judged by the filter; what it says counts once
-    it has said so for ``patience`` [s]. ``faults``: all that were told, each part once.
+    At its ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels, the inertial unit and jumps are judged by the
+    estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
+    long as :data:`ENDS` has it ends the run. ``faults``: all that were told, each part once.
     """
 
     def __init__(
@@ -57,13 +84,19 @@ class EncoderMonitor:
         self._anchor = np.full(len(self.joints), np.nan)
         self._speed, self._gone, self._then, self._stood = np.zeros((4, len(self.joints)))
         self._said: dict[str, float] = {}
+        self._doubted_until = -np.inf
 
     def update(
-        self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, said: Sequence[str]
-    ) -> list[EncoderFault]:
+        self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, said: Sequence[str],
+        surprised: NDArray[np.bool_] | None = None,
+    ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), and what the wheels' filter ``said``."""
-        standing: Iterable[int] = () if acceleration is None else self._standing(interval, arm, speed, acceleration)
+        as the model has it for the ``interval`` [s] before (None: not known yet), what the estimator ``said``, and joints (n) whose
+        reading ``surprised`` it."""
+        doubted = self._in_doubt(t, arm, surprised)
+        standing: Iterable[int] = ()
+        if acceleration is not None:
+            standing = self._standing(interval, arm, speed, acceleration, doubted)
         new = [EncoderFault(t, self.joints[i], "stalled") for i in standing]
         new += [EncoderFault(t, *name.split()) for name in self._lasting(interval, said)]
         told = {(f.part, f.kind) for f in self.faults}
@@ -71,11 +104,17 @@ class EncoderMonitor:
         self.faults += new
         return new
 
-    def _standing(self, h: float, arm: Array, speed: Array, acceleration: Array) -> NDArray[np.int_]:
-        """Joints whose encoders have not moved though they should have."""
-        moves = (
-            ~(np.abs(arm - self._anchor) <= self.still) | (arm < self._low) | (arm > self._high)
-        )  # at the first one too
+    def _in_doubt(self, t: float, arm: Array, surprised: NDArray[np.bool_] | None) -> bool:
+        """Whether speeds, and what the model makes of them, are to be believed: not just after a reading that came as a surprise
+        and moved. (One that did not move is what is looked for.)"""
+        if surprised is not None and np.any(surprised & (np.abs(arm - self._anchor) > self.still)):
+            self._doubted_until = t + DOUBTED
+        return t < self._doubted_until
+
+    def _standing(self, h: float, arm: Array, speed: Array, acceleration: Array, doubted: bool) -> NDArray[np.int_]:
+        """Joints whose encoders have not moved though they should have; counted anew while that is ``doubted``."""
+        stands = (np.abs(arm - self._anchor) <= self.still) & (arm >= self._low) & (arm <= self._high)
+        moves = ~stands | doubted  # at the first reading too
         self._anchor = np.where(moves, arm, self._anchor)
         gained = h * _beyond(acceleration - self._then, self.doubt)
         self._speed = np.where(moves, _beyond(speed, self.crawl), self._speed + gained)
@@ -85,22 +124,40 @@ class EncoderMonitor:
         return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.least - 1e-9))
 
     def _lasting(self, h: float, said: Sequence[str]) -> list[str]:
-        """What the filter says and has said most of the time."""
+        """What the estimator says and, of wheels and ball, has said most of the time."""
         names = {*self._said, *said} - {ORDINARY}
-        self._said = {n: max(self._said.get(n, 0.0) + (h if n in said else -h), 0.0) for n in names}
-        self._said = {n: min(v, 2.0 * self.patience) for n, v in self._said.items() if v > 0.0}
-        return [n for n, v in self._said.items() if v >= self.patience - 1e-9]
+        counts = {n: min(h, _ends(n) / IN_A_ROW) for n in names}
+        self._said = {n: max(self._said.get(n, 0.0) + (c if n in said else -c), 0.0) for n, c in counts.items()}
+        self._said = {n: min(v, self._most(n)) for n, v in self._said.items() if v > 0.0}
+        return [n for n, v in self._said.items() if v >= self._told_after(n) - 1e-9]
+
+    def _most(self, name: str) -> float:
+        """How long [s] counts: what was said for long is not over at once."""
+        ends = _ends(name)
+        return max(2.0 * self.patience, ends if np.isfinite(ends) else 0.0)
+
+    def _told_after(self, name: str) -> float:
+        """How long [s] the estimator has to say so."""
+        return 0.0 if name.endswith("jumps") or name.startswith("imu") else self.patience
 
     @property
     def lost(self) -> str:
         """Why the state cannot be known any more; empty while it can."""
         joints = [f"{f.part}" for f in self.faults if f.kind == "stalled" and f.part in self.joints]
         if joints:
-            return f"the encoder of {joints[0]} stands still"
+            return sentence(joints[0], "stalled")
+        lasting = [n for n, v in self._said.items() if v >= _ends(n) - 1e-9]
+        if lasting:
+            return f"{sentence(*lasting[0].split())} for {_ends(lasting[0]):g} s"
         wheels = [n.split()[0] for n, v in self._said.items() if n.endswith("stalled") and v >= self.patience - 1e-9]
         if self.wheels - len(wheels) < LEAST_WHEELS:
             return f"the encoders of {' and '.join(sorted(wheels))} stand still, and {LEAST_WHEELS} are needed"
         return ""
+
+
+def _ends(name: str) -> float:
+    """How long [s] this may be said without an end of the run; of wheels for ever."""
+    return ENDS.get(_general(*name.split()), np.inf)
 
 
 def _beyond(values: Array, doubt: float) -> Array:

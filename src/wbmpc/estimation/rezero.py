@@ -18,18 +18,32 @@ Array = NDArray[np.float64]
 SLOW, STANDS = 0.05, 2.0
 #: So many poses of the past are kept for poses that come late.
 HISTORY = 200
+#: A joint's reading jumps if it is farther from the last one that counted than this often its speed limit allows, and this [rad]
+#: more: a robot that is hit moves faster than its drives can.
+SPEED_FACTOR, SPEED_REST = 2.0, 0.05
+#: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
+SURPRISE, LATE = 1e-3, 2e-3
 
 
 class JointTracker:
     """Angles (n) [rad] and rates (n) [rad/s] of joints from encoders alone: a Kalman filter of each joint, whose
-    acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old."""
+    acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old.
 
-    def __init__(self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0) -> None:
+    ``reading`` (n): the last ones that counted; a joint ``jumped`` (n) if its own did not: beyond what joints with a limit of their
+    ``speed`` (n) [rad/s] can do. Those of ``surprised`` (n) are far from what was expected: their rates are in doubt."""
+
+    def __init__(
+        self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
+        speed: ArrayLike = np.inf,
+    ) -> None:  # fmt: skip
         self.angle = np.array(angles, float)
         self.rate = np.zeros_like(self.angle)
         self._encoder, self._age, self._jitter, self._density = encoder, age, jitter, acceleration
         one = np.ones_like(self.angle)
         self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, 1e-2 * one
+        self.jumped = self.surprised = np.zeros(one.shape, dtype=bool)
+        self.reading: Array | None = None
+        self._fastest = SPEED_FACTOR * np.asarray(speed, float)
 
     def update(self, interval: float, reading: Array) -> None:
         """``interval`` [s] since the reading before."""
@@ -39,7 +53,13 @@ class JointTracker:
         expected = self.angle + h * self.rate
         late = self._age * self.rate
         variance = aa + self._encoder**2 + (self._jitter * self.rate) ** 2
-        wrong, gain, gain_rate = reading + late - expected, aa / variance, ar / variance
+        wrong = reading + late - expected
+        self.surprised = np.abs(wrong) > SURPRISE + LATE * np.abs(self.rate)
+        if self.reading is None:  # the start is not known as well as what follows
+            self.reading = reading.copy()
+        self.jumped = np.abs(reading - self.reading) > h * self._fastest + SPEED_REST
+        self.reading = np.where(self.jumped, self.reading, reading)
+        gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
         self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
         self._aa, self._ar, self._rr = (1.0 - gain) * aa, (1.0 - gain) * ar, rr - gain_rate * ar
 
@@ -60,9 +80,10 @@ class RezeroEstimator:
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
         base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
         geometry = BallGeometry(base.radius, base.wheel_torque_map().T, base.mount)
-        self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise)
+        self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise, base.base.imu)
         n = self.noise
-        self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter)
+        speed = robot.limits.state_upper[robot.state["arm_velocity"]]
+        self.arm = JointTracker(x[5 : base.nq], n.encoder, n.age, n.jitter, speed=speed)
         self._robot, self._balance, self._balanced = robot, balance, False
         self._stood = 0.0
         self._time: float | None = None
@@ -110,6 +131,12 @@ class RezeroEstimator:
             pitch, roll = self._robot.equilibrium(self.arm.angle)[0][3:5]
             f.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the last readings: the filter's ``faults``, and joints whose encoder ``jumps``."""
+        names = self._robot.state.groups["arm"]
+        return self.filter.faults + tuple(f"{names[i]} jumps" for i in np.flatnonzero(self.arm.jumped))
 
     @property
     def state(self) -> Array:

@@ -58,6 +58,14 @@ class OmniWheelsDescription(_Model):
         return value
 
 
+class InertialDescription(_Model):
+    """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
+    out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
+
+    rate: float = Field(np.deg2rad(1000.0), gt=0)
+    acceleration: float = Field(18.0 * 9.81, gt=0)
+
+
 class BallBaseDescription(_Model):
     """A base that balances on a ball: the body ``ball`` hangs on ``body`` by a ball joint, in the same frame.
 
@@ -71,6 +79,7 @@ class BallBaseDescription(_Model):
     ball: str
     ball_radius: float = Field(gt=0)
     wheels: OmniWheelsDescription
+    imu: InertialDescription = InertialDescription()
     contact: Literal["none", "force", "wrench"] = "none"
     contact_frame: tuple[str, ...] = ()
     payload: bool = False
@@ -266,6 +275,7 @@ def _sibling_keys(location: tuple[int | str, ...], prefix: str) -> list[str]:
     inner: dict[str, type[BaseModel]] = {
         "modules": ModuleDescription,
         "wheels": OmniWheelsDescription,
+        "imu": InertialDescription,
         "arm": ArmDescription,
         "limits": LimitsDescription,
     }

@@ -1,0 +1,57 @@
+"""An inertial unit's messages that cannot be true: beyond its range, the same ones again and again, far from the one before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.robots import InertialDescription
+
+Array = NDArray[np.float64]
+#: A gyro or an accelerometer whose three numbers were the same to the bit so often in a row, and for so long [s], has stopped:
+#: noise forbids it. (A few repeats are a unit that is slower than the encoders.)
+REPEATS, STANDS = 10, 0.025
+#: More than this [rad/s], [m/s²] from one message to the next is a jump: beyond hits that are true. (Pushes of 200 N: 0.07 and 8;
+#: the ball runs onto cables of 5 mm: 0.24 and 70.)
+JUMP = np.array([[1.0], [90.0]])
+#: What the rates [rad/s] and forces [m/s²] of a message that does not count may differ by from those of the last good one.
+UNKNOWN = (1.0, 20.0)
+
+
+class InertialGate:
+    """Judges the messages of a ``unit``; ``last`` (2, 3): gyro [rad/s] and accelerometer [m/s²] of the last one that counted."""
+
+    def __init__(self, unit: InertialDescription, rest: Array) -> None:
+        """``rest`` (3) [m/s²]: what the accelerometer reads before the first message."""
+        self._range = np.array([[unit.rate], [unit.acceleration]])
+        self.last = np.stack([np.zeros(3), rest])
+        self._given: Array | None = None
+        self._counted = self._jumped = False
+        self._same, self._for = np.zeros(2, dtype=int), np.zeros(2)
+
+    def judge(self, h: float, message: Array) -> str:
+        """What is wrong with a message (2, 3), ``h`` [s] after the one before: it ``exceeds`` the range, or ``repeats`` itself;
+        empty if nothing is."""
+        again = np.zeros(2, dtype=bool) if self._given is None else (message == self._given).all(axis=1)
+        self._given = message
+        self._same, self._for = np.where(again, self._same + 1, 0), np.where(again, self._for + h, 0.0)
+        if (np.abs(message) > self._range).any():
+            return "exceeds"
+        stands = (self._same >= REPEATS) & (self._for >= STANDS - 1e-9)
+        return "repeats" if stands.any() else ""
+
+    def jumps(self, message: Array) -> bool:
+        """Whether a message (2, 3) is farther from the last one that counted than a robot on its wheels can get it."""
+        return self._counted and bool((np.abs(message - self.last) > JUMP).any())
+
+    def persists(self, message: Array) -> bool:
+        """Whether what jumped is still there: no more needs to contradict it."""
+        return self._jumped and self.jumps(message)
+
+    def accept(self, message: Array) -> None:
+        """A message (2, 3) counts."""
+        self.last, self._counted, self._jumped = message, True, False
+
+    def refuse(self) -> None:
+        """A message that jumps does not count."""
+        self._jumped = True
