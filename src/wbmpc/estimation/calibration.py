@@ -28,9 +28,9 @@ BESIDE, STANDS, STILL = 2.0, 0.2, 2e-3
 @dataclass(frozen=True)
 class WheelRecord:
     """Messages at ``times`` (k) [s]: ``leg`` (k, n or 0), ``steer``, ``wheel`` (k, n) [rad] as the encoders gave them, ``gyro`` (k)
-    [rad/s] mean yaw rate since the message before (empty without a gyro), ``brake`` (k, n) of the hinges by then, 1 = open (empty:
-    closed all the time, or it is not known: motions of the legs count, but show nothing of the wheels). Global poses: ``place_times`` (m) [s] to which
-    they belong, ``places`` (m, 3) x, y, yaw, ``place_std`` (m, 3) their standard deviations."""
+    [rad/s] mean yaw rate since the message before (empty without a gyro), ``brake`` (k, n) of the hinges by then, 1 = open
+    (empty: closed, or not known: motions of the legs count, but show nothing of the wheels). Global poses:
+    ``place_times`` (m) [s] to which they belong, ``places`` (m, 3) x, y, yaw, ``place_std`` (m, 3) their standard deviations."""
 
     times: Array
     leg: Array
@@ -44,9 +44,9 @@ class WheelRecord:
 
     @classmethod
     def of(cls, channels: Mapping[str, Array], where: str = "log") -> WheelRecord:
-        """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` and ``brake`` (may be missing),
-        and ``place`` with rows (x, y, yaw, standard deviations), each with its ``.time``, in any order. A pose up to 2 s before the
-        first message or after the last, as of a survey, counts there if the base stands. Raises :class:`InputError`."""
+        """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` and ``brake`` (may be
+        missing), and ``place`` with rows (x, y, yaw, standard deviations), each with its ``.time``, in any order. A pose up to 2 s
+        before the first message or after the last, as of a survey, counts there if the base stands. Raises :class:`InputError`."""
         for name in ("steer", "wheel", "place"):
             if name not in channels or f"{name}.time" not in channels:
                 known = sorted(c for c in channels if not c.endswith(".time"))

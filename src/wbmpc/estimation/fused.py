@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.estimation.odometry import Increment, Sample, WheelOdometry, fit_twist
+from wbmpc.estimation.odometry import Increment, Mask, Sample, WheelOdometry, fit_twist
 from wbmpc.estimation.wheels import WheelCalibration
 from wbmpc.model.swerve import SwerveGeometry
 
@@ -254,7 +254,7 @@ class FusedOdometry:
         self._last, self._open = now, is_open
         return self.pose
 
-    def _opened(self, brake: ArrayLike | None) -> NDArray[np.bool_]:
+    def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
         values = np.zeros(self._n) if brake is None or not self.geometry.has_hinge else np.asarray(brake, float)
         if values.shape != (self._n,):
@@ -268,7 +268,7 @@ class FusedOdometry:
         mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
         return _State(t, mean, p)
 
-    def _step(self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: NDArray[np.bool_]) -> _Step:
+    def _step(self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask) -> _Step:
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
         moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
@@ -283,16 +283,18 @@ class FusedOdometry:
         legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() else None
         return _Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
 
-    def _shown(self, moved: Increment, leg: Array, is_open: NDArray[np.bool_], h: float) -> _Shown:
-        """What open legs at ``leg`` (n) say about the wheels. Noise that is alike in all directions makes this residual independent of
-        the noise of the twist, which is taken in apart from it."""
+    def _shown(self, moved: Increment, leg: Array, is_open: Mask, h: float) -> _Shown:
+        """What open legs at ``leg`` (n) say about the wheels. Noise that is alike in all directions makes this residual
+        independent of the noise of the twist, which is taken in apart from it."""
         rows = moved.shown_by_legs(self.geometry.steer_axes(leg) - self.geometry.hinge, is_open)
         along = np.stack([np.cos(moved.heading), np.sin(moved.heading)], axis=1) * moved.rolled[:, None]
         each = rows.reshape(len(rows), -1, 2)
         by_zero = each[:, :, 0] * along[:, 1] - each[:, :, 1] * along[:, 0]
         by_radius = np.sum(each * along, axis=2)
         way = float(np.mean(np.abs(moved.rolled)))
-        variance = max(self.noise.along, self.noise.across) ** 2 * way + self._slip.intensity * h + self.noise.reading**2
+        variance = (
+            max(self.noise.along, self.noise.across) ** 2 * way + self._slip.intensity * h + self.noise.reading**2
+        )
         return _Shown(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
     def _twist_covariance(self, moved: Increment, h: float) -> Array:

@@ -17,6 +17,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 #: Row vectors times this: turned by a quarter to the left.
@@ -47,13 +48,13 @@ class Increment:
         across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
         return np.asarray(-across * self.rolled)
 
-    def shown_by_legs(self, arms: Array, is_open: Array) -> Array:
+    def shown_by_legs(self, arms: Array, is_open: Mask) -> Array:
         """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some hinges are open; ``arms`` (n, 2) [m]
         from hinge to steer axis, ``is_open`` (n) bool.
 
         The wheels push each other with forces that balance and, at an open hinge, lie along the leg: slip is in their span.
-        What is left of the residual without it is P T, P: off all twists, T: what leg rates give. Directions that only turn a
-        base which its open legs hardly hold (as in X) are left out: legs would have to swing far for a small contradiction.
+        What is left is the span of P T (P: without what twists give, T: what leg rates give). Directions in which a leg must swing
+        far for a small contradiction, as all four do in X when they turn the base, are left out.
         """
         n = len(arms)
         swings = np.zeros((n, n, 2))

@@ -34,8 +34,8 @@ IDEALISATIONS = [
 
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
-    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first; ``open_brakes``: whether
-    straight parts go with open brakes, where there are brakes and open legs hold the base."""
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first;
+    ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
@@ -54,7 +54,7 @@ class SwerveCalibrateSettings(Settings):
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
 STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
-#: Open legs are led back to where they were by this share of their deviation for each metre on the way [1/m]; standing before that [s].
+#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s].
 LEG_GAIN, OPENING = 2.0, 0.4
 
 
@@ -83,8 +83,8 @@ class WheelLog:
 
 
 class _Phase(NamedTuple):
-    """``length`` [s] with the wheels at about ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both ends (0:
-    standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed."""
+    """``length`` [s] with the wheels at about ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both
+    ends (0: standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed."""
 
     length: float
     steer: np.ndarray
@@ -133,8 +133,8 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
 
 
 def _opened(geometry: SwerveGeometry, leg: np.ndarray, stroke: int) -> np.ndarray:
-    """Brakes (n, 1 = open) of a stroke: all but one, which takes turns and holds the base's yaw. Open legs in X hardly do, but show no
-    more (docs/derivations.md). All closed where there are none, or where the open legs would not hold the base."""
+    """Brakes (n, 1 = open) of a stroke: all but one, which takes turns and holds the base's yaw. Four open legs in X hardly
+    do, and show no more. All closed where there are no brakes, or where the open legs would not hold the base."""
     brake = np.ones(geometry.modules)
     brake[stroke % geometry.modules] = 0.0
     holds = geometry.has_hinge and floating(geometry, leg, brake)[0] >= FLOATING
