@@ -30,7 +30,7 @@ IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
     "encoders of one message are synchronous (the message as a whole is up to 2 ms old)",
-    "the wheels are calibrated with a reference drive whose global poses have independent normal noise",
+    "the wheels are calibrated with a reference drive with independent normal noise of its poses and hinges that turn freely",
     "the computation takes a constant 10 ms; the arm's encoder offsets are not calibrated",
 ]
 
