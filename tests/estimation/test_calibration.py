@@ -3,6 +3,7 @@ found over its covariance; weighted least squares on the whole record, by finite
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,35 @@ def test_two_surveyed_poses_show_the_direction() -> None:
 
 
 FIELDS = ("times", "leg", "steer", "wheel", "place_times", "places", "place_std")
+
+
+#: Of the zeros of four modules on a circle the one combination that moves nothing while the legs stand.
+HIDDEN = np.array([1.0, -1.0, 1.0, -1.0]) / 4.0
+
+
+def straight_on(seed: int, brake: float) -> tuple[Drawn, WheelRecord]:
+    """Four modules on a circle driven forwards, then sideways; wheels that point where they go leave their legs where they are."""
+    there = lambda t: np.array([0.3, 0.0, 0.0]) if t < 3.0 else np.array([0.0, 0.3, 0.0])
+    base = Drawn(ring(4), seed, slip=3e-4, zero=2e-3, motion=there, length=6.0, period=0.04)
+    base.legs = lambda t: (np.zeros(4), np.zeros(4))  # type: ignore[method-assign]
+    data = record(base, (0.005, 0.005, 0.002))
+    return base, replace(data, brake=np.full((len(data.times), 4), brake))
+
+
+def test_open_legs_show_every_zero() -> None:
+    """Closed brakes leave one combination as uncertain as it was; with open ones it is found, within its own std over bases."""
+    apart, nothing = [], WheelCalibration.unknown(ring(4), 2e-3, 0.0, 0.0)
+    for seed in range(8):
+        base, data = straight_on(seed, 1.0)
+        found = calibrate(base.geometry, data, prior=nothing, noise=CALM)
+        std = np.sqrt(HIDDEN @ found.covariance[:4, :4] @ HIDDEN)
+        assert std < 0.4e-3
+        apart.append(HIDDEN @ (found.steer_zero - base.zeros) / std)
+    low, high = chi2.ppf([0.001, 0.999], len(apart))
+    assert low < np.sum(np.square(apart)) < high, apart
+    base, data = straight_on(0, 0.0)
+    shut = calibrate(base.geometry, data, prior=nothing, noise=CALM)
+    assert np.sqrt(HIDDEN @ shut.covariance[:4, :4] @ HIDDEN) > 0.99e-3  # 2 mrad / √4
 
 
 def test_calibrated_odometry_drifts_less() -> None:
@@ -195,6 +225,8 @@ ROLLING = np.tile(np.linspace(0.0, 1.0, 11)[:, None], (1, 4))
         ({"wheel": np.full((11, 4), np.nan)}, "'wheel': finite numbers"),
         ({"leg": np.zeros((11, 2))}, "'leg' must have .* got .11, 2."),
         ({"gyro": np.zeros((11, 3))}, "'gyro' must have"),
+        ({"brake": np.zeros((5, 4))}, "'brake' must have the same times as 'steer'"),
+        ({"brake": np.full((11, 4), np.nan)}, "'brake': finite numbers"),
         ({"steer": np.zeros(11)}, "'steer': one row"),
         ({"steer": np.array([["a"] * 4] * 11)}, "'steer': finite numbers"),
         ({"steer.time": TIMES[::-1]}, "'steer.time'"),

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, null_space
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import ReleaseOdometry, WheelOdometry
+from wbmpc.estimation.odometry import fit_twist
 from wbmpc.model import load_robot
 
 ROBOT = load_robot("swerve-ur10")
@@ -158,3 +159,26 @@ def test_wrong_samples_are_refused(bad):
     odometry = WheelOdometry(replace(GEOMETRY))
     with pytest.raises(InputError, match="steer"):
         odometry.update(np.zeros(4), bad, np.zeros(4))
+
+
+@pytest.mark.parametrize("closed", [(), (0,), (1, 2)])
+def test_what_open_legs_show_is_no_slip(closed: tuple[int, ...]) -> None:
+    """Truth: statics. Forces of the wheels that balance each other, along the legs at open hinges, move nothing that is looked
+    at, nor does the base's own motion; all else is looked at: 8 components less 3 of the motion less those forces."""
+    leg, is_open = CLOSED, np.isin(np.arange(4), closed, invert=True)
+    odometry = WheelOdometry(GEOMETRY)
+    before = odometry.checked(leg, np.full(4, 0.3), np.zeros(4))
+    moved = fit_twist(GEOMETRY, odometry.radius, before, odometry.checked(leg, np.full(4, 0.3), np.full(4, 0.1)))
+    axes = GEOMETRY.steer_axes(leg)
+    arms = axes - GEOMETRY.hinge
+    rows = moved.shown_by_legs(arms, is_open)
+    motions = [[[1.0, 0.0] for _ in axes], [[0.0, 1.0] for _ in axes], [[-y, x] for x, y in axes]]
+    motions = np.array(motions).reshape(3, 8)
+    swings = np.array([np.eye(4)[i][:, None] * [-arms[i, 1], arms[i, 0]] for i in np.flatnonzero(is_open)]).reshape(
+        -1, 8
+    )
+    forces = null_space(np.concatenate([motions, swings]))
+    np.testing.assert_allclose(rows @ rows.T, np.eye(len(rows)), atol=1e-12)
+    np.testing.assert_allclose(rows @ motions.T, 0.0, atol=1e-12)
+    np.testing.assert_allclose(rows @ forces, 0.0, atol=1e-12)
+    assert len(rows) == is_open.sum() == 8 - 3 - forces.shape[1]

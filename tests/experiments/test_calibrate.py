@@ -13,7 +13,7 @@ from toys import robot
 from wbmpc.cli import main
 from wbmpc.estimation import WheelCalibration
 from wbmpc.experiments import REGISTRY
-from wbmpc.experiments.swerve_calibrate import SwerveCalibrateSettings, steer_joints
+from wbmpc.experiments.swerve_calibrate import OPENING, SwerveCalibrateSettings, _phases, steer_joints
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 from wbmpc.plant import SwervePlant
 from wbmpc.report import write_run
@@ -52,19 +52,32 @@ def test_the_drive_knows_where_it_is(folder: Path) -> None:
 
 
 def test_what_the_odometry_needs_is_found(calibration: Path) -> None:
-    """The mean zero and the two differences that turn the base: within 3 standard deviations, and 0.6 mrad.
-
-    On a symmetric base a fourth combination of the zeros moves nothing; it stays unknown.
-    """
+    """The mean zero, the two differences that turn the base, and the one that nothing but open legs shows: within 0.6 mrad."""
     found = WheelCalibration.load(calibration, ROBOT.base.geometry, steer_joints(ROBOT))
     plant = SwervePlant(ROBOT.description, ROBOT.state.split(ROBOT.home), SETTINGS.plant, SEED)
     # the wheel's heading has the sum of both encoders' zeros
     error = found.steer_zero - plant.offsets["steer"] - plant.offsets["leg"]
-    for signs in ([1, 1, 1, 1], [1, 1, -1, -1], [1, -1, 1, -1]):
+    for signs in ([1, 1, 1, 1], [1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]):
         assert abs(np.dot(signs, error)) / 4.0 < 0.6e-3, signs
     # tyres sink in: the radius that counts is up to 0.1 % less than that of the wheel
     radius = found.wheel_radius / (0.1 * plant.draw.radius) - 1.0
     assert -2.0e-3 < radius.mean() < 1.0e-3
+
+
+def test_brakes_take_turns_and_bases_without_them_drive_as_they_did() -> None:
+    """Straight strokes: all brakes but one are open, each stays closed once; turns, and fixed legs: all are closed."""
+    strokes = [p for p in _phases(ROBOT, SETTINGS) if p.ramp > 0.0]
+    opened = np.array([p.brake for p in strokes])
+    np.testing.assert_array_equal(opened, np.concatenate([1.0 - np.eye(4), np.zeros((2, 4))]))
+    shut = [
+        _phases(robot("swerve-fixed-ur10"), SETTINGS),
+        _phases(ROBOT, SETTINGS.model_copy(update={"open_brakes": False})),
+    ]
+    for phases in shut:
+        assert not any(p.brake.any() for p in phases)
+        assert sum(p.length for p in phases) == pytest.approx(
+            sum(p.length for p in _phases(ROBOT, SETTINGS)) - 4 * OPENING
+        )
 
 
 def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:

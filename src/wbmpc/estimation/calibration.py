@@ -28,8 +28,9 @@ BESIDE, STANDS, STILL = 2.0, 0.2, 2e-3
 @dataclass(frozen=True)
 class WheelRecord:
     """Messages at ``times`` (k) [s]: ``leg`` (k, n or 0), ``steer``, ``wheel`` (k, n) [rad] as the encoders gave them, ``gyro`` (k)
-    [rad/s] mean yaw rate since the message before (empty without a gyro). Global poses: ``place_times`` (m) [s] to which
-    they belong, ``places`` (m, 3) x, y, yaw, ``place_std`` (m, 3) their standard deviations."""
+    [rad/s] mean yaw rate since the message before (empty without a gyro), ``brake`` (k, n) of the hinges by then, 1 = open
+    (empty: closed, or not known: motions of the legs count, but show nothing of the wheels). Global poses:
+    ``place_times`` (m) [s] to which they belong, ``places`` (m, 3) x, y, yaw, ``place_std`` (m, 3) their standard deviations."""
 
     times: Array
     leg: Array
@@ -39,12 +40,13 @@ class WheelRecord:
     places: Array
     place_std: Array
     gyro: Array = field(default_factory=lambda: np.zeros(0))
+    brake: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
     def of(cls, channels: Mapping[str, Array], where: str = "log") -> WheelRecord:
-        """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` (may be missing), and
-        ``place`` with rows (x, y, yaw, standard deviations), each with its ``.time``, in any order. A pose up to 2 s before the
-        first message or after the last, as of a survey, counts there if the base stands. Raises :class:`InputError`."""
+        """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` and ``brake`` (may be
+        missing), and ``place`` with rows (x, y, yaw, standard deviations), each with its ``.time``, in any order. A pose up to 2 s
+        before the first message or after the last, as of a survey, counts there if the base stands. Raises :class:`InputError`."""
         for name in ("steer", "wheel", "place"):
             if name not in channels or f"{name}.time" not in channels:
                 known = sorted(c for c in channels if not c.endswith(".time"))
@@ -56,6 +58,7 @@ class WheelRecord:
         times, steer, wheel = read("steer.time"), read("steer"), read("wheel")
         leg = read("leg") if "leg" in channels else np.zeros((len(times), 0))
         gyro = read("gyro") if "gyro" in channels else np.zeros(0)
+        brake = read("brake") if "brake" in channels else np.zeros((times.size, 0))
         if times.ndim != 1 or times.size < 2 or (np.diff(times) < 0.0).any():
             raise InputError(
                 f"{where}: channel 'steer.time': two or more times are needed, none before the one before it"
@@ -65,7 +68,8 @@ class WheelRecord:
                 f"{where}: channel 'steer': one row for each of {times.size} times is needed, got {steer.shape}"
             )
         shapes = {"wheel": (steer.shape,), "leg": (steer.shape, (times.size, 0)), "gyro": (times.shape, (0,))}
-        for name, values in (("wheel", wheel), ("leg", leg), ("gyro", gyro)):
+        shapes["brake"] = shapes["leg"]
+        for name, values in (("wheel", wheel), ("leg", leg), ("gyro", gyro), ("brake", brake)):
             if values.shape not in shapes[name]:
                 raise InputError(
                     f"{where}: channel '{name}' must have the same times as 'steer', and its shape be {shapes[name][0]}, "
@@ -83,7 +87,7 @@ class WheelRecord:
             )
         order = np.argsort(at, kind="stable")
         at = _beside(at[order], times, np.concatenate([wheel, leg], axis=1), where)
-        return cls(times, leg, steer, wheel, at, place[order, :3], place[order, 3:], gyro)
+        return cls(times, leg, steer, wheel, at, place[order, :3], place[order, 3:], gyro, brake)
 
 
 def _read(channels: Mapping[str, Array], name: str, where: str) -> Array:
@@ -136,7 +140,8 @@ def replay(
     place = 0
     for k, t in enumerate(record.times):
         gyro = float(record.gyro[k]) if record.gyro.size else None
-        odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro)
+        brake = record.brake[k] if record.brake.size else None
+        odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro, brake)
         while place < len(record.place_times) and record.place_times[place] <= t:
             odometry.correct(
                 float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2)

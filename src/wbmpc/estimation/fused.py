@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.estimation.odometry import Increment, Sample, WheelOdometry, fit_twist
+from wbmpc.estimation.odometry import Increment, Mask, Sample, WheelOdometry, fit_twist
 from wbmpc.estimation.wheels import WheelCalibration
 from wbmpc.model.swerve import SwerveGeometry
 
@@ -52,6 +52,16 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True)
+class _Shown:
+    """What legs show that give way: ``apart`` (k) [m], by which wheels and legs contradict each other at the correction ``fitted``
+    of the step, its derivative (k, 2n) by (zeros, radii), its variance [m²], the same for each."""
+
+    apart: Array
+    by_wheels: Array
+    variance: float
+
+
+@dataclass(frozen=True)
 class _Step:
     """From one message to the next: length [s], twist and its derivative by (zeros, radii), both at the correction
     ``fitted``, covariance of the twist, variance of the wheels' turn by counts, turn that the gyro saw (NaN without)."""
@@ -63,6 +73,7 @@ class _Step:
     covariance: Array
     counts: float
     turn: float
+    legs: _Shown | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +105,7 @@ class _SlipIntensity:
 
     def __init__(self, freedoms: int, window: float) -> None:
         self.freedoms, self.window = freedoms, window
-        self.now = 0.0
+        self.now = self.intensity = 0.0
         self._mean: Array | float = 0.0
         self._unseen, self._squares, self._weight, self._speed = 1.0, 0.0, 0.0, 0.0
 
@@ -112,7 +123,8 @@ class _SlipIntensity:
             self._weight = fade * self._weight + (1.0 - fade) * (1.0 - self._unseen)
             usual = self._squares / self._weight
             self.now = self.now if self.now > self.SUDDEN * usual else usual
-        return 2.0 * self.window * self.now
+        self.intensity = 2.0 * self.window * self.now
+        return self.intensity
 
 
 class FusedOdometry:
@@ -147,6 +159,7 @@ class FusedOdometry:
         self._one = np.eye(p.shape[0])
         self._keep, self._past = history, deque[tuple[_State, _Step]]()
         self._last: Sample | None = None
+        self._open = np.zeros(n, dtype=bool)
         self._by_wheels = np.zeros((3, 2 * n))
         self._slip = _SlipIntensity(2 * n - 3, self.noise.slip_window)
         self.twist: Array = np.zeros(3)
@@ -207,29 +220,46 @@ class FusedOdometry:
         self._last = None
 
     # ------------------------------------------------------------------ wheels and gyro
-    def update(self, t: float, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, gyro: float | None = None) -> Array:
+    def update(
+        self,
+        t: float,
+        leg: ArrayLike,
+        steer: ArrayLike,
+        wheel: ArrayLike,
+        gyro: float | None = None,
+        brake: ArrayLike | None = None,
+    ) -> Array:
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
         message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong).
 
-        The first message only starts. Raises :class:`InputError` for numbers that are not finite or time that goes back.
+        ``brake`` (n): which hinges turn freely by now (1 = open; left out: none is taken to). A leg that gives way shows where its
+        wheel goes, and so the zeros. The first message only starts. Raises :class:`InputError` for numbers that are not finite or
+        time that goes back.
         """
         now = self._reader.checked(leg, steer, wheel)
         if not np.isfinite(t) or t < self._state.t or (gyro is not None and not np.isfinite(gyro)):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
-        h = t - self._state.t
+        h, is_open = t - self._state.t, self._opened(brake)
         if self._last is None:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            step = self._step(h, self._last, now, gyro)
+            step = self._step(h, self._last, now, gyro, self._open & is_open)
             self._past.append((self._state, step))
             self._state = self._advanced(self._state, step)
             self.twist = step.twist / h
             while self._past and self._past[0][0].t < t - self._keep:
                 self._past.popleft()
-        self._last = now
+        self._last, self._open = now, is_open
         return self.pose
+
+    def _opened(self, brake: ArrayLike | None) -> Mask:
+        """Hinges (n) that turn freely."""
+        values = np.zeros(self._n) if brake is None or not self.geometry.has_hinge else np.asarray(brake, float)
+        if values.shape != (self._n,):
+            raise InputError(f"odometry: 'brake' needs {self._n} numbers, got {values}")
+        return np.asarray(values > 0.5)
 
     def _started(self, t: float, rate: float) -> _State:
         """The first message is late too, if the base turns already."""
@@ -238,7 +268,7 @@ class FusedOdometry:
         mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
         return _State(t, mean, p)
 
-    def _step(self, h: float, before: Sample, now: Sample, gyro: float | None) -> _Step:
+    def _step(self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask) -> _Step:
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
         moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
@@ -249,7 +279,23 @@ class FusedOdometry:
         self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
         turn = np.nan if gyro is None else gyro * h
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
-        return _Step(h, moved.twist, by_wheels, c, self._twist_covariance(moved, h), counts, turn)
+        covariance = self._twist_covariance(moved, h)
+        legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() else None
+        return _Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
+
+    def _shown(self, moved: Increment, leg: Array, is_open: Mask, h: float) -> _Shown:
+        """What open legs at ``leg`` (n) say about the wheels. Noise that is alike in all directions makes this residual
+        independent of the noise of the twist, which is taken in apart from it."""
+        rows = moved.shown_by_legs(self.geometry.steer_axes(leg) - self.geometry.hinge, is_open)
+        along = np.stack([np.cos(moved.heading), np.sin(moved.heading)], axis=1) * moved.rolled[:, None]
+        each = rows.reshape(len(rows), -1, 2)
+        by_zero = each[:, :, 0] * along[:, 1] - each[:, :, 1] * along[:, 0]
+        by_radius = np.sum(each * along, axis=2)
+        way = float(np.mean(np.abs(moved.rolled)))
+        variance = (
+            max(self.noise.along, self.noise.across) ** 2 * way + self._slip.intensity * h + self.noise.reading**2
+        )
+        return _Shown(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
     def _twist_covariance(self, moved: Increment, h: float) -> Array:
         """Of the twist of one interval: rolling noise by the way, slip by what the wheels contradict each other."""
@@ -293,6 +339,8 @@ class FusedOdometry:
             gain = cross / variance
             mean += gain * (step.turn - state.mean[BIAS] * h - state.mean[LATE] - behind - twist[2])
             p -= np.outer(gain, cross)
+        if step.legs is not None:
+            mean, p = _given_way(mean, p, step.legs, step.fitted)
         return _State(state.t + h, mean, p)
 
     # ------------------------------------------------------------------ global poses
@@ -344,6 +392,15 @@ class FusedOdometry:
         keep = np.eye(state.mean.size)
         keep[:, :3] -= gain
         return _State(state.t, state.mean + gain @ error, keep @ state.p @ keep.T + gain @ r @ gain.T)
+
+
+def _given_way(mean: Array, p: Array, shown: _Shown, fitted: Array) -> tuple[Array, Array]:
+    """Mean and covariance with what open legs show: that they and the wheels do not contradict each other."""
+    rows, apart = shown.by_wheels, shown.apart + shown.by_wheels @ (mean[WHEELS:] - fitted)
+    cross = p[:, WHEELS:] @ rows.T
+    s = rows @ cross[WHEELS:] + shown.variance * np.eye(len(rows))
+    gain = np.linalg.solve(s, cross.T).T
+    return mean - gain @ apart, p - gain @ cross.T
 
 
 def _three(name: str, value: ArrayLike) -> Array:

@@ -17,10 +17,13 @@ from wbmpc.errors import InputError
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 #: Row vectors times this: turned by a quarter to the left.
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+#: A leg's swing of which twists explain all but so much shows nothing.
+WEAK = 0.1
 #: Positions (n) [rad] of legs, steering and wheels that were read together.
 Sample = tuple[Array, Array, Array]
 
@@ -44,6 +47,25 @@ class Increment:
         """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
         across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
         return np.asarray(-across * self.rolled)
+
+    def shown_by_legs(self, arms: Array, is_open: Mask) -> Array:
+        """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some hinges are open; ``arms`` (n, 2) [m]
+        from hinge to steer axis, ``is_open`` (n) bool.
+
+        The wheels push each other with forces that balance and, at an open hinge, lie along the leg: slip is in their span.
+        What is left is the span of P T (P: without what twists give, T: what leg rates give). Directions in which a leg must swing
+        far for a small contradiction, as all four do in X when they turn the base, are left out.
+        """
+        n = len(arms)
+        swings = np.zeros((n, n, 2))
+        swings[np.arange(n), np.arange(n)] = arms @ _QUARTER_TURN
+        swings = swings[is_open]
+        # fit (3, n, 2) is the left inverse of the twists' displacements; its rows span the same space as those
+        twists = np.linalg.qr(self.fit.reshape(3, -1).T)[0]
+        off = swings.reshape(len(swings), -1)
+        off = off - (off @ twists) @ twists.T
+        _, values, rows = np.linalg.svd(off, full_matrices=False)
+        return np.asarray(rows[values > WEAK * np.hypot(*arms.T).max()])
 
     def by_radius(self) -> Array:
         """Derivative (3, n) of the twist by the wheels' radii, relative."""

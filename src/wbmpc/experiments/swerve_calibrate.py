@@ -1,6 +1,7 @@
 """`swerve-calibrate`: a short reference drive with global poses, from which the wheels are calibrated.
 
-No MPC: between strokes the base stands and the wheels turn to the next direction, then they roll. Brakes stay closed.
+No MPC: between strokes the base stands and the wheels turn to the next direction, then they roll. On hinged legs the straight
+strokes go with open brakes: the legs give way to wheels that point beside their way, and their encoders show it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.control import SwerveAgent
+from wbmpc.control.brakes import FLOATING, floating
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.estimation import WheelCalibration, WheelRecord, calibrate
 from wbmpc.experiments.settings import ControlSettings, LocalisationSettings, Settings
@@ -26,12 +28,14 @@ SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (ste
 IDEALISATIONS = [
     "global poses have independent normal noise; a real localisation has errors that last as well",
     "the robot may drive about 2 m in each direction",
+    "open hinges turn freely: one that sticks looks like a wheel that points where it should",
 ]
 
 
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
-    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first."""
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first;
+    ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
@@ -40,6 +44,7 @@ class SwerveCalibrateSettings(Settings):
     pause: float = Field(0.5, ge=0, le=60)
     rounds: int = Field(1, ge=1, le=20)
     rest: float = Field(5.0, ge=0, le=120)
+    open_brakes: bool = True
     localisation: LocalisationSettings = LocalisationSettings()
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
@@ -49,6 +54,8 @@ class SwerveCalibrateSettings(Settings):
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
 STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
+#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s].
+LEG_GAIN, OPENING = 2.0, 0.4
 
 
 class WheelLog:
@@ -58,8 +65,8 @@ class WheelLog:
         self.log, self.every = log, every
         self._count, self._gyro = 0, list[float]()
 
-    def add(self, t: float, m: SwerveMeasurement) -> None:
-        """Take in the message of time ``t`` [s] on the log's clock."""
+    def add(self, t: float, m: SwerveMeasurement, brake: np.ndarray | None = None) -> None:
+        """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were told before it."""
         self._gyro.append(float(m.gyro[2]))
         if m.place is not None:
             row = np.concatenate([m.place.pose, np.sqrt(np.diag(m.place.covariance))])
@@ -69,18 +76,21 @@ class WheelLog:
             self.log.add("wheel", t, m.wheel)
             if m.leg.size:
                 self.log.add("leg", t, m.leg)
+                self.log.add("brake", t, np.zeros(m.leg.size) if brake is None else brake)
             self.log.add("gyro", t, np.mean(self._gyro))
             self._gyro = []
         self._count += 1
 
 
 class _Phase(NamedTuple):
-    """``length`` [s] with the wheels at ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both ends."""
+    """``length`` [s] with the wheels at about ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both
+    ends (0: standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed."""
 
     length: float
     steer: np.ndarray
     twist: np.ndarray
     ramp: float
+    brake: np.ndarray
 
     def share(self, t: float) -> float:
         """Speed over full speed at ``t`` [s] of this phase."""
@@ -106,18 +116,42 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     geometry, home = robot.base.geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
     most = robot.limits.state_upper[robot.state["steer"]] - 0.01
-    phases, ramp = [_Phase(s.rest, steer, np.zeros(3), 0.0)], s.speed / ACCELERATION
-    for twist, length in _strokes(geometry, leg, s) * s.rounds:
+    closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
+    phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
+    for k, (twist, length) in enumerate(_strokes(geometry, leg, s) * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
         target = target - np.pi * np.sign(target) * (np.abs(target) > most)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
-        steer = target
+        steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
         phases += [
-            _Phase(turning + s.pause, steer, np.zeros(3), 0.0),
-            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp))),
-            _Phase(s.pause, steer, np.zeros(3), 0.0),
+            _Phase(turning + s.pause, steer, twist, 0.0, closed),
+            _Phase(OPENING * float(brake.max()), steer, twist, 0.0, brake),
+            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp)), brake),
+            _Phase(s.pause, steer, twist, 0.0, closed),
         ]
     return phases
+
+
+def _opened(geometry: SwerveGeometry, leg: np.ndarray, stroke: int) -> np.ndarray:
+    """Brakes (n, 1 = open) of a stroke: all but one, which takes turns and holds the base's yaw. Four open legs in X hardly
+    do, and show no more. All closed where there are no brakes, or where the open legs would not hold the base."""
+    brake = np.ones(geometry.modules)
+    brake[stroke % geometry.modules] = 0.0
+    holds = geometry.has_hinge and floating(geometry, leg, brake)[0] >= FLOATING
+    return brake * float(holds)
+
+
+def _rolling(
+    geometry: SwerveGeometry, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steering angles and wheel speeds (n) at ``t`` [s] of a phase; legs (n) that swing are led back to their ``home``.
+
+    By the way and not by time: a wheel that leads its leg would otherwise turn far at low speed. Without it the legs would fold
+    or spread: a wheel that goes before its hinge swings its leg ever farther.
+    """
+    swing = LEG_GAIN * float(np.hypot(*phase.twist[:2])) * phase.brake * (home - leg)
+    steer, wheel = rolling_inverse_kinematics(geometry, leg, phase.steer, phase.twist, swing)
+    return steer, wheel * phase.share(t)
 
 
 def swerve_robot(name: str) -> RobotModel:
@@ -144,23 +178,24 @@ def drive(
     period, geometry = steps * plant.timestep, robot.base.geometry
     agent = SwerveAgent(robot, plant.truth().pose, period, calibration=calibration)
     log, phases = Log(), _phases(robot, settings)
+    swings = any(p.brake.any() for p in phases)
     wheels, total = WheelLog(log), sum(p.length for p in phases)
-    arm, closed = np.zeros(len(robot.input.groups["arm"])), np.zeros(len(geometry.hinge))
-    legs = robot.state.split(robot.home).get("leg", np.zeros(geometry.modules))
+    home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
+    legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
     with watched(plant, period, total, progress, agent) as tick:
         for phase in phases:
             for k in range(round(phase.length / period)):
                 m = plant.measure()
                 agent.measure(m)
-                wheels.add(plant.time, m)
+                wheels.add(plant.time, m, brake)
                 if len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
                     log.add("base_odometry", plant.time, agent.odometry.pose)
                     log.add("base_wheels", plant.time, agent.wheels_alone.pose)
-                twist = phase.twist * phase.share(k * period)
-                _, wheel = rolling_inverse_kinematics(geometry, legs, phase.steer, twist)
-                steer = np.clip(STEER_GAIN * (phase.steer - agent.steer), -STEER_SPEED, STEER_SPEED)
-                command = SwerveCommand(wheel * agent.wheel_scale, steer, arm, closed)
+                brake = phase.brake
+                steer, wheel = _rolling(geometry, phase, k * period, agent.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - agent.steer), -STEER_SPEED, STEER_SPEED)
+                command = SwerveCommand(wheel * agent.wheel_scale, turning, arm, brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
