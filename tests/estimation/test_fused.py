@@ -41,9 +41,10 @@ def squared(error: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def consistent(values: list[float], degrees: int, level: float = 0.998) -> bool:
-    """Whether the sum of normalised errors squared lies within its two-sided chi-square bounds."""
+    """Whether the sum of normalised errors squared lies within its two-sided chi-square bounds; the lower one with the margin of 1.25
+    in variance that is kept for slip that lasts."""
     low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], degrees * len(values))
-    return bool(low < sum(values) < high)
+    return bool(low / 1.25 < sum(values) < high)
 
 
 # ---------------------------------------------------------------------- derivatives
