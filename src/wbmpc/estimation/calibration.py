@@ -126,7 +126,7 @@ def replay(
     prior: WheelCalibration | None = None,
     noise: OdometryNoise | None = None,
 ) -> FusedOdometry:
-    """The filter once over a record: its ``calibration``, and how many global poses were ``taken``. They come as soon as they are true.
+    """The filter once over a record: its ``calibration``, and how many poses were ``taken``. They come as soon as they are true.
 
     ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out). Raises :class:`InputError` for a record of
     another base.
@@ -161,8 +161,8 @@ class WheelFit:
     given: int
 
     def hidden(self) -> dict[str, tuple[Array, Array]]:
-        """Combinations of the wheels' numbers that the record did not show, of the "steer zeros" and of the "radii": weights (k, n) of
-        norm 1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
+        """Combinations of the wheels' numbers that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
+        1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
         out = {}
         for name, part in _PARTS(self.calibration.modules).items():
             root, shown, ways = _shown(self.before, self.calibration, part)
@@ -227,9 +227,9 @@ def fit_wheels(
 ) -> WheelFit:
     """Steer zeros and wheel radii that a record shows.
 
-    The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it found
-    is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record that still
-    contradicts itself then, or shows nothing; other arguments and errors as of :func:`replay`.
+    The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
+    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record
+    that still contradicts itself then, or shows nothing; other arguments and errors as of :func:`replay`.
     """
     prior = prior or WheelCalibration.unknown(geometry)
     before, start, widened = prior, prior, False
@@ -237,8 +237,8 @@ def fit_wheels(
         odometry = replay(geometry, record, prior=start, noise=noise)
         if odometry.contradiction > ABSURD:
             raise InputError(
-                f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg and wheel "
-                "angles are needed in radians, with the signs and in the order of the robot's file"
+                f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg "
+                "and wheel angles are needed in radians, with the signs and in the order of the robot's file"
             )
         found = _as_believed(geometry, odometry.calibration, before, start)
         moved = _numbers(found, geometry) - _numbers(start, geometry)
@@ -255,8 +255,8 @@ def fit_wheels(
 def _as_believed(
     geometry: SwerveGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
 ) -> WheelCalibration:
-    """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins is for
-    the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
+    """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins
+    is for the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
     moved = _numbers(start, geometry) - _numbers(before, geometry)
     moved = found.covariance @ np.linalg.pinv(before.covariance, hermitian=True) @ moved
     apart = _numbers(found, geometry) - moved - _numbers(before, geometry)
@@ -303,7 +303,11 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibrat
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
     n, given = found.modules, len(record.places)
     if _contradicted(odometry):
-        why = "" if odometry.taken < 2 else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
+        why = (
+            ""
+            if odometry.taken < 2
+            else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
+        )
         raise InputError(
             f"log: {odometry.taken} of {given} global poses fit what wheels and gyro say{why}, though steer zeros may be "
             f"{1e3 * before.std[0].max():.3g} mrad off and radii {100 * before.std[1].max():.2g} %; check units, signs, times "
