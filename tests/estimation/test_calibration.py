@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
 from wbmpc.errors import InputError
-from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate, replay
+from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate, fit_wheels, replay
 
 #: Modules that are not on one circle: every zero and every radius shows in some motion.
 UNEVEN = ring(4)
@@ -270,3 +270,56 @@ def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
     np.testing.assert_allclose(zeros[1:], [zeros[0]] * 2, atol=1e-15)
     known = found.calibration.covariance[:4, :4].mean() ** 0.5  # 0.5 mm at both ends of 0.8 m; 1 mrad before
     assert abs(zeros[0].mean() - base.zeros.mean()) < 3.0 * known and known < 0.7e-3
+
+
+# ---------------------------------------------------------------------- wheels that are far off
+def far_off(seed: int, most: float, length: float = 12.0) -> tuple[Drawn, WheelRecord]:
+    """A base whose zeros are up to ``most`` [rad] off and whose radii up to 2 %, on paper."""
+    base = Drawn(ring(4, hinged=False), seed, motion=everywhere, length=length, period=0.04)
+    base.zeros, base.factors = base.rng.uniform(-most, most, 4), 1.0 + base.rng.uniform(-0.02, 0.02, 4)
+    return base, record(base, (0.005, 0.005, 0.002))
+
+
+def test_wheels_far_beyond_what_was_believed_are_found_with_an_honest_std() -> None:
+    """Zeros up to 50 mrad and radii up to 2 %, believed to 2 mrad and 0.2 %: errors squared over covariance, over bases."""
+    values = []
+    for seed in range(3):
+        base, data = far_off(seed, 0.05)
+        found = fit_wheels(base.geometry, data, noise=CALM).calibration
+        error = np.concatenate([found.steer_zero - base.zeros, found.wheel_radius / 0.1 - base.factors])
+        values.append(error @ np.linalg.solve(found.covariance, error))
+        assert abs(error[:4].mean()) < 4e-3
+    assert sum(values) < chi2.ppf(0.999, 8 * len(values)), values
+
+
+@pytest.mark.parametrize(("zero", "radius"), [(0.02, 0.0), (0.06, 0.0), (0.0, 0.02)])
+def test_a_survey_of_two_poses_shows_errors_that_nobody_expected(zero: float, radius: float) -> None:
+    """A straight stroke between two poses: exact kinematics say by how much the second lies aside or farther."""
+    base = Drawn(
+        ring(4, hinged=False), 0, motion=lambda t: np.array([0.3, 0.0, 0.0]), length=8.0, period=0.04, gyro=0.0
+    )
+    base.zeros, base.factors = np.full(4, zero), np.full(4, 1.0 + radius)
+    fit = fit_wheels(base.geometry, record(base, (1e-3, 1e-3, 1e-3), every=200), noise=CALM)
+    assert fit.used == fit.given == 2
+    found, std = fit.calibration, fit.calibration.covariance[:4, :4].mean() ** 0.5
+    assert abs(found.steer_zero.mean() - zero) < 3.0 * std < 6e-3
+    assert found.wheel_radius.mean() / 0.1 - 1.0 == pytest.approx(radius, abs=3e-3)
+    # of four zeros a straight stroke shows the sum and what turns the base: two stay as they were, and are named
+    weights, left = fit.hidden()["steer zeros"]
+    assert len(left) >= 2
+    np.testing.assert_allclose(weights.sum(axis=1), 0.0, atol=0.05)
+    np.testing.assert_allclose(left, fit.before.std[0].max(), rtol=0.06)
+
+
+def test_records_that_no_wheels_explain_are_refused() -> None:
+    base, data = far_off(1, 2e-3, 6.0)
+    with pytest.raises(InputError, match="in radians"):
+        fit_wheels(base.geometry, replace(data, steer=np.degrees(data.steer)))
+    elsewhere = data.places + 0.5 * base.rng.normal(size=data.places.shape)
+    with pytest.raises(InputError, match=r"global poses fit what wheels and gyro say, .*check units"):
+        fit_wheels(base.geometry, replace(data, places=elsewhere))
+    stood = replace(
+        data, wheel=0.0 * data.wheel, gyro=0.0 * data.gyro, places=np.tile(data.places[:1], (len(data.places), 1))
+    )
+    with pytest.raises(InputError, match="shows nothing of the wheels"):
+        fit_wheels(base.geometry, stood)

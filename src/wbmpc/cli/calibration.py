@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from wbmpc.estimation import WheelCalibration, WheelFit
+
+    Array = NDArray[np.float64]
 
 
 def _channels(path: Path) -> tuple[dict[str, Any], Path]:
@@ -49,28 +57,64 @@ def calibrate(
     robot: Annotated[
         str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
     ] = None,
+    zero_std: Annotated[
+        float, typer.Option(min=1e-6, max=1.0, help="Standard deviation of the steer zeros before [rad].")
+    ] = 2e-3,
+    radius_std: Annotated[
+        float, typer.Option(min=1e-6, max=0.5, help="Of all radii together, relative; of each beside them half of it.")
+    ] = 2e-3,
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses."""
+    """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses.
+
+    Where the record shows errors far beyond the given standard deviations, these are widened; numbers that a record
+    contradicts, or does not show at all, are not written.
+    """
     from wbmpc import estimation
     from wbmpc.experiments.swerve_calibrate import steer_joints, swerve_robot
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
     model = swerve_robot(_robot_of(file, robot))
+    geometry, names = model.base.geometry, steer_joints(model)
     record = estimation.WheelRecord.of(channels, str(file))
-    odometry, names = estimation.replay(model.base.geometry, record), steer_joints(model)
-    found, poses = odometry.calibration, {"used": odometry.taken, "given": len(record.places)}
-    found.save(target, names)
-    std = found.std
+    prior = estimation.WheelCalibration.unknown(geometry, zero_std, 0.5 * radius_std, radius_std)
+    fit = estimation.fit_wheels(geometry, record, prior=prior)
+    hidden = [_words(names, kind, *ways) for kind, ways in fit.hidden().items() if len(ways[1])]
+    fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden])
     if as_json:
-        rows = {
-            name: {"steer_zero": float(found.steer_zero[i]), "wheel_radius": float(found.wheel_radius[i])}
-            for i, name in enumerate(names)
+        _print_json(fit, names, hidden, target)
+    else:
+        _print(fit, names, hidden, target, prior)
+
+
+def _words(names: list[str], kind: str, weights: Array, std: Array) -> str:
+    """Combinations (k, n) of the wheels' numbers and their standard deviations (k)."""
+    sums = [
+        " ".join(f"{w:+.2f} {name}" for w, name in zip(row, names, strict=True) if abs(w) > 0.05) for row in weights
+    ]
+    what = f"{sums[0]} of the" if len(sums) == 1 else f"{len(sums)} of {len(names)} combinations of the"
+    return f"{what} {kind} (std {1e3 * std.max():.2f} {'mrad' if kind == 'steer zeros' else 'per mille'}, as before)"
+
+
+def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path) -> None:
+    found, std = fit.calibration, fit.calibration.std
+    rows = {
+        name: {
+            "steer_zero": float(found.steer_zero[i]),
+            "wheel_radius": float(found.wheel_radius[i]),
+            "steer_zero_std": float(std[0][i]),
+            "wheel_radius_std": float(std[1][i]),
         }
-        typer.echo(json.dumps({"modules": rows, "poses": poses, "file": str(target)}))
-        return
+        for i, name in enumerate(names)
+    }
+    poses = {"used": fit.used, "given": fit.given}
+    typer.echo(json.dumps({"modules": rows, "poses": poses, "not_shown": hidden, "file": str(target)}))
+
+
+def _print(fit: WheelFit, names: list[str], hidden: list[str], target: Path, prior: WheelCalibration) -> None:
+    found, std = fit.calibration, fit.calibration.std
     for i, name in enumerate(names):
         typer.echo(
             f"{name}: steer zero {1e3 * found.steer_zero[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
@@ -78,8 +122,14 @@ def calibrate(
         )
     mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
     typer.echo(f"mean of the steer zeros {1e3 * found.steer_zero.mean():.2f} mrad (std {1e3 * mean:.2f})")
-    lost = poses["given"] - poses["used"]
-    typer.echo(
-        f"{poses['used']} of {poses['given']} global poses used" + ("; the others do not fit the drive" if lost else "")
-    )
+    for text in hidden:
+        typer.echo(f"not shown by this drive: {text}")
+    if (fit.before.covariance != prior.covariance).any():
+        zero, radius = (float(s.max()) for s in fit.before.std)
+        typer.echo(
+            f"the wheels are farther off than was believed; taken to be before: zeros {1e3 * zero:.3g} mrad, radii "
+            f"{100 * radius:.2g} % (--zero-std, --radius-std)"
+        )
+    lost = "; the others do not fit the drive" if fit.given > fit.used else ""
+    typer.echo(f"{fit.used} of {fit.given} global poses used{lost}")
     typer.echo(f"written to {target}; use it with --set calibration={target}")

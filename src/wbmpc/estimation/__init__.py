@@ -2,7 +2,7 @@
 
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.estimation.brakes import BrakeFault, BrakeMonitor
-from wbmpc.estimation.calibration import WheelRecord, calibrate, replay
+from wbmpc.estimation.calibration import WheelFit, WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
@@ -44,10 +44,12 @@ __all__ = [
     "Rocking",
     "Tipping",
     "WheelCalibration",
+    "WheelFit",
     "WheelOdometry",
     "WheelRecord",
     "calibrate",
     "estimate_mass_offset",
+    "fit_wheels",
     "replay",
     "rockings",
 ]

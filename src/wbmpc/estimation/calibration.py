@@ -8,8 +8,8 @@ show keep the uncertainty that they had.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,10 +126,10 @@ def replay(
     prior: WheelCalibration | None = None,
     noise: OdometryNoise | None = None,
 ) -> FusedOdometry:
-    """The filter after a record: its ``calibration``, and how many global poses were ``taken``. They come as soon as they are true.
+    """The filter once over a record: its ``calibration``, and how many poses were ``taken``. They come as soon as they are true.
 
     ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out). Raises :class:`InputError` for a record of
-    another base, and where fewer than two poses fit.
+    another base.
     """
     if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
         raise InputError(
@@ -147,11 +147,177 @@ def replay(
                 float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2)
             )
             place += 1
-    if odometry.taken < 2:
-        raise InputError(
-            f"log: {odometry.taken} of {len(record.places)} global poses fit what wheels and gyro say; two or more are needed"
-        )
     return odometry
+
+
+@dataclass(frozen=True)
+class WheelFit:
+    """What a record shows of the wheels: ``calibration``, of what was believed ``before`` (its doubt wider than the one given where
+    the record asked for it); global poses ``used`` and ``given``."""
+
+    calibration: WheelCalibration
+    before: WheelCalibration
+    used: int
+    given: int
+
+    def hidden(self) -> dict[str, tuple[Array, Array]]:
+        """Combinations of the wheels' numbers that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
+        1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
+        out = {}
+        for name, part in _PARTS(self.calibration.modules).items():
+            root, shown, ways = _shown(self.before, self.calibration, part)
+            weights = ways.T[shown < SHOWN] @ np.linalg.pinv(root)
+            weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
+            covariance = weights @ self.calibration.covariance[part, part] @ weights.T
+            out[name] = (weights, np.sqrt(np.diag(covariance)))
+        return out
+
+
+#: Steer zeros and radii in the covariance of n modules.
+_PARTS: Callable[[int], dict[str, slice]] = lambda n: {"steer zeros": slice(0, n), "radii": slice(n, 2 * n)}
+
+
+def _shown(before: WheelCalibration, found: WheelCalibration, part: slice) -> tuple[Array, Array, Array]:
+    """A root (n, k) of what was doubted before of a part, and there, in units of that doubt, the directions (columns) with the
+    share of their variance that a record took away, ascending."""
+    values, axes = np.linalg.eigh(before.covariance[part, part])
+    some = values > 1e-12 * max(values[-1], 1e-30)
+    root = axes[:, some] * np.sqrt(values[some])
+    back = np.linalg.pinv(root)
+    left = back @ found.covariance[part, part] @ back.T
+    shown, ways = np.linalg.eigh(np.eye(len(left)) - 0.5 * (left + left.T))
+    return root, shown, ways
+
+
+def _numbers(wheels: WheelCalibration, geometry: SwerveGeometry) -> Array:
+    """Zeros [rad] and relative errors of radii (2n)."""
+    return np.concatenate([wheels.steer_zero, wheels.wheel_radius / geometry.wheel_radius - 1.0])
+
+
+def _surprise(before: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
+    """By how many of its standard deviations what was found is ``apart`` (2n) from before, in the direction of most."""
+    root, shown, ways = _shown(before, found, part)
+    if shown.size == 0 or shown[-1] < SHOWN:
+        return 0.0
+    along = ways.T @ np.linalg.pinv(root) @ apart[part]
+    return float(np.max(np.abs(along[shown >= SHOWN]) / np.sqrt(shown[shown >= SHOWN])))
+
+
+#: A direction of which less than this share of its variance went away was not shown.
+SHOWN = 0.1
+#: Found so many standard deviations from what was believed: the belief was wrong. So much wider where only the poses say so.
+SURPRISING, WIDER = 2.5, 5.0
+#: Ratio of the wheels' contradiction to what their doubt explains; over many wheels and directions it is close to 1.
+CROOKED = 1.5
+#: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tyre made.
+MOST = (0.2, 0.1)
+#: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
+PASSES, MOVED = 8, 0.1
+#: Refused share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
+#: their way: above this a record contradicts itself, and no numbers explain it.
+REFUSED, MISFIT, ABSURD = 0.1, 9.0, 0.15
+
+
+def fit_wheels(
+    geometry: SwerveGeometry,
+    record: WheelRecord,
+    *,
+    prior: WheelCalibration | None = None,
+    noise: OdometryNoise | None = None,
+) -> WheelFit:
+    """Steer zeros and wheel radii that a record shows.
+
+    The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
+    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record
+    that still contradicts itself then, or shows nothing; other arguments and errors as of :func:`replay`.
+    """
+    prior = prior or WheelCalibration.unknown(geometry)
+    before, start, widened = prior, prior, False
+    for _ in range(PASSES):
+        odometry = replay(geometry, record, prior=start, noise=noise)
+        if odometry.contradiction > ABSURD:
+            raise InputError(
+                f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg "
+                "and wheel angles are needed in radians, with the signs and in the order of the robot's file"
+            )
+        found = _as_believed(geometry, odometry.calibration, before, start)
+        moved = _numbers(found, geometry) - _numbers(start, geometry)
+        wide = _doubts(geometry, before, found, odometry)
+        if max(wide) <= 1.0 and not (widened and np.abs(moved / _std(before)).max() > MOVED):
+            break
+        scale = np.repeat(wide, geometry.modules)
+        widened, before = True, replace(before, covariance=before.covariance * np.outer(scale, scale))
+        start = replace(found, covariance=before.covariance)
+    _checked(odometry, record, before, found)
+    return WheelFit(found, before, odometry.taken, len(record.places))
+
+
+def _as_believed(
+    geometry: SwerveGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
+) -> WheelCalibration:
+    """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins
+    is for the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
+    moved = _numbers(start, geometry) - _numbers(before, geometry)
+    moved = found.covariance @ np.linalg.pinv(before.covariance, hermitian=True) @ moved
+    apart = _numbers(found, geometry) - moved - _numbers(before, geometry)
+    n = geometry.modules
+    for part in _PARTS(n).values():
+        root, shown, ways = _shown(before, found, part)
+        ways = ways[:, shown >= SHOWN]
+        apart[part] = root @ ways @ ways.T @ np.linalg.pinv(root) @ apart[part]
+    radius = before.wheel_radius + geometry.wheel_radius * apart[n:]
+    return replace(found, steer_zero=before.steer_zero + apart[:n], wheel_radius=radius)
+
+
+def _contradicted(odometry: FusedOdometry) -> bool:
+    """Whether too few global poses fit, or those that do fit badly."""
+    lost = odometry.refused > REFUSED * (odometry.taken + odometry.refused)
+    return odometry.taken < 2 or lost or odometry.misfit > MISFIT
+
+
+def _doubts(
+    geometry: SwerveGeometry, before: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
+) -> list[float]:
+    """Factors by which zeros and radii are to be doubted more than before: 1 where they need not."""
+    apart = _numbers(found, geometry) - _numbers(before, geometry)
+    parts = list(_PARTS(geometry.modules).values())
+    wide = [_surprise(before, found, part, apart) for part in parts]
+    std = _std(before)
+    # wheels that point beside each other show zeros and radii that no pose shows, 2n - 3 parts of 2n of them
+    n = geometry.modules
+    crooked = odometry.contradiction / np.sqrt(2.0 * np.mean(std**2) * (2 * n - 3) / (2 * n))
+    if crooked > CROOKED:
+        wide = [max(w, SURPRISING * crooked / CROOKED) for w in wide]
+    if _contradicted(odometry) and max(wide) <= SURPRISING:
+        wide = [max(w, WIDER) for w in wide]
+    limits = [most / std[part].max() for most, part in zip(MOST, parts, strict=True)]
+    return [max(1.0, min(w, most)) if w > SURPRISING else 1.0 for w, most in zip(wide, limits, strict=True)]
+
+
+def _std(wheels: WheelCalibration) -> Array:
+    """Standard deviations (2n) of zeros [rad] and radii (relative), never 0."""
+    return np.maximum(np.concatenate(wheels.std), 1e-12)
+
+
+def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibration, found: WheelCalibration) -> None:
+    """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
+    n, given = found.modules, len(record.places)
+    if _contradicted(odometry):
+        why = (
+            ""
+            if odometry.taken < 2
+            else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
+        )
+        raise InputError(
+            f"log: {odometry.taken} of {given} global poses fit what wheels and gyro say{why}, though steer zeros may be "
+            f"{1e3 * before.std[0].max():.3g} mrad off and radii {100 * before.std[1].max():.2g} %; check units, signs, times "
+            "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
+        )
+    if max(_shown(before, found, part)[1].max(initial=0.0) for part in _PARTS(n).values()) < SHOWN:
+        raise InputError(
+            "log: the record shows nothing of the wheels that was not known before: the base must roll on between global poses, "
+            "straight ahead and sideways for zeros and radii, farther than the poses are uncertain"
+        )
 
 
 def calibrate(
@@ -161,5 +327,5 @@ def calibrate(
     prior: WheelCalibration | None = None,
     noise: OdometryNoise | None = None,
 ) -> WheelCalibration:
-    """Steer zeros and wheel radii that a record shows, with their covariance; arguments and errors of :func:`replay`."""
-    return replay(geometry, record, prior=prior, noise=noise).calibration
+    """Steer zeros and wheel radii that a record shows, with their covariance; arguments and errors of :func:`fit_wheels`."""
+    return fit_wheels(geometry, record, prior=prior, noise=noise).calibration

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 GATE = 21.1
 #: So many refusals in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
 PATIENCE = 10
+#: By so much the wheels' standard deviations grow then: a base that nobody carried away has wheels that are worse than believed.
+DOUBTED = 3.0
 
 
 @dataclass(frozen=True)
@@ -95,35 +97,45 @@ BIAS, LATE, WHEELS = 3, 4, 5
 class _SlipIntensity:
     """Intensity [m²/s] of the wheels' slip, each component, from what they contradict each other.
 
-    The residual's speed is averaged over the window w (encoder counts cancel, slip that is much shorter than w is left
+    The residual's speed is averaged over the window w (encoder counts cancel, slip that lasts less long than w is left
     with intensity / (2 w)); its square over ten windows of motion, for one has few degrees of freedom and would make lucky
-    intervals look exact. A contradiction that is far above that counts at once.
+    intervals look exact. A contradiction that is far above that counts at once. Shorter windows have more degrees of freedom in the
+    same time, and see less of slip that lasts: the largest of their answers is the least wrong. Before enough was seen, the mean
+    square over k degrees of freedom is taken for 1 + 2 / k of itself, as a variance that is known from k squares.
     """
 
     #: windows over which squares are averaged; ratio of squares that is sudden; speed [m/s] of a base that moves
-    MEMORY, SUDDEN, MOVING = 10.0, 6.0, 1e-3
+    MEMORY, SUDDEN, MOVING, FEW = 10.0, 6.0, 1e-3, 6.0
+    #: Lengths of the windows over w; what is left of slip's square in w when it lasts a quarter of w: 1 / 1.25 of white slip's.
+    WINDOWS, LASTING = np.array([1.0, 0.5, 0.25, 0.125]), 1.25
 
     def __init__(self, freedoms: int, window: float) -> None:
         self.freedoms, self.window = freedoms, window
         self.now = self.intensity = 0.0
         self._mean: Array | float = 0.0
-        self._unseen, self._squares, self._weight, self._speed = 1.0, 0.0, 0.0, 0.0
+        self._unseen, self._squares, self._weight = np.ones(4), np.zeros(4), np.zeros(4)
+        self._speed = self._moved = 0.0
 
     def update(self, residual: Array, speed: float, h: float) -> float:
         """The intensity after h [s] with residual speeds (n, 2) and mean wheel speed [m/s]."""
-        decay = np.exp(-h / self.window)
-        self._mean = decay * self._mean + (1.0 - decay) * residual
-        self._speed = decay * self._speed + (1.0 - decay) * speed
+        decay = np.exp(-h / (self.WINDOWS * self.window))
+        self._mean = decay[:, None] * self._mean + (1.0 - decay)[:, None] * residual.ravel()
+        self._speed = decay[0] * self._speed + (1.0 - decay[0]) * speed
         self._unseen *= decay**2  # the mean starts from 0: it is short of this share of its variance
-        square = float(np.sum(np.square(self._mean))) / self.freedoms
-        self.now = square / (1.0 - self._unseen)
+        square = np.sum(self._mean**2, axis=1) / self.freedoms
+        white = h * (1.0 + decay) / (1.0 - decay)  # intensity over mean square of a window: 2 w
+        self.now = float(square[0] / (1.0 - self._unseen[0]))
+        self.intensity = white[0] * self.now
         if self._speed > self.MOVING:
-            fade = decay ** (1.0 / self.MEMORY)
+            fade = decay[0] ** (1.0 / self.MEMORY)
+            self._moved = min(self._moved + h, 2.0 * self.MEMORY * self.window)
             self._squares = fade * self._squares + (1.0 - fade) * square
             self._weight = fade * self._weight + (1.0 - fade) * (1.0 - self._unseen)
             usual = self._squares / self._weight
-            self.now = self.now if self.now > self.SUDDEN * usual else usual
-        self.intensity = 2.0 * self.window * self.now
+            known = 1.0 + self.FEW * self.WINDOWS * self.window / (self.freedoms * self._moved)
+            self.now = self.now if self.now > self.SUDDEN * usual[0] else float(usual[0])
+            self.intensity = max(white[0] * self.now, float(np.max(white * usual * known)))
+        self.intensity *= self.LASTING
         return self.intensity
 
 
@@ -133,7 +145,8 @@ class FusedOdometry:
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``refused``: how
-    many global poses did and did not fit.
+    many global poses did and did not fit; ``misfit``: mean of the normalised squared errors of those that did (3 is expected);
+    ``contradiction``: by how much of their way the wheels contradicted each other.
     """
 
     def __init__(
@@ -164,6 +177,7 @@ class FusedOdometry:
         self._slip = _SlipIntensity(2 * n - 3, self.noise.slip_window)
         self.twist: Array = np.zeros(3)
         self.taken = self.refused = self._refusals = 0
+        self._misfits = self._apart = self._way = 0.0
 
     # ------------------------------------------------------------------ results
     @property
@@ -193,6 +207,16 @@ class FusedOdometry:
     def slip(self) -> float:
         """Root mean square [m/s] over the wheels, one component: 0 when they agree."""
         return float(np.sqrt(self._slip.now))
+
+    @property
+    def misfit(self) -> float:
+        """Mean of the normalised squared errors of the global poses taken in: 3 is expected."""
+        return self._misfits / max(self.taken, 1)
+
+    @property
+    def contradiction(self) -> float:
+        """By how much of their way the wheels contradicted each other, over the whole drive: 0 when they agree."""
+        return self._apart / self._way if self._way > 0.0 else 0.0
 
     @property
     def calibration(self) -> WheelCalibration:
@@ -279,6 +303,8 @@ class FusedOdometry:
         self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
         turn = np.nan if gyro is None else gyro * h
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
+        self._apart += float(np.sum(np.hypot(moved.residual[:, 0], moved.residual[:, 1])))
+        self._way += float(np.sum(np.abs(moved.rolled)))
         covariance = self._twist_covariance(moved, h)
         legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() else None
         return _Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
@@ -379,15 +405,19 @@ class FusedOdometry:
         error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
         s = state.p[:3, :3] + r
         self._refusals += 1
-        if error @ np.linalg.solve(s, error) > GATE:
+        misfit = float(error @ np.linalg.solve(s, error))
+        if misfit > GATE:
             if self._refusals <= PATIENCE:
                 return None
-            # the filter is lost, e.g. it was carried away: it knows its pose only from the source
+            # the filter is lost: carried away, or by wheels that are worse than believed. Its pose is the source's
             p = state.p.copy()
             p[:3, 3:], p[3:, :3], p[:3, :3] = 0.0, 0.0, r
+            p[WHEELS:, :] *= DOUBTED
+            p[:, WHEELS:] *= DOUBTED
             self._refusals = 0
             return _State(state.t, np.concatenate([state.mean[:3] + error, state.mean[3:]]), p)
         self._refusals = 0
+        self._misfits += misfit
         gain = np.linalg.solve(s, state.p[:3]).T
         keep = np.eye(state.mean.size)
         keep[:, :3] -= gain

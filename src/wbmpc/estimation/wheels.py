@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,8 +64,8 @@ class WheelCalibration:
         s = np.sqrt(np.diag(self.covariance))
         return s[: self.modules], s[self.modules :]
 
-    def save(self, path: Path, modules: list[str]) -> None:
-        """Write a YAML file with one entry for each of the named modules (their steer joints)."""
+    def save(self, path: Path, modules: list[str], notes: Sequence[str] = ()) -> None:
+        """Write a YAML file with one entry for each of the named modules (their steer joints), and ``notes`` as comments."""
         std = self.std
         rows = {
             name: {
@@ -78,6 +78,7 @@ class WheelCalibration:
             for i, name in enumerate(modules)
         }
         head = "# Wheels of a swerve base: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
+        head += "".join(f"# {note}\n" for note in notes)
         path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False))
 
     @classmethod

@@ -233,7 +233,11 @@ def run(settings: SwerveCalibrateSettings, seed: int, progress: Progress | None 
     """The drive, and what a calibration finds in it; the log is the input of 'wbmpc calibrate'."""
     robot = swerve_robot(settings.robot)
     log, _, reason = drive(robot, settings, seed, progress=progress)
-    metrics = _metrics(robot, log) if not reason else {}
+    metrics: dict[str, Metric] = {}
+    try:
+        metrics = metrics if reason else _metrics(robot, log)
+    except InputError as error:  # the drive is worth keeping
+        reason = f"the calibration: {error}"
     return RunResult(
         NAME, seed, not reason, reason, metrics, MpcStatistics.of(1.0, []), log, _plots(log), IDEALISATIONS,
         settings.model_dump(mode="json"),
