@@ -20,7 +20,7 @@ from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import MPC, SteeringGuess
+from wbmpc.mpc import MPC, TurningGuess
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -104,7 +104,7 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 
 
 def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveAgent:
-    return SwerveAgent(r, pose, period, lag=s.drive_lag)
+    return SwerveAgent(r, pose, period, lag=s.drive_lag, scrubbing=True)
 
 
 def goals(motion: Motion, t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -144,7 +144,8 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     """All controllers on the same reference and the same plant."""
     robot = load_robot(settings.robot)
     reference = Motion.of(settings, seed)
-    mpc = swerve_mpc(robot, settings.mpc, settings.cost, SteeringGuess(robot, lambda t, _: reference.path.twist(t)))
+    guess = TurningGuess(robot, lambda t, _: reference.path.twist(t))
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=True)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
     log, ending = Log(), Ending()
