@@ -1,4 +1,4 @@
-"""Wheels that turn about while the base goes on. Truth: all moments tried one by one; rigid-body motion of wheels; finite differences."""
+"""Wheels that turn about while the base goes on. Truth: all moments tried one by one; rigid-body motion; finite differences."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_a_wheel_turns_about_where_it_slips_least() -> None:
     assert by == -np.pi
     costs = {}
     for t in TIMES:
-        good = (way + by)[(TIMES >= t - 1e-9) & (way <= LIMITS[1])]
-        if t >= 0.2 and np.all(way[TIMES < t - 1e-9] <= LIMITS[1]) and np.all(good >= LIMITS[0]):
+        good = (way + by)[(t - 1e-9 <= TIMES) & (way <= LIMITS[1])]
+        if t >= 0.2 and np.all(way[t - 1e-9 > TIMES] <= LIMITS[1]) and np.all(good >= LIMITS[0]):
             s = np.linspace(t, t + TURN, 2001)
             costs[float(t)] = float(np.trapezoid(np.interp(s, TIMES, speeds), s)) - EARLY * t
     assert len(costs) > 5

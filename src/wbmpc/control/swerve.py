@@ -85,7 +85,9 @@ class SwerveAgent:
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
-        self._scrubs = np.zeros(robot.base.geometry.modules)  # for how long [s] wheels still slip because the plan says so
+        self._scrubs = np.zeros(
+            robot.base.geometry.modules
+        )  # for how long [s] wheels still slip because the plan says so
         self._together = np.delete(
             np.arange(robot.input.size), robot.input["steer"]
         )  # inputs that go one share of the way

@@ -212,8 +212,8 @@ class FusedOdometry:
         weights: Array | None = None,
     ) -> Array:  # fmt: skip
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
-        message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong); ``weights`` (n):
-        little for wheels that are known to slip.
+        message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
+        ``weights`` (n): little for wheels that are known to slip.
 
         The first message only starts. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """

@@ -1,10 +1,10 @@
 """Wheels of a swerve base that turn about, one after another, while the base goes on.
 
-A wheel at the end of its steering range has to go half a turn back and roll on the other way round. While it turns it cannot roll where
-the base goes. Either the base stops (:mod:`wbmpc.mpc.steering`), which costs the way of a turn, or the wheel slips sideways and the
-others carry the base on. Here the row of its side slip is lifted for the turn (``scrubbing`` of
-:class:`wbmpc.ocp.residuals.WheelRolling`), and the turn is written into the plan, seconds ahead, where the wheel slips least: at best
-while the base rests. The base's own plan stays as it is, so that the solver takes what is written at once.
+A wheel at the end of its steering range has to go half a turn back and roll on the other way round. While it turns it cannot roll
+where the base goes. Either the base stops (:mod:`wbmpc.mpc.steering`), which costs the way of a turn, or the wheel slips sideways
+and the others carry the base on. Here the row of its side slip is lifted for the turn (``scrubbing`` of
+:class:`wbmpc.ocp.residuals.WheelRolling`), and the turn is written into the plan, seconds ahead, where the wheel slips least: at
+best while the base rests. The base's own plan stays as it is, so that the solver takes what is written at once.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ AHEAD, RESERVE = 0.2, 0.05
 #: Share of the horizon in which turns are looked for (the end of a plan is still coming about); time [s] after a turn from which on
 #: the plan shows which way round the wheel went.
 SEEN, SETTLED = 0.8, 0.3
-#: Costs [m] of a turn that overlaps another wheel's, of one that is too fast together with the direction's own, and [m/s] of one that
-#: comes sooner than it has to. Slip [m] from which on the first two count.
+#: Costs [m] of a turn that overlaps another wheel's (two that slip leave little to hold the base by), of one that is too fast
+#: together with the direction's own, and [m/s] of one that comes sooner than it has to. Slip [m] from which on the first two count.
 TOGETHER, HURRY, EARLY, SLIPS = 1.0, 1.0, 1e-4, 1e-3
 #: Edges of turns that the reference of the rolling rows has room for; a time [s] that never comes.
 EDGES, NEVER = 32, 1e4
@@ -68,11 +68,12 @@ def plan_turns(
 ) -> list[tuple[float, float]]:
     """When [s] and by how much [rad] a wheel turns about, so that it slips least and stays in its range.
 
-    Its direction ``way`` (k) [rad], continuous, and its speed (k) [m/s] at ``times`` (k) [s]; ``limits`` [rad]; ``rate`` [rad/s] that it
-    can turn by; ``earliest`` [s]: no turn before; ``busy`` (k): other wheels turn there. A range that ends sooner than a wheel can turn
-    about is left to the first moment at which it can.
+    Its direction ``way`` (k) [rad], continuous, and its speed (k) [m/s] at ``times`` (k) [s]; ``limits`` [rad]; ``rate`` [rad/s]
+    that it can turn by; ``earliest`` [s]: no turn before; ``busy`` (k): a turn from there on overlaps another wheel's. A range that
+    ends sooner than a wheel can turn about is left at the first moment at which it can.
     """
-    turns, path, first = [], way.copy(), 0
+    turns: list[tuple[float, float]] = []
+    path, first = way.copy(), 0
     cost = _costs(times, way, speeds, rate, busy)
     while True:
         beyond = np.flatnonzero(_outside(path[first:], limits))
@@ -130,7 +131,8 @@ class TurningGuess(SteeringGuess):
         self._rate, self._roll = (np.arange(given.size)[given[g]] for g in ("steer", "wheel"))
         self.turns: tuple[Turn, ...] = ()
         self._lifted: tuple[Turn, ...] | None = None
-        self._new: tuple[Turn, ...] = ()  # written before the last solve; a moment [s] behind them and the angle [rad] there
+        # written before the last solve; a moment [s] behind them and the angle [rad] there
+        self._new: tuple[Turn, ...] = ()
         self._mark = (0.0, 0.0)
 
     def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
@@ -185,7 +187,7 @@ class TurningGuess(SteeringGuess):
             self._mark = (when, float(self._planned(solver, self._new[-1].wheel, when)))
 
     def _ways(self, t: float, horizon: float, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times (k) [s], directions (k, n) [rad], continuous from one of those near ``x0``, and speeds (k, n) [m/s] of the wheels."""
+        """Times (k) [s], directions (k, n) [rad], continuous from one near ``x0`` on, and speeds (k, n) [m/s] of the wheels."""
         times = t + np.linspace(0.0, horizon, NODES)
         leg, steer = self._angles(x0)
         twists = self.preview(times, x0[self.robot.state["base"]])
