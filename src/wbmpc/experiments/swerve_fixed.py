@@ -29,7 +29,8 @@ NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
 
 IDEALISATIONS = [
-    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers",
+    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers, but not what slip"
+    " does, and the MPC lets wheels slip while they turn about",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
     "the computation of the MPC takes a constant 10 ms; the rivals' takes none",
     "rivals know the reference ahead of time too: they turn their wheels before they start",
