@@ -77,6 +77,26 @@ def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) 
     np.testing.assert_allclose(got["steer"], 0.3 + 0.010 + change[given["steer"]], atol=1e-12)
 
 
+@pytest.mark.parametrize("scrubbing", [True, False])
+def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(scrubbing: bool) -> None:
+    """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
+    geometry, agent = (
+        SWERVE.base.geometry,
+        SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, scrubbing=scrubbing),
+    )
+    u, plans, across = np.zeros(SWERVE.input.size), Plans(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
+    u[SWERVE.input["base"]] = [0.4, 0.0, 0.0]
+    steer = -geometry.wheel_heading + across
+    plan = constant_policy(u)
+    plan.x[:, SWERVE.state["steer"]] = steer
+    plans.add(0.0, plan)
+    agent.measure(message(0.0, steer=steer))
+    agent.command(0.0, plans)
+    agent.measure(message(0.025, steer=steer, wheel=0.01 / geometry.wheel_radius * (across == 0.0)))
+    error = np.abs(agent.odometry.pose - [0.01, 0.0, 0.0]).max()
+    assert error < 1e-4 if scrubbing else error > 1e-3
+
+
 def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
     """A drive with a lag of T stops T · speed after its last command: the observation is where that is.
 

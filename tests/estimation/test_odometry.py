@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -182,3 +183,16 @@ def test_what_open_legs_show_is_no_slip(closed: tuple[int, ...]) -> None:
     np.testing.assert_allclose(rows @ motions.T, 0.0, atol=1e-12)
     np.testing.assert_allclose(rows @ forces, 0.0, atol=1e-12)
     assert len(rows) == is_open.sum() == 8 - 3 - forces.shape[1]
+
+
+def test_a_wheel_that_is_known_to_slip_does_not_count() -> None:
+    """Truth: the same samples before one wheel's angles were spoilt."""
+    _, samples = roll_out(FIXED, 1.0, 0.1, *MOTIONS["fixed legs"][1:])
+    radius, weights = np.full(4, FIXED.wheel_radius), np.array([1.0, 1e-9, 1.0, 1.0])
+    for before, now in pairwise(samples):
+        spoilt = now[0], now[1] + [0.0, 0.5, 0.0, 0.0], now[2] + [0.0, 0.1, 0.0, 0.0]
+        true = fit_twist(FIXED, radius, before, now).twist
+        np.testing.assert_allclose(fit_twist(FIXED, radius, before, spoilt, weights).twist, true, atol=1e-5)
+        assert np.abs(fit_twist(FIXED, radius, before, spoilt).twist - true).max() > 1e-3
+        same = fit_twist(FIXED, radius, before, spoilt, np.ones(4)).twist
+        np.testing.assert_allclose(same, fit_twist(FIXED, radius, before, spoilt).twist, atol=1e-15)

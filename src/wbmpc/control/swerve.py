@@ -20,7 +20,7 @@ from wbmpc.estimation import (
     WheelCalibration,
     WheelOdometry,
 )
-from wbmpc.model import RobotModel, aligned_steering
+from wbmpc.model import RobotModel, aligned_steering, wheel_velocities
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
@@ -31,6 +31,9 @@ CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.1
 ALIGN_GAIN = 15.0
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, SAG_MOST = 1.0, 0.15
+#: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag), and its weight in
+#: the odometry meanwhile.
+SCRUBS, SCRUBBING, SCRUB_WEIGHT = 0.02, 0.1, 1e-3
 
 
 class SwerveAgent:
@@ -43,7 +46,8 @@ class SwerveAgent:
     slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
     base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
     load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called
-    with each fault that it finds.
+    with each fault that it finds. ``scrubbing``: plans let wheels slip sideways while they turn about, and the odometry
+    hardly listens to those.
     """
 
     def __init__(
@@ -61,6 +65,7 @@ class SwerveAgent:
         use_gyro: bool = True,
         monitor: BrakeMonitor | None = None,
         faulty: Callable[[BrakeFault], None] | None = None,
+        scrubbing: bool = False,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
@@ -76,10 +81,13 @@ class SwerveAgent:
         self.lag = lag
         steer = robot.state["steer"]
         self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
-        self.monitor, self.faulty = monitor, faulty
+        self.monitor, self.faulty, self.scrubbing = monitor, faulty, scrubbing
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
+        self._scrubs = np.zeros(
+            robot.base.geometry.modules
+        )  # for how long [s] wheels still slip because the plan says so
         self._together = np.delete(
             np.arange(robot.input.size), robot.input["steer"]
         )  # inputs that go one share of the way
@@ -99,7 +107,8 @@ class SwerveAgent:
         turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
         self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None)
+        weights = np.where(self._scrubs > 0.0, SCRUB_WEIGHT, 1.0) if self._scrubs.any() else None
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
 
@@ -202,6 +211,8 @@ class SwerveAgent:
         off = float(np.abs(error).max()) if self.planned_steering else 0.0
         self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
         u = self._held(policy.feedforward(t + self.lag))
+        if self.scrubbing:
+            self._note_scrubbing(planned, u)
         most = self.robot.limits.drive_upper[given["steer"]]
         gain = max(self.steer_gain, ALIGN_GAIN) if self.aligning else self.steer_gain
         steer = np.clip(u[given["steer"]] + gain * error, -most, most)
@@ -224,6 +235,16 @@ class SwerveAgent:
         arm = np.clip(sent[given["arm"]] - self.sag, -limit, limit)
         self._drive_arm(self._arm + np.clip(arm - self._arm, -change * self.period, change * self.period))
         return SwerveCommand(wheel, sent[given["steer"]], self._arm, brake)
+
+    def _note_scrubbing(self, steer: np.ndarray, u: np.ndarray) -> None:
+        """Which wheels slip sideways under the planned angles ``steer`` (n) and input u."""
+        geometry, given = self.robot.base.geometry, self.robot.input
+        rate = u[given["leg"]] if "leg" in given else 0.0
+        leg = self.leg if self.leg.size else np.zeros(geometry.modules)
+        v = wheel_velocities(geometry, leg, u[given["base"]], rate)
+        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
+        self._scrubs = np.where(np.abs(side) > SCRUBS, SCRUBBING, np.maximum(self._scrubs - self.period, 0.0))
 
     def _drive_arm(self, command: np.ndarray) -> None:
         """What drives of first order make of a command (m) [rad/s] within a period."""

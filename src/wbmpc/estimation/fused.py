@@ -252,9 +252,11 @@ class FusedOdometry:
         wheel: ArrayLike,
         gyro: float | None = None,
         brake: ArrayLike | None = None,
+        weights: Array | None = None,
     ) -> Array:
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
-        message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong).
+        message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
+        ``weights`` (n): little for wheels that are known to slip.
 
         ``brake`` (n): which hinges turn freely by now (1 = open; left out: none is taken to). A leg that gives way shows where its
         wheel goes, and so the zeros. The first message only starts. Raises :class:`InputError` for numbers that are not finite or
@@ -269,7 +271,7 @@ class FusedOdometry:
         if self._last is None:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            step = self._step(h, self._last, now, gyro, self._open & is_open)
+            step = self._step(h, self._last, now, gyro, self._open & is_open, weights)
             self._past.append((self._state, step))
             self._state = self._advanced(self._state, step)
             self.twist = step.twist / h
@@ -292,10 +294,13 @@ class FusedOdometry:
         mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
         return _State(t, mean, p)
 
-    def _step(self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask) -> _Step:
+    def _step(
+        self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
+    ) -> _Step:
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
-        moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
+        radius = self._prior.wheel_radius * (1.0 + c[n:])
+        moved = fit_twist(self.geometry, radius, correct(before), correct(now), weights)
         # Smoothed, and of the intervals before: the age of this message is in its own derivative and in what it is
         # compared with, and their product would look like a wrong radius.
         by_wheels = self._by_wheels * h
@@ -305,7 +310,7 @@ class FusedOdometry:
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
         self._apart += float(np.sum(np.hypot(moved.residual[:, 0], moved.residual[:, 1])))
         self._way += float(np.sum(np.abs(moved.rolled)))
-        covariance = self._twist_covariance(moved, h)
+        covariance = self._twist_covariance(moved, h, weights)
         legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() else None
         return _Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
 
@@ -323,9 +328,10 @@ class FusedOdometry:
         )
         return _Shown(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
-    def _twist_covariance(self, moved: Increment, h: float) -> Array:
+    def _twist_covariance(self, moved: Increment, h: float, weights: Array | None) -> Array:
         """Of the twist of one interval: rolling noise by the way, slip by what the wheels contradict each other."""
-        slip = self._slip.update(moved.residual / h, float(np.mean(np.abs(moved.rolled))) / h, h) * h
+        residual = moved.residual if weights is None else weights[:, None] * moved.residual
+        slip = self._slip.update(residual / h, float(np.mean(np.abs(moved.rolled))) / h, h) * h
         cosine, sine, way = np.cos(moved.heading), np.sin(moved.heading), np.abs(moved.rolled)
         along = moved.fit[:, :, 0] * cosine + moved.fit[:, :, 1] * sine
         across = moved.fit[:, :, 1] * cosine - moved.fit[:, :, 0] * sine

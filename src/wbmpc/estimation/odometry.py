@@ -73,12 +73,14 @@ class Increment:
         return np.asarray(along * self.rolled)
 
 
-def fit_twist(geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample) -> Increment:
-    """The motion that fits two samples of true angles best; ``radius`` (n) [m].
+def fit_twist(
+    geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+) -> Increment:
+    """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
 
     Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its heading
     turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
-    solution follows from centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
+    solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
     """
     (leg0, steer0, wheel0), (leg1, steer1, wheel1) = before, now
     turn = (leg1 - leg0) + (steer1 - steer0)
@@ -90,12 +92,18 @@ def fit_twist(geometry: SwerveGeometry, radius: Array, before: Sample, now: Samp
     b[:, 0] += rolled * np.cos(heading)
     b[:, 1] += rolled * np.sin(heading)
     s = 0.5 * (s0 + s1)
-    middle = s.sum(axis=0) / len(s)
-    away = s - middle
+    if weights is None:
+        share, middle = np.full((len(s), 1), 1.0 / len(s)), s.sum(axis=0) / len(s)
+        away = moved = s - middle
+    else:
+        share = (weights / weights.sum())[:, None]
+        middle = (share * s).sum(axis=0)
+        away = s - middle
+        moved = share * away
     fit = np.empty((3, *b.shape))
-    fit[2, :, 0], fit[2, :, 1] = -away[:, 1], away[:, 0]
-    fit[2] /= (away * away).sum()
-    fit[0], fit[1] = [1.0 / len(s), 0.0], [0.0, 1.0 / len(s)]
+    fit[2, :, 0], fit[2, :, 1] = -moved[:, 1], moved[:, 0]
+    fit[2] /= (moved * away).sum()
+    fit[0], fit[1] = share * [1.0, 0.0], share * [0.0, 1.0]
     fit[0] += middle[1] * fit[2]
     fit[1] -= middle[0] * fit[2]
     twist = fit.reshape(3, -1) @ b.ravel()

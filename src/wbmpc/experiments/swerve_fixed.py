@@ -21,7 +21,7 @@ from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import MPC, SteeringGuess
+from wbmpc.mpc import MPC, TurningGuess
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -30,7 +30,8 @@ NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
 
 IDEALISATIONS = [
-    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers",
+    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers, but not what slip"
+    " does, and the MPC lets wheels slip while they turn about",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
     "the computation of the MPC takes a constant 10 ms; the rivals' takes none",
     "rivals know the reference ahead of time too: they turn their wheels before they start",
@@ -107,7 +108,7 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 
 
 def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveAgent:
-    return SwerveAgent(r, pose, period, lag=s.drive_lag)
+    return SwerveAgent(r, pose, period, lag=s.drive_lag, scrubbing=True)
 
 
 def goals(motion: Motion, t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -147,7 +148,8 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     """All controllers on the same reference and the same plant."""
     robot = load_robot(settings.robot)
     reference = Motion.of(settings, seed)
-    mpc = swerve_mpc(robot, settings.mpc, settings.cost, SteeringGuess(robot, lambda t, _: reference.path.twist(t)))
+    guess = TurningGuess(robot, lambda t, _: reference.path.twist(t))
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=True)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
     log, ending = Log(), Ending()

@@ -61,10 +61,12 @@ def swerve_problem(
     side_compliance: float = 0.0,
     *,
     accelerations: bool = False,
+    scrubbing: bool = False,
 ) -> OptimalControlProblem:
     """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
-    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows).
+    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``scrubbing``: the
+    reference "rolling" lets wheels slip sideways while they turn about.
     """
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -80,7 +82,7 @@ def swerve_problem(
     ocp.add(Cost("hand", frame, list(hand), at="all", terminal_weight=list(cost.terminal * hand)))
     ocp.add(Cost("state", state, posture, at="all", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
-    ocp.add(Constraint("rolling", residuals.WheelRolling(robot), compliance=side_compliance))
+    ocp.add(Constraint("rolling", residuals.WheelRolling(robot, scrubbing), compliance=side_compliance))
     if "leg" in robot.input:
         ocp.add(Constraint("brakes", residuals.BrakedLegs(robot)))
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
@@ -106,7 +108,9 @@ def swerve_mpc(
     cost: SwerveCost,
     guess: Guess | None = None,
     side_compliance: float = ROLLING_COMPLIANCE,
+    *,
+    scrubbing: bool = False,
 ) -> MPC:
     """The MPC of that problem with its real-time settings."""
-    ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True)
+    ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True, scrubbing=scrubbing)
     return MPC(ocp, settings.solver(), settings.rate, guess=guess)

@@ -10,6 +10,7 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.runner import RobotInterface, Runner
 from wbmpc.mpc.safety import RealTime
 from wbmpc.mpc.steering import SteeringGuess, SteeringPlan, plan_steering
+from wbmpc.mpc.turning import TurningGuess
 
 __all__ = [
     "MPC",
@@ -27,6 +28,7 @@ __all__ = [
     "Sizes",
     "SteeringGuess",
     "SteeringPlan",
+    "TurningGuess",
     "VirtualClock",
     "WallClock",
     "plan_steering",

@@ -256,6 +256,7 @@ class MPC:
         for k in range(passes):
             start = time.perf_counter()
             if self.guess is not None and k == 0:
+                self.solver.begins = observation.t - delta
                 self.guess(self.solver, observation.t, x0)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             self._iterations += count

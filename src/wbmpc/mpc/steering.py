@@ -201,10 +201,14 @@ class SteeringGuess:
         grid = solver.ws.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
-        if soon.max() < MOVING:
+        if soon.max() < MOVING or not self._stuck(solver, twists):
             return
         self._done, self._look = True, t + WRITTEN
         self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
+
+    def _stuck(self, solver: Solver, twists: np.ndarray) -> bool:
+        """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
+        return True
 
     def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
         """Where wheels of the plan stop following the preview, as at the end of their range, write the way on anew, with a stop."""

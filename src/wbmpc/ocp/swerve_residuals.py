@@ -18,13 +18,17 @@ from wbmpc.stability import GRAVITY, Support, counter_clockwise
 class WheelRolling:
     """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
 
-    Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake.
+    Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake. ``scrubbing``: the reference (n) says which
+    wheels may slip sideways (1) while they turn about under a base that goes on, and which may not (0).
     """
 
     robot: RobotModel
+    scrubbing: bool = False
     groups: Mapping[str, slice] = field(init=False, repr=False)
 
-    reference = 0
+    @property
+    def reference(self) -> int:
+        return self.robot.base.geometry.modules if self.scrubbing else 0
 
     def __post_init__(self) -> None:
         wheels = self.robot.base.geometry.modules
@@ -35,7 +39,10 @@ class WheelRolling:
         return self.groups["side"].stop
 
     def __call__(self, s: Symbols) -> ca.SX:
-        return self.robot.base.rolling(s.x, s.u, s.mode)
+        rows = self.robot.base.rolling(s.x, s.u, s.mode)
+        if not self.scrubbing:
+            return rows
+        return ca.vertcat(rows[self.groups["rolling"]], (1.0 - s.reference) * rows[self.groups["side"]])
 
 
 @dataclass(frozen=True)

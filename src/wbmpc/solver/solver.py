@@ -95,6 +95,8 @@ class Solver:
             self.ws = self.twin.ws
         self.references: dict[str, Reference] = {}
         self.schedule = DEFAULT
+        #: time [s] at which the trajectories in memory begin, for who rewrites them (MPC's guess)
+        self.begins = 0.0
         self._tables = None
         self.log = np.zeros((self.settings.most_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
