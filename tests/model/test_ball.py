@@ -330,11 +330,11 @@ def test_figures_of_the_source() -> None:
 
 def test_layouts_and_frames() -> None:
     force = load_robot("rezero", contact="force")
-    assert (ROBOT.state.size, ROBOT.input.size, ROBOT.parameters.size, ROBOT.mode.size) == (16, 6, 11, 0)
-    assert (force.state.size, force.input.size, force.parameters.size) == (16, 9, 8)
+    assert (ROBOT.state.size, ROBOT.input.size, ROBOT.parameters.size, ROBOT.mode.size) == (16, 6, 13, 0)
+    assert (force.state.size, force.input.size, force.parameters.size) == (16, 9, 10)
     assert {"base", "tool"} <= set(ROBOT.frames)
     loaded = load_robot("rezero", payload=True)
-    assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 12
+    assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 14
     with pytest.raises(InputError, match="no mass at the hand"):
         ServoedArm(loaded)
     with pytest.raises(InputError, match="did you mean 'tool'"):

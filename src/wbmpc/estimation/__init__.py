@@ -13,6 +13,7 @@ from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.estimation.payload import PayloadEstimator
+from wbmpc.estimation.push import PushEstimator
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.wheels import WheelCalibration
 
@@ -36,6 +37,7 @@ __all__ = [
     "OdometryNoise",
     "OffsetObserver",
     "PayloadEstimator",
+    "PushEstimator",
     "ReleaseOdometry",
     "RezeroEstimator",
     "WheelCalibration",
