@@ -115,6 +115,8 @@ class RezeroAgent:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.push is not None:
             self.push.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
+            if not np.isfinite(self.push.drift).all():
+                raise NotFinite("the drift of the lean is not finite")
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None and self.push is None:
