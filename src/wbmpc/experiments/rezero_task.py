@@ -75,7 +75,7 @@ class RezeroSettings(ExperimentSettings):
     observer: bool = True
     weigh: bool = True
     lasting_after: float = Field(0.0, ge=0, le=5.0)
-    brace: float = Field(0.15, ge=0, le=1.0)
+    brace: float = Field(0.3, ge=0, le=1.0)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
