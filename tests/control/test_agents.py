@@ -422,7 +422,7 @@ HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 
 def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
     agent, state = ball_agent(), np.zeros(2 * N)
-    agent.push = PushEstimator(BALL, np.zeros(3), 0.2)
+    agent.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
         agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
         state = linear_step(state, np.zeros(TORQUES), PERIOD)

@@ -30,7 +30,7 @@ class RezeroAgent:
     controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
     one the margin of stability.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
-    ``push``: feels pushes, for which the limit of the lean leaves room (None: it does not).
+    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
@@ -51,7 +51,7 @@ class RezeroAgent:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
         self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
-        self.push: PushEstimator | None = None
+        self.shoves: PushEstimator | None = None
         self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
@@ -113,13 +113,13 @@ class RezeroAgent:
 
     def _feel(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
-        if self.push is not None:
-            self.push.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
-            if not np.isfinite(self.push.drift).all():
+        if self.shoves is not None:
+            self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
+            if not np.isfinite(self.shoves.drift).all():
                 raise NotFinite("the drift of the lean is not finite")
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
-        if self.observer is None and self.push is None:
+        if self.observer is None and self.shoves is None:
             return
         if self.observer is not None:
             self._learn(measurement.time, measurement.state, self.period)
@@ -143,8 +143,8 @@ class RezeroAgent:
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
-        if self.push is not None:
-            own["push"] = self.push.room
+        if self.shoves is not None:
+            own["push"] = self.shoves.room
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _late(self) -> int:

@@ -212,7 +212,7 @@ def run_task(
     if agent.observer is not None:
         agent.observer.again = settings.lasting_after
     if settings.brace > 0.0 and settings.controller == "mpc":
-        agent.push = PushEstimator(robot, task.arm, settings.brace)
+        agent.shoves = PushEstimator(robot, task.arm, settings.brace)
     mpc.reset(home, torque)
     log = Log()
 

@@ -192,7 +192,7 @@ class BallPilot:
         s = self.settings
         estimator = RezeroEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
-        agent.fix, agent.answer, agent.push = self.fix, self._answer, self._push
+        agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
         if self._push is not None:
             self._push.reset()
         return agent
