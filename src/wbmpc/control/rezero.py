@@ -76,7 +76,7 @@ class RezeroAgent:
             measurement = replace(m, state=state)
         self.measured = measurement
         self._watch(m.time, m.arm, self.period)
-        self._feel(measurement.state, self.period)
+        self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
             self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
@@ -111,7 +111,7 @@ class RezeroAgent:
         """The horizontal force (2) [N] that is felt at the hand."""
         return np.zeros(2)
 
-    def _feel(self, x: np.ndarray, h: float) -> None:
+    def _feel_shoves(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
             self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)

@@ -72,7 +72,7 @@ class BusBallAgent(RezeroAgent):
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
         self._watch(message.time, message.arm, interval or self.period)
-        self._feel(state, interval or self.period)
+        self._feel_shoves(state, interval or self.period)
         if self.observer is not None:
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
