@@ -13,8 +13,10 @@ from scipy.optimize import linprog
 from toys import robot
 from wbmpc.control import Plans, RezeroAgent, SwerveAgent
 from wbmpc.errors import NotFinite
-from wbmpc.estimation import WheelCalibration
+from wbmpc.estimation import PushEstimator, WheelCalibration
+from wbmpc.estimation.push import DEAD
 from wbmpc.model import RobotModel, aligned_steering
+from wbmpc.model.balance import Balance
 from wbmpc.mpc import Policy
 from wbmpc.plant import GlobalPose, RezeroMeasurement, SwerveMeasurement
 
@@ -431,6 +433,25 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
     assert given is agent.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance is not finite"):
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+
+
+#: Height [m] of the centre of mass over the ball's centre, arm straight up: by hand, from masses and places in the robot's file.
+HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 + 1.4 + 1.1)
+
+
+def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
+    """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
+    agent, state = ball_agent(), np.zeros(2 * N)
+    agent.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
+    for k in range(40):
+        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+        state = linear_step(state, np.zeros(TORQUES), PERIOD)
+        state[N + 3] += 8.0 * PERIOD  # rad/s of pitch
+    given = agent.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
+    drift = 8.0 * HEIGHT / Balance.of(BALL, np.zeros(3)).pole
+    assert given == pytest.approx([0.2 * (drift - DEAD), 0.0], rel=0.02, abs=2e-3)
+    with pytest.raises(NotFinite, match="drift of the lean is not finite"):
+        agent.measure(RezeroMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
 
 
 class Fixed:

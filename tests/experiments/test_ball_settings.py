@@ -24,7 +24,8 @@ BALL = [n for n in REGISTRY if n.startswith("rezero-")]
         ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
         ("rezero-door", "lasting_after=0.5"),
         ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
-        ("rezero-taskspace", "controller=lqr"), ("rezero-steps", "cost.torque.force=2"),
+        ("rezero-frequency", "brace=0.1"), ("rezero-door", "brace=0.1"),
+        ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "brace=0.1"), ("rezero-steps", "cost.torque.force=2"),
     ],
 )  # fmt: skip
 def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> None:

@@ -111,6 +111,15 @@ def test_capture_point_counts_from_the_lean_that_answers_a_force() -> None:
     assert term.reference == 2 and CapturePoint(ROBOT, 4.7).reference == 0
 
 
+def test_capture_point_counts_what_a_push_will_do() -> None:
+    x, none = 0.1 * np.ones(16), np.zeros(ROBOT.parameters.size)
+    w = ROBOT.parameters.vector({"push": [-0.03, 0.05], "disturbance": np.ones(8)})
+    own, pushed = (evaluated(CapturePoint(ROBOT, 4.7, pushed=p), x, np.zeros(6), w) for p in (False, True))
+    np.testing.assert_allclose(own, evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), none), atol=1e-12)
+    along = [-0.03, 0.02 / np.sqrt(2), 0.05, 0.08 / np.sqrt(2)]  # x, the diagonal, y, the other diagonal
+    np.testing.assert_allclose(pushed - own, along, atol=1e-12)
+
+
 def test_a_payload_counts_in_lean_and_effort() -> None:
     """Truth: the same robot in MuJoCo with a body of 2 kg at its tool."""
     loaded, rng, mass = load_robot("rezero", payload=True), np.random.default_rng(5), 2.0

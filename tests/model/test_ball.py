@@ -143,7 +143,7 @@ def test_contact_wrenches_equal_mujocos(kind: str, frames: list[str]) -> None:
         groups = [robot.base.contacts[f] for f in frames]
         parts = [np.concatenate([split[g] for g in by_kind.values()]) for by_kind in groups]
         wrenches = {f: np.pad(p, (0, 6 - p.size)) for f, p in zip(frames, parts, strict=True)}
-        f, *rows = evaluate(x, u, np.zeros(N), [])
+        f, *rows = evaluate(x, u, np.zeros(robot.parameters.size), [])
         truth = FLOATING.accelerations(x, u[:6], np.zeros(3), seed, wrenches)
         np.testing.assert_allclose(f.ravel()[N:], truth, atol=1e-8 * (1 + np.abs(truth).max()))
         for row, part in zip(rows, parts, strict=True):
@@ -167,7 +167,7 @@ def test_equations_of_motion_equal_mujoco_with_exact_rolling(seed: int) -> None:
     truth = FLOATING.accelerations(x, u, hand, seed)
     for derivative, arguments in (
         (DERIVATIVE, (x, u, ROBOT.parameters.vector({"force": hand}), [])),
-        (CONTACT, (x, [*u, *hand], np.zeros(N), [])),
+        (CONTACT, (x, [*u, *hand], np.zeros(N + 2), [])),
     ):
         (f,) = derivative(*arguments)
         np.testing.assert_allclose(f.ravel()[:N], x[N:], atol=0)
@@ -219,9 +219,9 @@ def test_wheel_power_equals_power_of_the_generalised_force(seed: int) -> None:
     base = Rotation.from_euler("ZYX", q[2:5]).as_matrix()
     relative = base.T @ np.array([-v[1] / RADIUS, v[0] / RADIUS, 0]) - local_rates(q) @ v[2:5]
     speeds = contact_map().T @ relative  # velocities are dual to torques
-    s, r, u, w = ca.SX.sym("q", N), ca.SX.sym("v", N), ca.SX.sym("u", 6), ca.SX.sym("w", 11)
+    s, r, u, w = ca.SX.sym("q", N), ca.SX.sym("v", N), ca.SX.sym("u", 6), ca.SX.sym("w", ROBOT.parameters.size)
     got, force = numeric([ROBOT.base.wheel_speeds(s, r), ROBOT.base.generalised_force(s, u, w)], s, r, u, w)(
-        q, v, [*torque, 0, 0, 0], np.zeros(11)
+        q, v, [*torque, 0, 0, 0], np.zeros(ROBOT.parameters.size)
     )
     np.testing.assert_allclose(got.ravel(), speeds, atol=1e-12)
     np.testing.assert_allclose(force.ravel() @ v, torque @ speeds, atol=1e-11)
@@ -330,11 +330,11 @@ def test_figures_of_the_source() -> None:
 
 def test_layouts_and_frames() -> None:
     force = load_robot("rezero", contact="force")
-    assert (ROBOT.state.size, ROBOT.input.size, ROBOT.parameters.size, ROBOT.mode.size) == (16, 6, 11, 0)
-    assert (force.state.size, force.input.size, force.parameters.size) == (16, 9, 8)
+    assert (ROBOT.state.size, ROBOT.input.size, ROBOT.parameters.size, ROBOT.mode.size) == (16, 6, 13, 0)
+    assert (force.state.size, force.input.size, force.parameters.size) == (16, 9, 10)
     assert {"base", "tool"} <= set(ROBOT.frames)
     loaded = load_robot("rezero", payload=True)
-    assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 12
+    assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 14
     with pytest.raises(InputError, match="no mass at the hand"):
         ServoedArm(loaded)
     with pytest.raises(InputError, match="did you mean 'tool'"):

@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc.control.fall import FallForecast
 from wbmpc.errors import EncodersFailed, NotFinite
-from wbmpc.estimation import DisturbanceObserver, EncoderMonitor, PayloadEstimator, RezeroEstimator
+from wbmpc.estimation import DisturbanceObserver, EncoderMonitor, PayloadEstimator, PushEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
 from wbmpc.plant import RezeroCommand, RezeroMeasurement
@@ -30,6 +30,7 @@ class RezeroAgent:
     controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
     one the margin of stability.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
+    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
@@ -50,6 +51,7 @@ class RezeroAgent:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
         self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
+        self.shoves: PushEstimator | None = None
         self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
@@ -74,6 +76,7 @@ class RezeroAgent:
             measurement = replace(m, state=state)
         self.measured = measurement
         self._watch(m.time, m.arm, self.period)
+        self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
             self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
@@ -109,10 +112,18 @@ class RezeroAgent:
         """The horizontal force (2) [N] that is felt at the hand."""
         return np.zeros(2)
 
+    def _feel_shoves(self, x: np.ndarray, h: float) -> None:
+        """Feel a push in the state x, ``h`` [s] after the one before."""
+        if self.shoves is not None:
+            self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
+            if not np.isfinite(self.shoves.drift).all():
+                raise NotFinite("the drift of the lean is not finite")
+
     def _observe(self, measurement: RezeroMeasurement) -> None:
-        if self.observer is None:
+        if self.observer is None and self.shoves is None:
             return
-        self._learn(measurement.time, measurement.state, self.period)
+        if self.observer is not None:
+            self._learn(measurement.time, measurement.state, self.period)
         self.mpc.solver.set_parameters(self.parameters())
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
@@ -133,6 +144,8 @@ class RezeroAgent:
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
+        if self.shoves is not None:
+            own["push"] = self.shoves.room
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _late(self) -> int:

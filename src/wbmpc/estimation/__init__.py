@@ -14,6 +14,7 @@ from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.estimation.payload import PayloadEstimator
+from wbmpc.estimation.push import PushEstimator
 from wbmpc.estimation.rezero import JointTracker, RezeroEstimator
 from wbmpc.estimation.rocking import Rocking, rockings
 from wbmpc.estimation.wheels import WheelCalibration
@@ -39,6 +40,7 @@ __all__ = [
     "OdometryNoise",
     "OffsetObserver",
     "PayloadEstimator",
+    "PushEstimator",
     "ReleaseOdometry",
     "RezeroEstimator",
     "Rocking",

@@ -128,7 +128,9 @@ def limit_torques(
     if cost.lean > 0.0:
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
         answer = balance.answer if "force" in robot.input else 0.0
-        lean, reach = residuals.CapturePoint(robot, balance.pole, answer=answer), cost.lean * float(balance.reach.min())
+        pushed = groups is None  # a base whose arm others move has parameters of its own
+        lean = residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
+        reach = cost.lean * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
 
 

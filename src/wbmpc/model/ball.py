@@ -25,7 +25,8 @@ class BallBase:
     ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
     ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``; ``mount`` (3) [m] of the inertial
     unit in the base's frame. Parameters w: ``disturbance`` (nq),
-    generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``payload`` [kg], a point mass at the tool,
+    generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``push`` (2) [m], by which a push that is felt
+    will move the lean (no part of the dynamics: limits of the lean leave room for it); ``payload`` [kg], a point mass at the tool,
     where the description has it: left out, functions of w count none.
     """
 
@@ -53,6 +54,7 @@ class BallBase:
         self.input = {"wheel": wheels, "arm": arm, **given}
         self.mode: dict[str, list[str]] = {}
         self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
+        self.parameters["push"] = ["x", "y"]
         if self.base.payload:
             self.parameters["payload"] = ["mass"]
         self.unit_quaternions: tuple[int, ...] = ()

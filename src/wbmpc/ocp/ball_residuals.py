@@ -38,13 +38,15 @@ class CapturePoint:
     pushes along its diagonals then fell the robot at less than half the impulse.
 
     ``answer`` [m/N] (:class:`wbmpc.model.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
-    the hand that is expected, and the component is counted from the lean that answers it.
+    the hand that is expected, and the component is counted from the lean that answers it. ``pushed``: the parameters ``push``
+    are added, so that a limit leaves room for what a push will do that the plan does not know.
     """
 
     robot: RobotModel
     pole: float
     directions: int = 4
     answer: float = 0.0
+    pushed: bool = False
 
     @property
     def reference(self) -> int:
@@ -65,7 +67,11 @@ class CapturePoint:
         angles = np.pi * np.arange(self.directions) / self.directions
         along = np.round([np.cos(angles), np.sin(angles)], 15).T  # exact zeros
         component = offset + slope @ s.x[n : 2 * n] / self.pole
-        return ca.DM(along) @ (component + self.answer * s.reference[:2] if self.answer else component)
+        if self.answer:
+            component += self.answer * s.reference[:2]
+        if self.pushed:
+            component += s.parameters[self.robot.parameters["push"]]
+        return ca.DM(along) @ component
 
 
 @dataclass(frozen=True)

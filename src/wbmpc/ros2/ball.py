@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, RezeroAgent
-from wbmpc.estimation import BallNoise, RezeroEstimator
+from wbmpc.estimation import BallNoise, PushEstimator, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import resting
 from wbmpc.model import RobotModel
@@ -72,6 +72,7 @@ class BusBallAgent(RezeroAgent):
             state = self.estimator.correct(*fix)
         self.measured = self.seen = RezeroMeasurement(message.now, state, age)
         self._watch(message.time, message.arm, interval or self.period)
+        self._feel_shoves(state, interval or self.period)
         if self.observer is not None:
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
@@ -182,13 +183,18 @@ class BallPilot:
         robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
+        self._push = (
+            PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
+        )
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:
         s = self.settings
         estimator = RezeroEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
-        agent.fix, agent.answer = self.fix, self._answer
+        agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
+        if self._push is not None:
+            self._push.reset()
         return agent
 
     @property
