@@ -245,7 +245,8 @@ def test_balance_tells_bias_from_lean() -> None:
     known = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), replace(BallNoise(), accel_bias=0.3, tilt=0.1))
     bias = np.array([0.2, -0.15, 0.0])
     for k in range(400):  # no two messages are the same: a unit that repeats itself has stopped
-        known.update(H, np.full(3, 1e-9 * (k % 2)), np.zeros(3), [0.0, 0.0, 9.81 + 1e-9 * (k % 2)] + bias)
+        alive = 1e-9 * (k % 2)
+        known.update(H, np.zeros(3), np.full(3, alive), [0.0, 0.0, 9.81 + alive] + bias)
     lean = np.array([0.0, 0.0, 1.0]) - known.state.rotation[2]
     assert np.abs(known.state.accel_bias[:2] - bias[:2]).max() > 0.05 and np.abs(lean).max() > 5e-3
     assert np.sqrt(np.diag(known.covariance)[12:14]).min() > 0.2
