@@ -12,7 +12,7 @@ from toys import robot
 from wbmpc.experiments.rezero_problem import HandCost, RezeroCost, rezero_problem
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.model import load_robot
-from wbmpc.model.balance import Balance
+from wbmpc.model.balance import Balance, divergent
 from wbmpc.model.balance import load_offset as offset_of
 from wbmpc.ocp import Reference
 from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
@@ -50,6 +50,22 @@ def evaluated(residual, state: np.ndarray, u: np.ndarray, w: np.ndarray) -> np.n
     none = ca.SX(0, 1)
     value = residual(Symbols(x, v, p, none, none, x, v))
     return np.array(ca.Function("r", [x, v, p], [value])(state, u, w)).ravel()
+
+
+@pytest.mark.parametrize("poles", [(4.7, 4.7), (4.0, 6.0)])
+def test_the_divergent_component_does_not_depend_on_eigenvectors(poles: tuple[float, float]) -> None:
+    """Truth: what it is. ξ̇ = Ω ξ with these poles, and by the angles it is the offset; axes that are not at right angles."""
+    grows, offset = np.array([[1.0, 0.4], [-0.7, 0.8]]), np.array([[0.1, 0.5], [-0.6, 0.2]])
+    a = np.zeros((10, 10))
+    a[:5, 5:] = np.eye(5)
+    a[8:, 3:5] = grows @ np.diag(np.square(poles)) @ np.linalg.inv(grows)
+    a[5:8, 3:5] = [[1.0, 2.0], [-3.0, 0.5], [0.3, 0.0]]
+    pole, component = divergent(a, offset)
+    turned = component @ a @ np.linalg.pinv(component)
+    np.testing.assert_allclose(component @ a, turned @ component, atol=1e-9)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(turned).real), poles, atol=1e-6)
+    np.testing.assert_allclose(component[:, 3:5], offset, atol=1e-9)
+    assert pole == pytest.approx(np.mean(poles))
 
 
 def test_pole_and_reach_of_a_planar_pendulum() -> None:

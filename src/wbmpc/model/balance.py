@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import schur
 from scipy.optimize import linprog
 
+from wbmpc.errors import InputError
 from wbmpc.model.ball import BallBase
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.symbolic import constant
@@ -57,20 +59,28 @@ class Balance:
         base = robot._ball()
         x, u = robot.equilibrium(arm)
         a, b, pushed, offset = _linear(robot, base, x, u)
-        # rows of the left eigenvectors, scaled to offset + rate / pole
-        poles, left = np.linalg.eig(a.T)
-        unstable = np.argsort(-poles.real)[:2]
-        pole = float(poles.real[unstable].mean())
-        chosen = left.real[:, unstable]
-        scale = offset @ np.linalg.inv(
-            chosen[3:BASE]
-        )  # (2, 2): divergent component of the angles to that of the offset
-        effect, answer = (scale @ chosen.T @ slope / pole for slope in (b, pushed))
+        pole, component = divergent(a, offset)
+        effect, answer = (component @ slope / pole for slope in (b, pushed))
         limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
         most = robot.description.limits.spin_effort
         angles = 2.0 * np.pi * np.arange(directions) / directions
         reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
         return cls(pole, np.array(reach), 0.5 * float(np.trace(answer)))
+
+
+def divergent(a: Array, offset: Array) -> tuple[float, Array]:
+    """The mean pole [1/s] and the divergent component (2, 10) of ẋ = a x, of which two modes grow: ξ = component @ x obeys
+    ξ̇ = Ω ξ, and its part by the angles is that of the ``offset`` (2, 2).
+
+    By an invariant subspace, not by eigenvectors: of two poles that are (nearly) the same, those are any pair.
+    """
+    fastest = float(np.linalg.eigvals(a).real.max())
+    form, basis, count = schur(a.T, sort=lambda real, _: real > 0.5 * fastest)
+    if count != 2:
+        raise InputError(f"balance: {count} poles of the base grow, not two (pitch and roll): {np.linalg.eigvals(a)}")
+    left = basis[:, :2].T
+    scale = offset @ np.linalg.inv(left[:, 3:BASE])
+    return 0.5 * float(np.trace(form[:2, :2])), scale @ left
 
 
 def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array]:
