@@ -38,6 +38,13 @@ def test_nothing_turns_without_a_reason() -> None:
     assert plan_turns(TIMES, 2.9 * np.sin(TIMES), 0.3 + 0.0 * TIMES, LIMITS, RATE, 0.2, FREE) == []
 
 
+@pytest.mark.parametrize("end", [1.5, 1.57])
+def test_nothing_turns_where_the_other_way_round_is_no_better(end: float) -> None:
+    """Ranges of half a turn or less: straight sideways is outside both ways round."""
+    way = np.full(81, 0.5 * np.pi)
+    assert plan_turns(TIMES, way, np.full(81, 0.3), (-end, end), RATE, 0.2, FREE) == []
+
+
 def test_a_wheel_turns_about_where_it_slips_least() -> None:
     """Every moment from which on the other way round is in the range is tried."""
     way, speeds = -1.0 + 0.7 * TIMES, 0.3 + 0.1 * np.cos(2.0 * TIMES)

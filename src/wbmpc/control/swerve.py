@@ -107,7 +107,8 @@ class SwerveAgent:
         turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
         self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
-        weights = np.where(self._scrubs > 0.0, SCRUB_WEIGHT, 1.0) if self._scrubs.any() else None
+        slips = self._scrubs > 0.0  # one sound wheel alone tells no motion
+        weights = np.where(slips, SCRUB_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
         self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)

@@ -211,7 +211,7 @@ class BallFilter:
         best = self._explained(h, wheel, message)
         if persists or (best.loose and unit.jumps(message)):
             without = self._explained(h, wheel, unit.last, "jumps")
-            if persists or not without.loose:
+            if not without.loose:
                 unit.refuse()
                 return without
         unit.accept(message)

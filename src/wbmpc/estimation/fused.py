@@ -88,6 +88,8 @@ class _State:
     p: Array
 
 
+#: Contradictions of the wheels are added up over pieces of way [m] of this length.
+PIECE = 0.05
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
 SMOOTHING = 0.05
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
@@ -178,6 +180,7 @@ class FusedOdometry:
         self.twist: Array = np.zeros(3)
         self.taken = self.refused = self._refusals = 0
         self._misfits = self._apart = self._way = 0.0
+        self._off, self._rolled = np.zeros((self._n, 2)), np.zeros(self._n)  # since the last piece of way
 
     # ------------------------------------------------------------------ results
     @property
@@ -308,11 +311,19 @@ class FusedOdometry:
         self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
         turn = np.nan if gyro is None else gyro * h
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
-        self._apart += float(np.sum(np.hypot(moved.residual[:, 0], moved.residual[:, 1])))
-        self._way += float(np.sum(np.abs(moved.rolled)))
+        self._note_contradiction(moved)
         covariance = self._twist_covariance(moved, h, weights)
-        legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() else None
+        legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() and weights is None else None
         return _Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
+
+    def _note_contradiction(self, moved: Increment) -> None:
+        """Over pieces of way, in which the counts of encoders cancel."""
+        self._off += moved.residual
+        self._rolled += np.abs(moved.rolled)
+        if float(np.mean(self._rolled)) >= PIECE:
+            self._apart += float(np.sum(np.hypot(self._off[:, 0], self._off[:, 1])))
+            self._way += float(np.sum(self._rolled))
+            self._off[:], self._rolled[:] = 0.0, 0.0
 
     def _shown(self, moved: Increment, leg: Array, is_open: Mask, h: float) -> _Shown:
         """What open legs at ``leg`` (n) say about the wheels. Noise that is alike in all directions makes this residual

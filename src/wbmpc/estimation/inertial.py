@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 #: A gyro or an accelerometer whose three numbers were the same to the bit so often in a row, and for so long [s], has stopped:
 #: noise forbids it. (A few repeats are a unit that is slower than the encoders.)
 REPEATS, STANDS = 10, 0.025
+#: Share of its range from which on a reading is no measurement.
+FULL = 0.999
 #: More than this [rad/s], [m/s²] from one message to the next is a jump: beyond hits that are true. (Pushes of 200 N: 0.07 and 8;
 #: the ball runs onto cables of 5 mm: 0.24 and 70.)
 JUMP = np.array([[1.0], [90.0]])
@@ -35,7 +37,7 @@ class InertialGate:
         again = np.zeros(2, dtype=bool) if self._given is None else (message == self._given).all(axis=1)
         self._given = message
         self._same, self._for = np.where(again, self._same + 1, 0), np.where(again, self._for + h, 0.0)
-        if (np.abs(message) > self._range).any():
+        if (np.abs(message) >= FULL * self._range).any():  # units that are at their end say just that
             return "exceeds"
         stands = (self._same >= REPEATS) & (self._for >= STANDS - 1e-9)
         return "repeats" if stands.any() else ""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
@@ -95,9 +95,12 @@ class RezeroEstimator:
         with about the vertical."""
         interval = 0.0 if self._time is None else time - self._time
         self._time = time
+        angles = np.asarray(arm, float)
+        if not np.isfinite(angles).all():
+            raise NotFinite(f"ball robot's estimator: 'arm' needs finite numbers, got {angles}")
         self.filter.update(interval, wheel, gyro, accel, turning)
         if interval > 0.0:
-            self.arm.update(interval, np.asarray(arm, float))
+            self.arm.update(interval, angles)
             self._look_for_balance(interval)
         state = self.state
         self._places.append((time, state[:3].copy()))

@@ -62,6 +62,8 @@ def rockings(times: ArrayLike, rate: ArrayLike, growth: float = GROWTH, fast: fl
 def _beginning(t: Array, rate: Array, growth: float) -> float:
     """Where in ``t`` the curve that fits the rates best begins to rise: least squares over its height, then over where."""
     starts = np.arange(max(t[-1] - BEFORE, t[0]), t[-1] - WINDOW, _STEP)
+    if not starts.size:  # it rocked when it was looked at first
+        return float(t[0])
     curves = np.cosh(growth * np.clip(t - starts[:, None], 0.0, None)) - 1.0
     explained = np.clip(curves @ rate, 0.0, None) ** 2 / np.sum(curves * curves, axis=1)
     return float(starts[int(np.argmax(explained))])

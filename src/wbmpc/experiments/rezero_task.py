@@ -236,7 +236,8 @@ def run_task(
     agent, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, task.arm))
     if agent.observer is not None:
         agent.observer.again = settings.lasting_after
-    if settings.brace > 0.0 and settings.controller == "mpc":
+    if settings.brace > 0.0 and settings.controller == "mpc" and estimator is not None:
+        # (states from the simulator with noise are all pushes)
         agent.shoves = PushEstimator(robot, task.arm, settings.brace)
     mpc.reset(home, torque)
     log = Log()

@@ -15,6 +15,7 @@ from wbmpc.control import SwerveAgent
 from wbmpc.control.brakes import FLOATING, floating
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.estimation import WheelCalibration, WheelRecord, calibrate
+from wbmpc.experiments.directions import refuse_directions
 from wbmpc.experiments.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.log import Log
 from wbmpc.loop import Progress, watched
@@ -54,8 +55,9 @@ class SwerveCalibrateSettings(Settings):
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
 STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
-#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s].
-LEG_GAIN, OPENING = 2.0, 0.4
+#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s], and at
+#: least so long after brakes have opened.
+LEG_GAIN, OPENING, SURE = 2.0, 0.4, 0.3
 
 
 class WheelLog:
@@ -119,14 +121,17 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     least, most = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
     phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
-    for k, (twist, length) in enumerate(_strokes(geometry, leg, s) * s.rounds):
+    opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
+    legs = np.tile(leg, (len(strokes), 1))
+    refuse_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
+    for k, (twist, length) in enumerate(strokes * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
         target = target - np.pi * (target > most) + np.pi * (target < least)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
         steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
         phases += [
             _Phase(turning + s.pause, steer, twist, 0.0, closed),
-            _Phase(OPENING * float(brake.max()), steer, twist, 0.0, brake),
+            _Phase(opening * float(brake.max()), steer, twist, 0.0, brake),
             _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp)), brake),
             _Phase(s.pause, steer, twist, 0.0, closed),
         ]

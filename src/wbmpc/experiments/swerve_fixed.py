@@ -21,7 +21,7 @@ from wbmpc.experiments.swerve_track import _stand
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import MPC, TurningGuess
+from wbmpc.mpc import MPC, SteeringGuess, TurningGuess, fast_enough
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -108,7 +108,7 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 
 
 def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveAgent:
-    return SwerveAgent(r, pose, period, lag=s.drive_lag, scrubbing=True)
+    return SwerveAgent(r, pose, period, lag=s.drive_lag, scrubbing=fast_enough(r))
 
 
 def goals(motion: Motion, t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -148,8 +148,9 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     """All controllers on the same reference and the same plant."""
     robot = load_robot(settings.robot)
     reference = Motion.of(settings, seed)
-    guess = TurningGuess(robot, lambda t, _: reference.path.twist(t))
-    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=True)
+    turns = fast_enough(robot)  # else the base stops for wheels that have to turn about
+    guess = (TurningGuess if turns else SteeringGuess)(robot, lambda t, _: reference.path.twist(t))
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=turns)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
     log, ending = Log(), Ending()

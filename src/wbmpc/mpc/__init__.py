@@ -10,7 +10,7 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.runner import RobotInterface, Runner
 from wbmpc.mpc.safety import RealTime
 from wbmpc.mpc.steering import SteeringGuess, SteeringPlan, plan_steering
-from wbmpc.mpc.turning import TurningGuess
+from wbmpc.mpc.turning import TurningGuess, fast_enough
 
 __all__ = [
     "MPC",
@@ -31,5 +31,6 @@ __all__ = [
     "TurningGuess",
     "VirtualClock",
     "WallClock",
+    "fast_enough",
     "plan_steering",
 ]

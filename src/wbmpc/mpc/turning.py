@@ -76,11 +76,12 @@ def plan_turns(
     path, first = way.copy(), 0
     cost = _costs(times, way, speeds, rate, busy)
     while True:
-        beyond = np.flatnonzero(_outside(path[first:], limits))
+        # where the other way round is outside too, a turn would help nobody
+        half = np.where(path[first:] > limits[1], -np.pi, np.pi)
+        beyond = np.flatnonzero(_outside(path[first:], limits) & ~_outside(path[first:] + half, limits))
         if not beyond.size:
             return turns
-        end = first + int(beyond[0])
-        by = -np.pi if path[end] > limits[1] else np.pi
+        end, by = first + int(beyond[0]), float(half[beyond[0]])
         # from where on the other way round is good up to the end of this one
         outside = np.flatnonzero(_outside(path[: end + 1] + by, limits))
         begin = max(int(outside[-1]) + 1 if outside.size else 0, int(np.searchsorted(times, earliest)))
@@ -114,6 +115,11 @@ def _costs(
         return np.asarray(slips + (TOGETHER * busy + HURRY * hurried) * (slips > SLIPS) - EARLY * times)
 
     return cost
+
+
+def fast_enough(robot: RobotModel) -> bool:
+    """Whether the planner's limits let steering joints turn about within :data:`TURN`."""
+    return bool(np.min(robot.limits.input_upper[robot.input["steer"]]) >= np.pi / (TURN - RAMP))
 
 
 class TurningGuess(SteeringGuess):
@@ -205,7 +211,9 @@ class TurningGuess(SteeringGuess):
         # the way round is the plan's where it rolls; before, the wheel may be anywhere
         first = int(rolls[0])
         way = way + np.pi * np.round((self._planned(solver, wheel, times[first]) - way[first]) / np.pi)
-        limits = self.limits[0][wheel] + RESERVE, self.limits[1][wheel] - RESERVE
+        low, high = self.limits[0][wheel], self.limits[1][wheel]
+        reserve = min(max(0.5 * (high - low - np.pi), 0.0), RESERVE)
+        limits = low + reserve, high - reserve
         path = way[:seen].copy()
         path[:first] = np.clip(path[:first], *limits)
         found = plan_turns(times[:seen], path, speeds[:seen], limits, self._fastest, earliest, self._busy(times[:seen]))

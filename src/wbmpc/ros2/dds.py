@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass as make_dataclass
+from functools import cache
 from types import new_class
 from typing import Any
 
@@ -97,7 +98,6 @@ class DdsNode:
             raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
-        self._carriers: dict[tuple[str, tuple[str, ...]], type] = {}  # by type and names of its header
         self._readers: list[DataReader] = []
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
@@ -313,20 +313,13 @@ class DdsNode:
             raise InputError(f"{name.removeprefix('rt')}: is used with {strange.pop()} and {kind}")
         if kind not in known:
             try:
-                known[kind] = Topic(self._participant, name, self._carrier(kind, header))
+                known[kind] = Topic(
+                    self._participant, name, _carrier(self.network.distribution, kind, tuple((header or {}).items()))
+                )
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
         topic: Topic = known[kind]
         return topic
-
-    def _carrier(self, kind: str, header: Mapping[str, Any] | None) -> type:
-        """One class for all topics of a type: DDS takes every class for a type of its own with the same hash, and its table
-        of types, which holds 32 of those, would grow for ever."""
-        key = kind, tuple(header or ())
-        with self._lock:
-            if key not in self._carriers:
-                self._carriers[key] = carrier(self.types, kind, header)
-            return self._carriers[key]
 
     def _qos(self, qos: Qos, kind: str, mark: str = "") -> DdsQos:
         reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
@@ -374,6 +367,13 @@ class _Watch(Listener):  # type: ignore[misc]
         if mismatch is not None:
             notice = lambda _, status: mismatch(int(status.last_policy_id))
             (self.set_on_offered_incompatible_qos if take is None else self.set_on_requested_incompatible_qos)(notice)
+
+
+@cache
+def _carrier(distribution: str, kind: str, header: tuple[tuple[str, Any], ...]) -> type:
+    """One class for all topics of a type in the process: DDS takes every class for a type of its own with the same hash, and its
+    table of types, which holds 32 of those, would grow for ever."""
+    return carrier(types(distribution), kind, dict(header))
 
 
 def carrier(known: Types, kind: str, header: Mapping[str, Any] | None = None) -> type:
