@@ -58,7 +58,7 @@ def calibrate(
         str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
     ] = None,
     zero_std: Annotated[
-        float, typer.Option(min=1e-6, max=1.0, help="Standard deviation of the steer zeros before [rad].")
+        float, typer.Option(min=1e-6, max=1.0, help="Standard deviation of the steer zeros before, in rad.")
     ] = 2e-3,
     radius_std: Annotated[
         float, typer.Option(min=1e-6, max=0.5, help="Of all radii together, relative; of each beside them half of it.")

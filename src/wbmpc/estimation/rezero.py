@@ -18,9 +18,12 @@ Array = NDArray[np.float64]
 SLOW, STANDS = 0.05, 2.0
 #: So many poses of the past are kept for poses that come late.
 HISTORY = 200
-#: A joint's reading jumps if it is farther from the last one that counted than this often its speed limit allows, and this [rad]
-#: more: a robot that is hit moves faster than its drives can.
-SPEED_FACTOR, SPEED_REST = 2.0, 0.05
+#: A joint's reading jumps if it is farther from the last one that counted, and from where the joint was going, than this often
+#: its speed limit allows, and this [rad] more: an arm that is flung by a hit moves faster than its drives can (0.27 rad from one
+#: message to the next, through its stops, under 900 N).
+SPEED_FACTOR, SPEED_REST = 4.0, 0.2
+#: Two steps [rad] in a row of this size, the same way, are a motion.
+FLUNG = 0.03
 #: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
 SURPRISE, LATE = 1e-3, 2e-3
 
@@ -43,6 +46,11 @@ class JointTracker:
         self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, 1e-2 * one
         self.jumped = self.surprised = np.zeros(one.shape, dtype=bool)
         self.reading: Array | None = None
+        self._uncounted = np.zeros(one.shape)  # [s] since a reading counted
+        self._raw, self._step = (
+            self.angle.copy(),
+            np.zeros(one.shape),
+        )  # the last reading, and its distance from the one before
         self._fastest = SPEED_FACTOR * np.asarray(speed, float)
 
     def update(self, interval: float, reading: Array) -> None:
@@ -56,8 +64,14 @@ class JointTracker:
         wrong = reading + late - expected
         self.surprised = np.abs(wrong) > SURPRISE + LATE * np.abs(self.rate)
         if self.reading is None:  # the start is not known as well as what follows
-            self.reading = reading.copy()
-        self.jumped = np.abs(reading - self.reading) > h * self._fastest + SPEED_REST
+            self.reading, self._raw = reading.copy(), reading.copy()
+        # far from the motion that there was as well, and not on its way: an arm that is flung goes on
+        off = np.minimum(np.abs(reading - self.reading), np.abs(wrong))
+        self._uncounted = np.where(self.jumped, self._uncounted, 0.0) + h
+        before, self._step = self._step, reading - self._raw
+        self._raw = reading.copy()
+        going = (np.minimum(np.abs(before), np.abs(self._step)) > FLUNG) & (before * self._step > 0.0)
+        self.jumped = (off > (self._uncounted + LATE) * self._fastest + SPEED_REST) & ~going
         self.reading = np.where(self.jumped, self.reading, reading)
         gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
         self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong

@@ -36,6 +36,9 @@ class Numeric:
         own.run()
         return [np.array(place.reshape(shape, order="F"), order="C") for place, shape in own.found]
 
+    def __deepcopy__(self, _: dict[int, object]) -> Numeric:
+        return Numeric(self.function)
+
     def _open(self) -> None:
         f, own = self.function, self._own
         own.buffer, own.run = f.buffer()
