@@ -195,9 +195,9 @@ def drive(
     return run_lockstep(plant, agent, mpc, timing, float(reference.path.times[-1]), record, progress)
 
 
-def errors(log: Log, name: str, reference: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), position errors (n,) [m] and yaw errors (n,) [rad] in the estimated frame."""
-    t, pose = log.times(f"odometry_{name}"), log.array(f"odometry_{name}")
+def errors(log: Log, name: str, reference: Motion, of: str = "odometry") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), position errors (n,) [m] and yaw errors (n,) [rad] in the estimated frame; ``of`` the true "base" in the world."""
+    t, pose = log.times(f"{of}_{name}"), log.array(f"{of}_{name}")
     difference = pose - reference.path.pose(t)
     return t, np.hypot(difference[:, 0], difference[:, 1]), difference[:, 2]
 
@@ -230,6 +230,7 @@ def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
     for n in done:
         t, position, yaw = errors(log, n, reference)
         out[f"yaw_error_rms_{n}"] = Metric(_rms(yaw), "rad")
+        out[f"tracking_error_rms_world_{n}"] = Metric(_rms(errors(log, n, reference, "base")[1]), "m")
         for segment, (a, b) in reference.spans.items():
             use = (t >= a) & (t <= b + PAUSE)
             if use.any():
