@@ -196,7 +196,7 @@ def drive(
 
 
 def errors(log: Log, name: str, reference: Motion, of: str = "odometry") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), position errors (n,) [m] and yaw errors (n,) [rad] in the estimated frame; ``of`` the true "base" in the world."""
+    """Times (n,), position errors (n,) [m] and yaw errors (n,) [rad] in the estimated frame; ``of`` the "base": in the world."""
     t, pose = log.times(f"{of}_{name}"), log.array(f"{of}_{name}")
     difference = pose - reference.path.pose(t)
     return t, np.hypot(difference[:, 0], difference[:, 1]), difference[:, 2]
