@@ -25,7 +25,11 @@ class Simulated:
         given = {"use_sim_time": True, "lockstep": True, **settings, "safety": safety}
         self.settings = settings_of(robot).model_validate(given)
         self.node = open_node("wbmpc", "dds", network)
-        self.control = ControlNode(self.node, robot, self.settings)
+        try:
+            self.control = ControlNode(self.node, robot, self.settings)
+        except BaseException:
+            self.node.close()
+            raise
         self.other: Any = open_node("robot", "dds", network)
         self.said: list[Any] = []
         self.other.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)

@@ -201,6 +201,29 @@ def test_a_robot_may_have_more_topics_of_a_type_than_a_bucket_of_the_middlewares
     assert run.stdout.strip() == "1", run.stderr
 
 
+FORGOTTEN = """
+import gc
+from wbmpc.ros2 import Network, open_node
+one, got = open_node("one", "dds", Network.of()), []
+open_node("other", "dds", Network.of()).subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data))
+publisher = one.publisher("/count", "std_msgs/msg/Float64")
+while not publisher._writer.get_matched_subscriptions():
+    pass
+for i in range(100):
+    gc.collect()
+    publisher.publish({"data": i})
+print(len(got))
+"""
+
+
+def test_a_node_that_nobody_holds_hears_until_it_is_closed() -> None:
+    """In a process of its own: DDS would call what Python has thrown away."""
+    run = subprocess.run(
+        [sys.executable, "-c", FORGOTTEN], env=everything(), timeout=60.0, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "100", run.stderr
+
+
 def test_late_joiners_get_what_is_latched(nodes: tuple[Any, Any]) -> None:
     one, other = nodes
     one.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish({"transforms": [{"child_frame_id": "imu"}]})

@@ -62,6 +62,9 @@ _DOMAINS: dict[int, tuple[Network, Domain]] = {}
 _DOMAINS_LOCK = threading.Lock()
 #: The package reads the QoS of endpoints through buffers that all threads of the process share.
 _GRAPH_LOCK = threading.Lock()
+#: Nodes that nobody has closed. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
+#: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
+_OPEN: set[DdsNode] = set()
 
 
 def _open_domain(network: Network) -> None:
@@ -108,6 +111,7 @@ class DdsNode:
         self._names: tuple[dict[bytes, str], DataReader] | None = None
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
+        _OPEN.add(self)
         self._announce()
 
     # ------------------------------------------------------------------ topics
@@ -211,6 +215,8 @@ class DdsNode:
             with self._lock:
                 self._writers.remove(writer)
                 self._readers.remove(reader)
+            writer.__del__()
+            reader.__del__()
             self._announce()
 
     # ------------------------------------------------------------------ graph
@@ -276,6 +282,7 @@ class DdsNode:
         for entity in entities:
             entity.set_listener(None)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
+        _OPEN.discard(self)
 
     # ------------------------------------------------------------------ inside
     def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> DataReader:
