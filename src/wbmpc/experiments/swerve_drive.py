@@ -20,7 +20,7 @@ from wbmpc.experiments.swerve_calibrate import swerve_robot
 from wbmpc.experiments.swerve_drive_course import terrain
 from wbmpc.experiments.swerve_drive_figures import metrics, plots
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
-from wbmpc.experiments.swerve_track import _stand
+from wbmpc.experiments.swerve_track import stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep, watched
 from wbmpc.model import RobotModel
@@ -179,7 +179,7 @@ class _Run:
             monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]),
             faulty=brakes.accept,
         )  # fmt: skip
-        _stand(plant, agent, timing, s.rest)
+        stand_still(plant, agent, timing, s.rest)
         mpc.reset(home)
         hit = None if knock is None else _Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
@@ -208,7 +208,7 @@ class _Run:
             robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
             lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
         )  # fmt: skip
-        _stand(plant, agent, timing, s.rest)
+        stand_still(plant, agent, timing, s.rest)
         with watched(plant, timing.period, duration, progress, agent) as tick:
             for k in range(round(duration / timing.period)):
                 t = k * timing.period
