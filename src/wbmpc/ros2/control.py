@@ -27,7 +27,7 @@ from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.sending import Trajectories
-from wbmpc.ros2.settings import GONE, BallSettings, RosSettings, settings_of
+from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
 from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
 
@@ -360,34 +360,39 @@ class ControlNode:
     # ------------------------------------------------------------------ watching
     def _watch(self) -> None:
         if self.runner is not None and self.runner.stopped:
-            self.body.disarm()
-            if self.inbox.running is not None:
-                self._stay()
-                self.inbox.stop()
-                if self.legs is not None and self.legs.waiting:
-                    self.legs.drop()
-                    self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
-            self.inbox.running = None
-            if self.legs is not None:
-                self.legs.stop()
-        clock = self.clock
-        if isinstance(clock, BusClock) and clock.heard is not None:
-            limit = self.settings.silence(clock.speed)
-            silent = time.monotonic() - clock.heard
-            gone = silent > min(GONE, limit) and not self.node.publishers("/clock")
-            if (silent > limit or gone) and self.running:
-                who = ", nobody publishes it any more" if gone else ""
-                self._halt(f"the time on /clock has stopped for {silent:.1f} s{who}")
-            elif (silent > limit or gone) and self.runner is not None:
-                self.body.stop()  # the runner's loop waits for a time that does not come
-            elif clock.went_back and self.running:
-                self._halt("the time on /clock went back: the simulator was started anew")
+            self._after_stop()
+        self._watch_clock()
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
             self._looked_at_graph = time.monotonic()
             self.breathe()
             self.inbox.look_for_speeds()
             self.source.look()
             self._look_around()
+
+    def _after_stop(self) -> None:
+        """The runner has stopped the robot: nothing that was asked for before counts any more."""
+        self.body.disarm()
+        if self.inbox.running is not None:
+            self._stay()
+            self.inbox.stop()
+            if self.legs is not None and self.legs.waiting:
+                self.legs.drop()
+                self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
+        self.inbox.running = None
+        if self.legs is not None:
+            self.legs.stop()
+
+    def _watch_clock(self) -> None:
+        clock = self.clock
+        if not isinstance(clock, BusClock):
+            return
+        lost = clock.lost(self.settings.silence(clock.speed), lambda: bool(self.node.publishers("/clock")))
+        if lost and self.running:
+            self._halt(lost)
+        elif lost and self.runner is not None:
+            self.body.stop()  # the runner's loop waits for a time that does not come
+        elif clock.went_back and self.running:
+            self._halt("the time on /clock went back: the simulator was started anew")
 
     def _look_around(self) -> None:
         """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
