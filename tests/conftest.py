@@ -5,9 +5,17 @@ import signal
 import sys
 from pathlib import Path
 
+import pytest
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))
 
 # A job in the background is started with Ctrl-C ignored, and so would be every process that a test starts.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def empty_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs in a directory of its own."""
+    monkeypatch.chdir(tmp_path)

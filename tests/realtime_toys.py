@@ -16,10 +16,12 @@ import casadi as ca
 import numpy as np
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc import MPC, Clock, Observation, Plans
+from wbmpc.mpc import MPC, Clock, Observation, Plans, RealTime, Runner, VirtualClock
 from wbmpc.ocp import Cost, OptimalControlProblem
 
 START = np.array([1.0, 0.0])
+#: Of the controller [s].
+PERIOD = 1.0 / 400.0
 
 
 def problem() -> OptimalControlProblem:
@@ -149,6 +151,14 @@ def make_faulty(fault: str, after: int = 30) -> FaultyMPC:
         "hangs": lambda n: time.sleep(3.0) if n == after else None,
     }
     return FaultyMPC(actions[fault])
+
+
+def virtual(
+    computing: float | Callable[[], float] = 0.0, mpc: MPC | None = None, limit: float = np.inf, **settings: Any
+) -> Runner:
+    """A runner in virtual time; every solve takes ``computing`` [s]."""
+    clock = VirtualClock(computing)
+    return Runner(ToyRobot(clock), ToyAgent(PERIOD, limit), mpc or make_mpc(), RealTime(**settings), clock)
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:

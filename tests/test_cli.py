@@ -1,4 +1,4 @@
-"""The command line: what it prints, where it writes, its exit status, and one sentence for every bad input."""
+"""The command line: what it prints and where it writes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import wbmpc
+from command_line import FAKE_MAIN, HERE, call, shell
 from fake_experiment import REGISTRY
 from wbmpc.cli import _table, app, main
 from wbmpc.errors import InputError
@@ -24,28 +24,7 @@ from wbmpc.log import Log
 from wbmpc.report import page
 from wbmpc.result import Metric, RunResult
 
-HERE = Path(__file__).parent
-
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
-def call(*arguments: str) -> int:
-    return main(list(arguments), REGISTRY)
-
-
-def shell(*arguments: str, code: str | None = None) -> subprocess.CompletedProcess[str]:
-    """A process of its own, as a user starts it."""
-    paths = os.pathsep.join([str(HERE.parent / "src"), str(HERE)])
-    command = [sys.executable, *(["-c", code] if code else ["-m", "wbmpc"]), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}, timeout=60)
-
-
-FAKE_MAIN = (
-    "import sys; from fake_experiment import REGISTRY; from wbmpc.cli import main; sys.exit(main(None, REGISTRY))"
-)
+pytestmark = pytest.mark.usefixtures("empty_directory")
 
 
 # ---------------------------------------------------------------------- where files go
@@ -210,62 +189,6 @@ def test_the_shell_completes() -> None:
     assert {"replay", "render", "reproduce"} <= set(out.stdout.split())
 
 
-# ---------------------------------------------------------------------- runs that end early
-def test_a_fall_is_status_1_with_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("run", "fake", "--set", "fall_at=2.0", "--json") == 1
-    data = json.loads(capsys.readouterr().out)
-    assert data["completed"] is False and data["metrics"]["fell"]["value"] == 1.0
-    assert data["metrics"]["rise_time_max"]["value"] is None
-    assert (tmp_path / data["files"]["metrics"]).is_file()
-
-
-def test_a_fall_is_said_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("run", "fake", "--set", "fall_at=2.0") == 1
-    assert "fake did not complete: the robot fell at 2.00 s" in capsys.readouterr().out
-
-
-def test_an_abort_is_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Also when the experiment has nothing to show: what it was and why it ended is on disk."""
-    assert call("run", "fake", "--set", "abort=true", "--json") == 1
-    data = json.loads(capsys.readouterr().out)
-    assert data["completed"] is False and data["reason"] == "the solver gave up at 0.10 s"
-    saved = json.loads((tmp_path / data["files"]["metrics"]).read_text())
-    assert saved["settings"]["abort"] is True and saved["metrics"] == {}
-    assert "the solver gave up at 0.10 s" in (tmp_path / data["files"]["report"]).read_text()
-
-
-def test_ctrl_c_is_status_130_and_leaves_what_there_is(tmp_path: Path) -> None:
-    out = shell("run", "fake", "--set", "interrupt=true", "--json", code=FAKE_MAIN)
-    assert out.returncode == 130 and "Traceback" not in out.stderr
-    data = json.loads(out.stdout)
-    assert data["completed"] is False and data["reason"] == "interrupted at 0.10 s"
-    assert all((tmp_path / f).is_file() for f in data["files"].values())
-
-
-def test_ctrl_c_in_any_command_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Also where the command itself does not catch it."""
-
-    class Interrupting(dict):  # type: ignore[type-arg]
-        def values(self) -> Any:
-            raise KeyboardInterrupt
-
-    assert main(["list"], Interrupting(REGISTRY)) == 130
-    assert capsys.readouterr().err == "wbmpc: interrupted\n"
-
-
-def test_an_interrupted_demo_does_not_go_on(capsys: pytest.CaptureFixture[str]) -> None:
-    fake = REGISTRY["fake"]
-    begun: list[str] = []
-
-    def run(settings, seed, progress):  # type: ignore[no-untyped-def]
-        begun.append("run")
-        return fake.run(settings.model_copy(update={"interrupt": True}), seed, progress)
-
-    one = SimpleNamespace(name="x", config_type=fake.config_type, run=run)
-    assert main(["demo", "--json"], {"swerve-track": one, "rezero-steps": one}) == 130  # type: ignore[dict-item]
-    assert begun == ["run"]
-
-
 def test_failures_of_the_solver_are_in_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("run", "fake", "--set", "failures=7", "--json") == 0
     mpc = json.loads(capsys.readouterr().out)["mpc"]
@@ -282,125 +205,6 @@ def test_a_missed_goal_is_explained(capsys: pytest.CaptureFixture[str], tmp_path
     assert "fake, hand_error_max_odometry: the goal is for the mean of many" in out
     assert "the goal is for the mean of many" in (tmp_path / "here/report.html").read_text()
     assert "path_length:" not in out
-
-
-# ---------------------------------------------------------------------- bad input
-BAD = {
-    ("run", "fakee"): ["unknown experiment 'fakee'", "did you mean 'fake'", "valid: fake"],
-    ("run",): ["Missing argument", "wbmpc --help"],
-    ("run", "fake", "--seed", "-1"): ["--seed", "negative"],
-    ("run", "fake", "--seed", "x"): ["--seed", "integer"],
-    ("run", "fake", "--set", "mpc.rat=3"): ["fake: --set", "did you mean 'mpc.rate'", "valid in mpc: rate, intervals"],
-    ("run", "fake", "--set", "mpc.rate=-3"): ["mpc.rate=-3", "greater than 0"],
-    ("run", "fake", "--set", "mpc.intervals=0"): ["mpc.intervals=0", "greater than or equal to 1"],
-    ("run", "fake", "--set", "mpc.rate=nan"): ["mpc.rate=nan", "finite"],
-    ("run", "fake", "--set", "mpc.rate"): ["key=value"],
-    ("run", "fake", "--out", "a-file"): ["--out: 'a-file' is a file"],
-    ("run", "fake", "--out", "a-file/below"): ["a-file/below", "Not a directory"],
-    ("run", "fake", "--jsn"): ["No such option: --jsn"],
-    ("walk",): ["No such command 'walk'"],
-    ("bench", "--repeat", "0"): ["--repeat"],
-    ("bench", "--out", "a-file"): ["--out: 'a-file' is a file"],
-}
-
-
-@pytest.mark.parametrize("arguments", BAD, ids=" ".join)
-def test_bad_input_is_one_sentence_and_status_2(
-    arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "a-file").write_text("")
-    assert call(*arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("wbmpc: ") and captured.err.count("\n") == 1
-    for part in BAD[arguments]:
-        assert part in captured.err
-    assert "Traceback" not in captured.err and "http" not in captured.err
-    assert [p.name for p in tmp_path.iterdir()] == ["a-file"]  # nothing is left behind
-
-
-REAL = {
-    ("run", "swerve-trak"): "did you mean 'swerve-track'",
-    ("run", "swerve-track", "--set", "mpc.rat=3"): "did you mean 'mpc.rate'",
-    ("run", "swerve-track", "--set", "mpc.intervals=0"): "mpc.intervals=0",
-    ("run", "swerve-track", "--set", "mpc.rate=77"): "mpc.rate",
-    ("run", "rezero-steps", "--set", "plant.friction=[0.9, 0.2]"): "plant.friction",
-    (
-        "run",
-        "swerve-track",
-        "--set",
-        "mpc.horizon=1e13",
-    ): "first_interval: 0.017 s is too short for a horizon of 1e+13 s",
-    ("run", "swerve-track", "--set", "mpc.first_interval=1e-30"): "first_interval: 1e-30 s is too short",
-    ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
-    ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
-    ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
-    ("run", "rezero-steps", "--set", "hold=1.5"): "a smaller mpc.horizon or preview=false needs less",
-    ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
-}
-
-
-@pytest.mark.parametrize("arguments", REAL, ids=" ".join)
-def test_bad_input_of_the_real_experiments(arguments: tuple[str, ...]) -> None:
-    out = shell(*arguments)
-    assert out.returncode == 2 and out.stdout == ""
-    assert out.stderr.startswith("wbmpc: ") and out.stderr.count("\n") == 1
-    assert REAL[arguments] in out.stderr
-
-
-@pytest.mark.parametrize("place", ["front", "end"])
-def test_debug_shows_the_traceback(place: str) -> None:
-    arguments = ["run", "nope"]
-    out = shell(*(["--debug", *arguments] if place == "front" else [*arguments, "--debug"]))
-    assert out.returncode == 2
-    assert "Traceback" in out.stderr and "InputError" in out.stderr
-    assert out.stderr.splitlines()[-1].startswith("wbmpc: unknown experiment 'nope'")
-
-
-def test_a_failed_run_leaves_a_given_directory_alone(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    assert call("run", "fake", "--out", "mine", "--set", "mpc.rate=-1") == 2
-    assert (tmp_path / "mine").is_dir()
-
-
-@pytest.mark.parametrize(
-    "arguments, status", [(("list",), 0), (("run", "fake"), 0), (("run", "fake", "--set", "fall_at=2"), 1)]
-)
-@pytest.mark.parametrize("stream", [1, 2])
-def test_a_reader_who_leaves_changes_nothing(
-    stream: int, arguments: tuple[str, ...], status: int, tmp_path: Path
-) -> None:
-    """As ``| head`` does: the status is the command's own, its files are there, and nothing is said."""
-    code = f"import os; r, w = os.pipe(); os.close(r); os.dup2(w, {stream}); " + FAKE_MAIN
-    out = shell("--verbose", *arguments, code=code)
-    assert out.returncode == status
-    assert "Traceback" not in out.stderr + out.stdout and "BrokenPipe" not in out.stderr + out.stdout
-    assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == (0 if "list" in arguments else 3)
-
-
-def test_ctrl_c_within_compiled_code_is_no_error(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """CasADi and NumPy, called back, report KeyboardInterrupt as the cause of a SystemError."""
-
-    def pressed(*_: object) -> None:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise SystemError("returned a result with an exception set") from error
-
-    monkeypatch.setattr("wbmpc.robots.available_robots", pressed)
-    assert call("list") == 130
-    assert capsys.readouterr().err == "wbmpc: interrupted\n"
-
-
-def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError
-
-    broken_one = SimpleNamespace(name="broken", config_type=REGISTRY["fake"].config_type, run=broken)
-    with pytest.raises(ZeroDivisionError):
-        main(["run", "broken"], {"broken": broken_one})  # type: ignore[dict-item]
 
 
 # ---------------------------------------------------------------------- the other commands
@@ -441,25 +245,6 @@ def test_the_commands_are_the_documented_ones() -> None:
     assert all(option in out.stdout for option in ("--seed", "--set", "--out", "--json"))
 
 
-def test_sigterm_is_ctrl_c_from_another_process(tmp_path: Path) -> None:
-    """A service manager ends a run: its files are written, and the status says by what it was ended."""
-    run = [sys.executable, "-m", "wbmpc", "run", "rezero-steps", "--out", str(tmp_path / "a"), "--json"]
-    process = subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60.0
-    while not (tmp_path / "a" / "run.mcap").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    process.terminate()
-    out, err = process.communicate(timeout=60)
-    data = json.loads(out)
-    assert process.returncode == 143 and err == ""
-    assert data["completed"] is False and data["reason"].startswith("interrupted at ")
-    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["log.npz", "metrics.json", "report.html", "run.mcap"]
-    # where no run goes on, it ends the command
-    code = "import os, signal; from wbmpc.cli.terminal import terminable\nwith terminable() as t:\n  try: os.kill(os.getpid(), 15)"
-    code += "\n  except KeyboardInterrupt: print(t.came, signal.getsignal(15) is t)"
-    assert shell(code=code).stdout == "True True\n"
-
-
 def test_the_shell_completes_commands_and_names() -> None:
     ask = lambda words: subprocess.run(
         [sys.executable, "-m", "wbmpc"], capture_output=True, text=True, timeout=60,
@@ -495,8 +280,3 @@ def test_help_shows_its_words_as_they_are() -> None:
     found = list(texts(get_command(app)))
     assert len(found) > 60
     assert [text for text in found if render(text).plain != text] == []
-
-
-def test_a_picture_before_the_start_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["render", str(tmp_path), "--png", str(tmp_path / "a.png"), "--start", "-5"]) == 2
-    assert capsys.readouterr().err == "wbmpc: --start: must not be negative, got -5\n"

@@ -11,7 +11,9 @@ from toys import robot
 from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY, swerve_drive
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
-from wbmpc.experiments.swerve_drive import SwerveDriveSettings, clearance, recovery, straight, tour
+from wbmpc.experiments.swerve_drive import SwerveDriveSettings, straight, tour
+from wbmpc.experiments.swerve_drive_course import DOOR, clearance, terrain
+from wbmpc.experiments.swerve_drive_figures import recovery
 from wbmpc.log import Log
 from wbmpc.plant import Perturbation
 
@@ -172,9 +174,9 @@ def test_steering_branches_are_those_of_a_search_over_all() -> None:
 def test_the_door_is_seen_and_touches_nothing() -> None:
     """Its posts stand beside the gap that the clearance is measured in; MuJoCo gives them no contact bits."""
     spec = mujoco.MjSpec()
-    swerve_drive.terrain(spec)
+    terrain(spec)
     model = spec.compile()
     posts = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX]
     inner = sorted(float(abs(model.geom_pos[g, 1]) - model.geom_size[g, 1]) for g in posts)
-    assert inner == pytest.approx([0.45, 0.45]) and {float(model.geom_pos[g, 0]) for g in posts} == {swerve_drive.DOOR}
+    assert inner == pytest.approx([0.45, 0.45]) and {float(model.geom_pos[g, 0]) for g in posts} == {DOOR}
     assert not model.geom_contype[posts].any() and not model.geom_conaffinity[posts].any()

@@ -29,7 +29,7 @@ if not MISSING:
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from wbmpc.ros2.dds import carrier
+    from wbmpc.ros2.carrier import carrier
     from wbmpc.ros2.messages import types
 
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "44"})

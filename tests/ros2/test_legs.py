@@ -25,7 +25,7 @@ if not MISSING:
     from cyclonedds.topic import Topic
     from simulated import Simulated
 
-    from wbmpc.ros2.dds import carrier
+    from wbmpc.ros2.carrier import carrier
     from wbmpc.ros2.legs import SET_LEGS
     from wbmpc.ros2.messages import request, response, types
 

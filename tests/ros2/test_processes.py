@@ -19,7 +19,9 @@ from wbmpc.experiments.swerve_track import SwerveTrackSettings
 
 pytestmark = needs_dds
 if not MISSING:
-    from ros2_bus import Bus, Recorder, drive, inside, open_bus, steps, stream, track
+    from ros2_bus import inside, steps, track
+    from ros2_processes import Bus, Recorder, open_bus
+    from ros2_stream import drive, stream
 
     from wbmpc.ros2.convert import header, pose
 

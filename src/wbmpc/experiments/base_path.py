@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.experiments.paths import rise
 
 #: Step [s] of the table that a path is kept in.
 STEP = 0.01
@@ -51,10 +52,6 @@ class BasePath:
         return np.where((t > self.times[-1])[..., None], 0.0, self._at(t, self.twists))
 
 
-def _rise(t: np.ndarray, ramp: float) -> np.ndarray:
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(t / ramp, 0.0, 1.0)))
-
-
 def in_turn(
     segments: list[Segment], start: float, pause: float, ramp: float
 ) -> tuple[BasePath, list[tuple[float, float]]]:
@@ -66,7 +63,7 @@ def in_turn(
     t = STEP * np.arange(round(end / STEP) + 1)
     twists = np.zeros((t.size, 3))
     for s, (first, last) in zip(segments, spans, strict=True):
-        share = _rise(t - first, ramp) - _rise(t - (last - ramp), ramp)
+        share = rise(t - first, ramp) - rise(t - (last - ramp), ramp)
         twists += share[:, None] * np.array(s.twist)
     return BasePath.of(twists), spans
 
@@ -85,7 +82,7 @@ def random_twists(
         angle, v = rng.uniform(-np.pi, np.pi), speed * rng.uniform(0.2, 1.0)
         wanted = np.array([v * np.cos(angle), v * np.sin(angle), rate * rng.uniform(-1.0, 1.0)])
         wanted = np.zeros(3) if rng.uniform() < rests else wanted
-        twists += _rise(t - when, ramp)[:, None] * (wanted - before)
+        twists += rise(t - when, ramp)[:, None] * (wanted - before)
         before, when = wanted, when + ramp + rng.uniform(1.0, 5.0)
-    twists -= _rise(t - (duration - ramp - 0.5), ramp)[:, None] * before
+    twists -= rise(t - (duration - ramp - 0.5), ramp)[:, None] * before
     return BasePath.of(twists)

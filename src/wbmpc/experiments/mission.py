@@ -12,8 +12,7 @@ from wbmpc.control import BrakeControl
 from wbmpc.control.brakes import FLOATING, PASS, described, floating
 from wbmpc.errors import InputError
 from wbmpc.experiments.directions import refuse_directions
-from wbmpc.experiments.paths import _ramp as _ramped
-from wbmpc.experiments.paths import _rise
+from wbmpc.experiments.paths import rise, risen
 from wbmpc.model import RobotModel, SwerveGeometry, wheel_velocities
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -40,7 +39,7 @@ class Leg:
         """How much of the part is done at times t (k,) [s], and its rate [1/s]."""
         s, ramp = t - self.start, min(self.ramp, 0.5 * self.length)
         late, full = s - (self.length - ramp), self.length - ramp
-        return (_ramped(s, ramp) - _ramped(late, ramp)) / full, (_rise(s, ramp) - _rise(late, ramp)) / full
+        return (risen(s, ramp) - risen(late, ramp)) / full, (rise(s, ramp) - rise(late, ramp)) / full
 
 
 @dataclass(frozen=True)

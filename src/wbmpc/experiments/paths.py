@@ -48,8 +48,8 @@ class SinePath:
         """Arc length [m] and its rate [m/s] at times t [s]."""
         t = np.asarray(t, float) - self.start
         late = t - self.arc_length / self.speed
-        return self.speed * (_ramp(t, self.ramp) - _ramp(late, self.ramp)), self.speed * (
-            _rise(t, self.ramp) - _rise(late, self.ramp)
+        return self.speed * (risen(t, self.ramp) - risen(late, self.ramp)), self.speed * (
+            rise(t, self.ramp) - rise(late, self.ramp)
         )
 
     def point(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -85,18 +85,19 @@ class Approach:
     def offset(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """What is left of the way at times t [s]: offsets (n, 3) [m] from the goal, quaternions (n, 4) there."""
         t = np.atleast_1d(np.asarray(t, float))
-        left = 1.0 - _rise(t, self.duration) if self.duration > 0.0 else 0.0 * t
+        left = 1.0 - rise(t, self.duration) if self.duration > 0.0 else 0.0 * t
         turns = [lie.slerp(self.goal[1], self.start[1], a) for a in left]
         return left[:, None] * (self.start[0] - self.goal[0]), np.array(turns)
 
 
-def _rise(t: np.ndarray, length: float) -> np.ndarray:
+def rise(t: np.ndarray, length: float) -> np.ndarray:
+    """From 0 to 1 over ``length`` > 0, half a cosine, at times or ways t (k) of the same unit."""
     q = np.clip(t / length, 0.0, 1.0)
     return 0.5 * (1.0 - np.cos(np.pi * q))
 
 
-def _ramp(t: np.ndarray, length: float) -> np.ndarray:
-    """Integral of :func:`_rise`."""
+def risen(t: np.ndarray, length: float) -> np.ndarray:
+    """Integral of :func:`rise`."""
     q = np.clip(t / length, 0.0, 1.0)
     return length * (0.5 * q - np.sin(np.pi * q) / (2.0 * np.pi)) + np.maximum(t - length, 0.0)
 

@@ -17,7 +17,7 @@ from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twist
 from wbmpc.experiments.directions import refuse_directions
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
-from wbmpc.experiments.swerve_track import _stand
+from wbmpc.experiments.swerve_track import stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel, load_robot
@@ -180,7 +180,7 @@ def drive(
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
-    _stand(plant, agent, timing, settings.rest)
+    stand_still(plant, agent, timing, settings.rest)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / timing.period) % 4:

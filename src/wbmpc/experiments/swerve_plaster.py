@@ -17,7 +17,7 @@ from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.experiments.swerve_calibrate import calibrated, swerve_robot
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
-from wbmpc.experiments.swerve_track import HAND_ORIENTATION, _in_frame, _stand
+from wbmpc.experiments.swerve_track import HAND_ORIENTATION, in_frame, stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel
@@ -228,7 +228,7 @@ def run(settings: SwervePlasterSettings, seed: int, progress: Progress | None = 
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     agent = SwerveAgent(robot, plant.truth().pose, timing.period, lag=settings.drive_lag, calibration=calibration)
-    _stand(plant, agent, timing, settings.rest)
+    stand_still(plant, agent, timing, settings.rest)
     mpc.reset(robot.home)
     log = Log()
     sensor = _WallSensor(robot, timing.period, seed) if settings.sensors else None
@@ -242,7 +242,7 @@ def run(settings: SwervePlasterSettings, seed: int, progress: Progress | None = 
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
         log.add("hand", t, truth.tool)
-        log.add("hand_odometry", t, _in_frame(pose, truth.tool_in_base, truth.tool[2]))
+        log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
         log.add("hand_reference", t, references.hand(np.array([t]))[0])
         log.add("wheel_slip", t, truth.slip)
         if WALL - truth.tool[1] < NEAREST:

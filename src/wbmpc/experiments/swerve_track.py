@@ -146,7 +146,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         calibration=calibration,
         use_gyro=settings.use_gyro,
     )
-    _stand(plant, agent, timing, settings.rest)
+    stand_still(plant, agent, timing, settings.rest)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()
@@ -167,7 +167,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         log.add("base_wheels", t, agent.wheels_alone.pose)
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
-        log.add("hand_odometry", t, _in_frame(pose, truth.tool_in_base, truth.tool[2]))
+        log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
         wanted = lie.quaternion_to_rotation(references.orientation(np.array([t]))[0])
         log.add("hand_rotation", t, lie.rotation_angle(_turn(pose[2]) @ truth.tool_rotation_in_base, wanted))
         log.add("hand_reference", t, references.hand(np.array([t]))[0])
@@ -185,7 +185,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     )  # fmt: skip
 
 
-def _stand(plant: SwervePlant, agent: SwerveAgent, timing: Timing, seconds: float) -> None:
+def stand_still(plant: SwervePlant, agent: SwerveAgent, timing: Timing, seconds: float) -> None:
     """Let the robot stand with closed brakes while the gyro shows its bias; ends before the run's time 0."""
     for _ in range(round(seconds / timing.period)):
         agent.measure(plant.measure())
@@ -199,7 +199,7 @@ def _turn(yaw: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _in_frame(pose: np.ndarray, tool_in_base: np.ndarray, height: float) -> np.ndarray:
+def in_frame(pose: np.ndarray, tool_in_base: np.ndarray, height: float) -> np.ndarray:
     """The hand in the estimated frame: estimated base pose, true forward kinematics."""
     placed = _turn(pose[2]) @ tool_in_base
     return np.array([pose[0] + placed[0], pose[1] + placed[1], height])

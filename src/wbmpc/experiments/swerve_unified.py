@@ -20,7 +20,7 @@ from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, Weight, finished
 from wbmpc.experiments.swerve_calibrate import swerve_robot
 from wbmpc.experiments.swerve_problem import ROLLING_COMPLIANCE, StateCost, SwerveCost, swerve_problem
-from wbmpc.experiments.swerve_track import HAND_ORIENTATION, _in_frame, _stand
+from wbmpc.experiments.swerve_track import HAND_ORIENTATION, in_frame, stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel
@@ -140,7 +140,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
         use_gyro=settings.use_gyro, lag=settings.drive_lag,
         monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]), faulty=brakes.accept,
     )  # fmt: skip
-    _stand(plant, agent, timing, settings.rest)
+    stand_still(plant, agent, timing, settings.rest)
     mpc.reset(home)
     log, stance_of = Log(), StanceOf(robot)
 
@@ -154,7 +154,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
         log.add("base_odometry", now, pose)
         log.add("base_reference", now, mission.base(now)[0][0])
         log.add("hand", now, truth.tool)
-        log.add("hand_odometry", now, _in_frame(pose, truth.tool_in_base, truth.tool[2]))
+        log.add("hand_odometry", now, in_frame(pose, truth.tool_in_base, truth.tool[2]))
         log.add("hand_reference", now, np.array(HOLD) + approach.offset(now)[0][0])
         log.add("leg", now, truth.state[robot.state["leg"]])
         log.add("leg_reference", now, mission.leg(now)[0][0])

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.mpc.buffer import Board
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -105,6 +107,38 @@ class Report:
     late_commands: dict[str, int]
     solve: Spread
     update: Spread
+
+    @classmethod
+    def of(cls, state: str, seconds: float, own: Board, board: Board, punctuality: Punctuality) -> Report:
+        """From what the control thread (``own``) and the MPC's side (``board``) have written down up to now."""
+        count = lambda name: int(own[name])
+        spread = lambda name: Spread.of(own.samples(name))
+        return cls(
+            state=state,
+            seconds=seconds,
+            updates=int(board["updates"]),
+            mpc_misses=int(board["misses"]),
+            failures=int(board["failures"]),
+            repeated=int(board["repeated"]),
+            solve=Spread.of(board.samples("solve_time")),
+            update=Spread.of(board.samples("update_time")),
+            ticks=count("ticks"),
+            misses=count("misses"),
+            policies=count("policies"),
+            late=count("late"),
+            clamped=count("clamped"),
+            passed=int(board["passed"]),
+            worst_passed=board["worst_passed"],
+            passed_where=board.note,
+            apart=int(board["apart"]),
+            worst_apart=board["worst_apart"],
+            latency=spread("latency"),
+            ready=spread("ready"),
+            jitter=spread("jitter"),
+            tick=spread("tick"),
+            sent=spread("sent"),
+            late_commands=dict(punctuality.because),
+        )
 
     def __str__(self) -> str:
         ms = lambda s: f"{1e3 * s.median:.2f} ms (99 % {1e3 * s.p99:.2f}, longest {1e3 * s.max:.2f})"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import math
-import multiprocessing
 import os
 import sys
 import threading
@@ -23,15 +22,23 @@ import numpy as np
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.buffer import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.mpc.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
-from wbmpc.mpc.figures import Punctuality, Report, Spread
+from wbmpc.mpc.figures import Punctuality, Report
+from wbmpc.mpc.launch import await_ready, set_priority, start_process
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.plans import Agent, Plans
-from wbmpc.mpc.safety import CommandCheck, Latency, RealTime, SafeStop, not_finite
-from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker, serve
+from wbmpc.mpc.safety import (
+    ROUNDING,
+    CommandCheck,
+    Latency,
+    RealTime,
+    SafeStop,
+    check_held_up,
+    check_measurement,
+    not_finite,
+)
+from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker
 
 _LOG = logging.getLogger("wbmpc")
-#: Differences of times [s] below this are none.
-_ROUNDING = 1e-9
 #: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
 _TICK_ENDS, _LOOP_ENDS = 0.5, 5.0
 
@@ -114,7 +121,11 @@ class Runner:
 
     def _launch(self) -> None:
         if self.remote:
-            self._start_process()
+            offset = self.settings.mpc_offset
+            self._process = start_process(
+                self.mpc, self.observations, self.policies, self.board, self.orders, offset, self.setup  # type: ignore[arg-type]
+            )  # fmt: skip
+            await_ready(self._process, self.board)
         loops = self._begin()
         runs: list[Callable[[], None]] = [partial(follow, self.clock, loops[0])]
         if len(loops) > 1:  # of the two only the controller's waits end with a spin: it keeps the interpreter
@@ -129,17 +140,7 @@ class Runner:
         for thread in self._threads:
             thread.start()
         if self.settings.priority:
-            self._set_priority(self._threads[0])
-
-    def _set_priority(self, thread: threading.Thread) -> None:
-        level = self.settings.priority
-        try:
-            os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(level))
-        except OSError as error:
-            raise InputError(
-                f"real time: priority {level} is not to be had ({error.strerror}): it needs the right to it"
-                " (CAP_SYS_NICE, or rtprio in limits.conf); 0 needs none"
-            ) from error
+            set_priority(self._threads[0], self.settings.priority)
 
     def run(self, seconds: float) -> Report:
         """Run for ``seconds`` or until it has stopped, then shut down, also after Ctrl-C. In virtual time the stop's ticks go on
@@ -205,20 +206,6 @@ class Runner:
         )  # fmt: skip
         return [self._control(), self._worker.loop()]
 
-    def _start_process(self) -> None:
-        arguments = (self.mpc, self.observations, self.policies, self.board, self.orders, self.settings.mpc_offset)
-        context = multiprocessing.get_context("spawn")
-        self._process = context.Process(target=serve, args=(*arguments, self.setup), daemon=True)
-        self._process.start()
-        waiting = WallClock()
-        while not self.board["ready"] and self._process.is_alive() and waiting.now() < 60.0:
-            waiting.wait(waiting.now() + 5e-3)
-        if not self.board["ready"]:
-            code = self._process.exitcode
-            ended = "no answer within 60 s" if code is None else f"it ended with exit code {code}"
-            self._process.kill()
-            raise InputError(f"runner: the MPC's process did not come up: {self.board.text or ended}")
-
     # ------------------------------------------------------------------ control
     def _control_thread(self, run: Callable[[], None]) -> None:
         try:
@@ -249,7 +236,7 @@ class Runner:
             self.punctuality.begin(due, start)
             if not self._stopped.is_set():
                 try:
-                    self._check_held_up(start - due)
+                    check_held_up(start - due, self.settings.watchdog)
                     self._tick(due)
                 except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
@@ -264,18 +251,10 @@ class Runner:
             self._beat = self.ticker.due  # until then no tick has to run
         sys.setswitchinterval(usual)  # the clock may have changed it
 
-    def _check_held_up(self, late: float) -> None:
-        """A process that was held up as a whole goes on with all threads at once: the watchdog may look too late to see it."""
-        if late > self.settings.watchdog:
-            raise RunAborted(
-                f"a tick of the controller began {late:.3f} s late, the limit is {self.settings.watchdog:g} s: the machine is too"
-                " busy, or the process was held up"
-            )
-
     def _tick(self, due: float) -> None:
         now, over = self.clock.now, self.punctuality.over
         measurement = self.robot.read()
-        self._check_measurement(measurement)
+        check_measurement(measurement, self.clock.now(), self.settings.max_observation_age)
         self._check_worker()
         over(now())
         self.agent.measure(measurement)
@@ -314,16 +293,6 @@ class Runner:
         except (Exception, SystemExit) as error:
             self.watch = None
             _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
-
-    def _check_measurement(self, measurement: Any) -> None:
-        bad = not_finite("measurement", measurement)
-        if bad is not None:
-            raise SafeStop(f"{bad} is not finite")
-        age, limit = self.clock.now() - float(measurement.time), self.settings.max_observation_age
-        if age > limit + _ROUNDING:
-            raise SafeStop(f"the measurement is {age:.3f} s old, the limit is {limit:g} s")
-        if age < -limit:
-            raise SafeStop(f"the measurement is from {-age:.3f} s ahead: its time is not the runner's")
 
     def _check_worker(self) -> None:
         if self.board["failed"]:
@@ -381,13 +350,13 @@ class Runner:
         """Whether there is a policy, young enough; a stop if not."""
         policy, s = self.plans.current, self.settings
         if policy is None:
-            if due > s.patience + _ROUNDING:
+            if due > s.patience + ROUNDING:
                 raise SafeStop(f"no policy within {s.patience:g} s ({self._failed()})")
             return False
         assert isinstance(policy, TimedPolicy)
         limit = s.max_policy_age or policy.end - float(policy.times[0])
         age = due - policy.valid_from
-        if age > limit + _ROUNDING:
+        if age > limit + ROUNDING:
             self._without_mpc(f"the policy is {age:.3f} s old, the limit is {limit:g} s ({self._failed()})")
         return True
 
@@ -439,32 +408,4 @@ class Runner:
     # ------------------------------------------------------------------ figures
     def report(self) -> Report:
         """What was counted up to now."""
-        own, board = self.own, self.board
-        count = lambda name: int(own[name])
-        spread = lambda name: Spread.of(own.samples(name))
-        return Report(
-            state=self.state,
-            seconds=self.clock.now(),
-            updates=int(board["updates"]),
-            mpc_misses=int(board["misses"]),
-            failures=int(board["failures"]),
-            repeated=int(board["repeated"]),
-            solve=Spread.of(board.samples("solve_time")),
-            update=Spread.of(board.samples("update_time")),
-            ticks=count("ticks"),
-            misses=count("misses"),
-            policies=count("policies"),
-            late=count("late"),
-            clamped=count("clamped"),
-            passed=int(board["passed"]),
-            worst_passed=board["worst_passed"],
-            passed_where=board.note,
-            apart=int(board["apart"]),
-            worst_apart=board["worst_apart"],
-            latency=spread("latency"),
-            ready=spread("ready"),
-            jitter=spread("jitter"),
-            tick=spread("tick"),
-            sent=spread("sent"),
-            late_commands=dict(self.punctuality.because),
-        )
+        return Report.of(self.state, self.clock.now(), self.own, self.board, self.punctuality)

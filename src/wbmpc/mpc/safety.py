@@ -12,6 +12,8 @@ import numpy as np
 
 from wbmpc.errors import InputError, RunAborted
 
+#: Differences of times [s] below this are none.
+ROUNDING = 1e-9
 #: Greatest time [s] and rate [Hz] that make sense.
 _MOST = 1e6
 
@@ -160,3 +162,25 @@ def not_finite(name: str, value: Any) -> str | None:
     if isinstance(value, (float, int)):
         return None if math.isfinite(value) else name
     return None if np.isfinite(np.asarray(value, float)).all() else name
+
+
+def check_measurement(measurement: Any, now: float, limit: float) -> None:
+    """Raise :class:`SafeStop` if a measurement is not finite, or its time [s] is further than a limit [s] from ``now`` [s]."""
+    bad = not_finite("measurement", measurement)
+    if bad is not None:
+        raise SafeStop(f"{bad} is not finite")
+    age = now - float(measurement.time)
+    if age > limit + ROUNDING:
+        raise SafeStop(f"the measurement is {age:.3f} s old, the limit is {limit:g} s")
+    if age < -limit:
+        raise SafeStop(f"the measurement is from {-age:.3f} s ahead: its time is not the runner's")
+
+
+def check_held_up(late: float, limit: float) -> None:
+    """A process that was held up as a whole goes on with all threads at once: the watchdog may look too late to see it. Raises
+    :class:`RunAborted` for a tick that begins later [s] than a limit [s]."""
+    if late > limit:
+        raise RunAborted(
+            f"a tick of the controller began {late:.3f} s late, the limit is {limit:g} s: the machine is too"
+            " busy, or the process was held up"
+        )

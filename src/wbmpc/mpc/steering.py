@@ -81,7 +81,7 @@ def plan_steering(
     a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
     times the speed there, nothing while the base rests; all wheels may turn round at it.
     """
-    ways, speeds = _directions(geometry, leg, steer, twists)
+    ways, speeds = wheel_directions(geometry, leg, steer, twists)
     speeds = speeds.max(axis=1)
     ways[0] = steer + _wrapped(ways[0] - steer)
     ways = np.unwrap(ways, axis=0, period=np.pi)
@@ -158,7 +158,7 @@ def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
     return parts[::-1]
 
 
-def _directions(
+def wheel_directions(
     geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
@@ -229,7 +229,7 @@ class SteeringGuess:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
         leg, steer = self._angles(x0)
         geometry, grid = self.robot.base.geometry, solver.ws.grid
-        ways, speeds = _directions(geometry, leg, steer, twists)
+        ways, speeds = wheel_directions(geometry, leg, steer, twists)
         off = np.abs(_wrapped(ways - solver.ws.x[:, self.robot.state["steer"]])) > OFF
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)

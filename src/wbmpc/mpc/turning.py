@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc.model import RobotModel, wheel_velocities
-from wbmpc.mpc.steering import LOOK, NODES, ROLLS, Preview, SteeringGuess, SteeringPlan, _directions, speed
+from wbmpc.mpc.steering import LOOK, NODES, ROLLS, Preview, SteeringGuess, SteeringPlan, speed, wheel_directions
 from wbmpc.ocp import Reference
 from wbmpc.solver import Solver
 
@@ -197,7 +197,7 @@ class TurningGuess(SteeringGuess):
         times = t + np.linspace(0.0, horizon, NODES)
         leg, steer = self._angles(x0)
         twists = self.preview(times, x0[self.robot.state["base"]])
-        ways, speeds = _directions(self.robot.base.geometry, leg, steer, twists)
+        ways, speeds = wheel_directions(self.robot.base.geometry, leg, steer, twists)
         ways[0] = steer + (ways[0] - steer + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         return times, np.unwrap(ways, axis=0, period=np.pi), speeds
 

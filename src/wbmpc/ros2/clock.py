@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
+
+from wbmpc.ros2.settings import GONE
 
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-7
@@ -50,6 +53,16 @@ class BusClock:
     def stamp(self) -> float:
         """The bus's time [s]."""
         return self._time
+
+    def lost(self, limit: float, published: Callable[[], bool]) -> str:
+        """Why there is no time any more: none for ``limit`` [s] of the wall, or for :data:`GONE` and nobody who publishes it; empty
+        if there is, or has never been any."""
+        if self.heard is None:
+            return ""
+        silent = time.monotonic() - self.heard
+        gone = silent > min(GONE, limit) and not published()
+        who = ", nobody publishes it any more" if gone else ""
+        return f"the time on /clock has stopped for {silent:.1f} s{who}" if gone or silent > limit else ""
 
     def restart(self) -> None:
         """Now is 0."""

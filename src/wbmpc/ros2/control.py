@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import logging
-import os
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,7 +13,6 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Observation, RealTime, Runner, WallClock
-from wbmpc.mpc.clock import Turns
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.ball import BallPilot
 from wbmpc.ros2.bus import SENSOR, Node
@@ -24,13 +20,14 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.inbox import Inbox
+from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
 from wbmpc.ros2.legs import Legs
 from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.robot import BusRobot
-from wbmpc.ros2.sending import trajectory_senders
-from wbmpc.ros2.settings import GONE, BallSettings, RosSettings, settings_of
+from wbmpc.ros2.sending import Trajectories
+from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
 from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
 
@@ -39,10 +36,6 @@ _LOG = logging.getLogger("wbmpc")
 LOOK, LOOK_AT_GRAPH = 0.02, 0.5
 #: Brakes are told this long before they are to act [s]: the control thread is never between two entries.
 AHEAD = 0.02
-#: How often young garbage is collected [s]: it takes some 10 µs then, and cycles are rare.
-COLLECT = 1.0
-#: How long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else.
-TURNS = Turns(work=5e-3, rest=1e-5)
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 OFFSET, GAP = 0.5, (0.4, 0.75)
 #: Samples kept of the runner's figures.
@@ -94,31 +87,20 @@ class ControlNode:
             clock = self.clock
             take = lambda message: clock.set(seconds(message.clock))
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
-        self.trajectories = trajectory_senders(node, robot, settings)
+        self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
         self.teller = Teller(node, self)
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
         """Until ``ended()``; then the robot is brought to rest. Garbage is collected when it suits, and young only."""
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        usual = sys.getswitchinterval()
-        sys.setswitchinterval(TURNS.rest)
-        collected = time.monotonic()
         try:
-            while not ended():
-                self.step()
-                if time.monotonic() - collected > COLLECT:
-                    self.breathe()
-                    gc.collect(0)
-                    collected = time.monotonic()
-                time.sleep(LOOK)
+            with kept_for_ticks() as collect:
+                while not ended():
+                    self.step()
+                    collect(self.breathe)
+                    time.sleep(LOOK)
         finally:
-            sys.setswitchinterval(usual)
-            gc.enable()
-            gc.unfreeze()
             self.close()
 
     def step(self) -> None:
@@ -199,6 +181,11 @@ class ControlNode:
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
+
+    @property
+    def task(self) -> str:
+        """What the last goal was about, in words; empty before the first."""
+        return self._task.said if self._task is not None else ""
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
@@ -340,10 +327,7 @@ class ControlNode:
         policy = runner.plans.current if runner is not None and self.running else None
         if policy is None:
             return
-        t = self.clock.now()
-        for sender in self.trajectories:
-            if t >= sender.due:
-                sender.send(policy, t, self.now())
+        self.trajectories.send(policy, self.clock.now(), self.now)
 
     def _put(self, task: Task, references: References) -> None:
         self.pilot.follow(references)
@@ -364,47 +348,51 @@ class ControlNode:
             watchdog=watchdog,
             records=_RECORDS,
             keep=pilot.keeps,
-            priority=_priority(),
+            priority=control_priority(),
             offset=OFFSET * self.period,
         )
         self.runner = Runner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
         self.body.arm()
-        for sender in self.trajectories:
-            sender.due = -np.inf
+        self.trajectories.anew()
         self._held = ""
         self.runner.start()
 
     # ------------------------------------------------------------------ watching
     def _watch(self) -> None:
         if self.runner is not None and self.runner.stopped:
-            self.body.disarm()
-            if self.inbox.running is not None:
-                self._stay()
-                self.inbox.stop()
-                if self.legs is not None and self.legs.waiting:
-                    self.legs.drop()
-                    self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
-            self.inbox.running = None
-            if self.legs is not None:
-                self.legs.stop()
-        clock = self.clock
-        if isinstance(clock, BusClock) and clock.heard is not None:
-            limit = self.settings.silence(clock.speed)
-            silent = time.monotonic() - clock.heard
-            gone = silent > min(GONE, limit) and not self.node.publishers("/clock")
-            if (silent > limit or gone) and self.running:
-                who = ", nobody publishes it any more" if gone else ""
-                self._halt(f"the time on /clock has stopped for {silent:.1f} s{who}")
-            elif (silent > limit or gone) and self.runner is not None:
-                self.body.stop()  # the runner's loop waits for a time that does not come
-            elif clock.went_back and self.running:
-                self._halt("the time on /clock went back: the simulator was started anew")
+            self._after_stop()
+        self._watch_clock()
         if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
             self._looked_at_graph = time.monotonic()
             self.breathe()
             self.inbox.look_for_speeds()
             self.source.look()
             self._look_around()
+
+    def _after_stop(self) -> None:
+        """The runner has stopped the robot: nothing that was asked for before counts any more."""
+        self.body.disarm()
+        if self.inbox.running is not None:
+            self._stay()
+            self.inbox.stop()
+            if self.legs is not None and self.legs.waiting:
+                self.legs.drop()
+                self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
+        self.inbox.running = None
+        if self.legs is not None:
+            self.legs.stop()
+
+    def _watch_clock(self) -> None:
+        clock = self.clock
+        if not isinstance(clock, BusClock):
+            return
+        lost = clock.lost(self.settings.silence(clock.speed), lambda: bool(self.node.publishers("/clock")))
+        if lost and self.running:
+            self._halt(lost)
+        elif lost and self.runner is not None:
+            self.body.stop()  # the runner's loop waits for a time that does not come
+        elif clock.went_back and self.running:
+            self._halt("the time on /clock went back: the simulator was started anew")
 
     def _look_around(self) -> None:
         """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
@@ -433,10 +421,9 @@ class ControlNode:
     def _stay(self) -> None:
         """Who follows trajectories stays where the robot is: a stop, once."""
         seen = self.pilot.snapshot()
-        for sender in self.trajectories:
-            sender.due = -np.inf
-            if seen is not None:
-                sender.hold(seen[1], self.now())
+        self.trajectories.anew()
+        if seen is not None:
+            self.trajectories.hold(seen[1], self.now)
 
     def _halt(self, sentence: str) -> None:
         """Stop; see :meth:`_watch` for one without a clock."""
@@ -450,37 +437,3 @@ class ControlNode:
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
         said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}
-
-    def figures(self) -> dict[str, Any]:
-        """For diagnostics."""
-        values: dict[str, Any] = {"backend": self.node.backend, "age of the joint states [ms]": _ms(self.body.age())}
-        values["watchdog"] = f"{'armed' if self.running else 'not armed'}, {_ms(self.settings.safety.watchdog)} ms"
-        values.update(self.refused())
-        if self.runner is None:
-            return values
-        r = self.runner.report()
-        return {
-            **values,
-            "commands sent": self.body.sent,
-            "began at [s]": f"{self.stamp_of(0.0):.4f}",
-            "task": self._task.said if self._task is not None else "",
-            "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
-            "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-            "constraint violation": f"{self.pilot.mpc.figures['violation']:.2e}",
-            "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
-            "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
-            "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
-            "tick takes: 99 % [ms]": _ms(r.tick.p99), "command after its tick's time: median [ms]": _ms(r.sent.median),
-            "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
-            **{f"late commands: {part}": count for part, count in r.late_commands.items()},
-        }  # fmt: skip
-
-
-def _priority() -> int:
-    """Of the control thread: before all others of a process that is in the kernel's real-time class itself."""
-    real_time = os.sched_getscheduler(0) == os.SCHED_FIFO
-    return min(os.sched_getparam(0).sched_priority + 2, 99) if real_time else 0
-
-
-def _ms(seconds_: float) -> str:
-    return f"{1e3 * seconds_:.3f}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from wbmpc.model import RobotModel
@@ -79,7 +81,25 @@ class TrajectorySender:
         self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": [point]})
 
 
-def trajectory_senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[TrajectorySender]:
-    """One for each controller that follows trajectories."""
-    controllers = settings.command_topics(robot).values()
-    return [TrajectorySender(node, robot, settings, c) for c in controllers if c.takes == "trajectory"]
+class Trajectories:
+    """All controllers that follow trajectories; ``now()``: the bus's time [s]."""
+
+    def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
+        controllers = settings.command_topics(robot).values()
+        self._senders = [TrajectorySender(node, robot, settings, c) for c in controllers if c.takes == "trajectory"]
+
+    def anew(self) -> None:
+        """The next trajectories are due at once."""
+        for sender in self._senders:
+            sender.due = -np.inf
+
+    def send(self, policy: Policy, t: float, now: Callable[[], float]) -> None:
+        """Those that are due at t [s]."""
+        for sender in self._senders:
+            if t >= sender.due:
+                sender.send(policy, t, now())
+
+    def hold(self, x: np.ndarray, now: Callable[[], float]) -> None:
+        """Stay at a state (nx)."""
+        for sender in self._senders:
+            sender.hold(x, now())

@@ -10,6 +10,7 @@ import numpy as np
 from wbmpc.mpc import Policy
 from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
+from wbmpc.ros2.figures import figures
 from wbmpc.ros2.markers import Footprint
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ class Teller:
         if level == WELL and c.refused():
             level = WARNING
         message = "; ".join([c.state, *(why for why in c.refused().values() if why not in c.state)])
-        entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, c.figures())]
+        entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, figures(c))]
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
         found = c.pilot.faults

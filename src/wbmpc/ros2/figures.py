@@ -1,0 +1,38 @@
+"""What the controller's node counts, as the diagnostics tell it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
+
+
+def figures(controller: ControlNode) -> dict[str, Any]:
+    """Values by name (times in ms, unless the name says otherwise), for diagnostics; without a runner what is known before."""
+    c = controller
+    values: dict[str, Any] = {"backend": c.node.backend, "age of the joint states [ms]": _ms(c.body.age())}
+    values["watchdog"] = f"{'armed' if c.running else 'not armed'}, {_ms(c.settings.safety.watchdog)} ms"
+    values.update(c.refused())
+    if c.runner is None:
+        return values
+    r = c.runner.report()
+    return {
+        **values,
+        "commands sent": c.body.sent,
+        "began at [s]": f"{c.stamp_of(0.0):.4f}",
+        "task": c.task,
+        "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
+        "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
+        "constraint violation": f"{c.pilot.mpc.figures['violation']:.2e}",
+        "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
+        "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
+        "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
+        "tick takes: 99 % [ms]": _ms(r.tick.p99), "command after its tick's time: median [ms]": _ms(r.sent.median),
+        "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
+        **{f"late commands: {part}": count for part, count in r.late_commands.items()},
+    }  # fmt: skip
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3f}"
