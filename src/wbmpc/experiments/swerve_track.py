@@ -168,7 +168,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         truth = plant.truth()
         pose = agent.pose
         log.add("base", t, truth.pose)
-        log.add("base_odometry", t, agent.odometry.pose)
+        log.add("base_odometry", t, pose)
         log.add("base_std", t, np.sqrt(np.diag(agent.odometry.covariance)))
         log.add("base_wheels", t, agent.wheels_alone.pose)
         log.add("base_release", t, release.pose)
