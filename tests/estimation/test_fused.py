@@ -285,27 +285,3 @@ def test_bad_input_is_refused() -> None:
         odometry.correct(1.0, [0.0, np.nan, 0.0], np.eye(3))
     with pytest.raises(InputError, match="3 by 3"):
         odometry.correct(1.0, np.zeros(3), np.ones(3))
-
-
-# ---------------------------------------------------------------------- for controllers
-def test_the_steady_pose_stands_while_the_estimate_turns_about_its_start() -> None:
-    """18 m straight on, then a stand that shows the gyro's bias. Truth: what stands does not move, and the filter's own estimate
-    is where the steady pose goes once the base drives on."""
-    h, wheel, rng = 0.05, np.zeros(4), np.random.default_rng(0)
-    odometry = FusedOdometry(FOUR)
-    poses, steady = [], []
-    for k in range(round(44.0 / h)):
-        driving = k * h < 36.0 or k * h > 40.0
-        wheel = wheel + driving * 0.5 * h / FOUR.wheel_radius
-        odometry.update(k * h, np.zeros(4), -FOUR.wheel_heading, wheel, 0.004 + 2e-4 / np.sqrt(h) * rng.normal())
-        poses.append(odometry.pose)
-        steady.append(odometry.steady)
-    poses, steady = np.array(poses), np.array(steady)
-    stood = slice(round(36.2 / h), round(39.8 / h))
-    jumped = np.ptp(poses[stood], axis=0)[1]
-    assert jumped > 1e-3
-    assert np.ptp(steady[stood, :2], axis=0).max() < 1e-9
-    np.testing.assert_allclose(steady[:, 2], poses[:, 2])
-    assert np.abs(steady[-1] - poses[-1]).max() < 0.1 * jumped
-    odometry.place([1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(odometry.steady, [1.0, 2.0, 3.0])

@@ -52,8 +52,9 @@ class SwerveAgent:
     base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
     load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called
     with each fault that it finds. ``scrubbing``: plans let wheels slip sideways while they turn about, and the odometry
-    hardly listens to those. ``steady``: :attr:`pose` is the odometry's steady pose, not its best one.
-    ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict, as of one that hangs in the air.
+    hardly listens to those.
+    ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict,
+    as of one that hangs in the air.
     ``friction``: whether what dry friction takes from wheels and steering is learned and given back. ``smoothing`` [s] of base
     position and arm against the jitter of the encoders' age (0: none).
     """
@@ -74,7 +75,6 @@ class SwerveAgent:
         monitor: BrakeMonitor | None = None,
         faulty: Callable[[BrakeFault], None] | None = None,
         scrubbing: bool = False,
-        steady: bool = False,
         odd_wheels: bool = False,
         friction: bool = False,
         smoothing: float = 0.0,
@@ -87,7 +87,7 @@ class SwerveAgent:
         self.wheels_alone = WheelOdometry(
             geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
         )
-        self.use_gyro, self.steady = use_gyro, steady
+        self.use_gyro = use_gyro
         self.friction = {g: DryFriction(geometry.modules, period, lag) for g in ("wheel", "steer")} if friction else {}
         self.odd_wheels = odd_wheels and geometry.modules >= ODD_WHEELS
         self._odd, self._apart = np.zeros(geometry.modules), np.zeros((geometry.modules, 2))
@@ -151,7 +151,7 @@ class SwerveAgent:
     def _smooth(self, smoothing: Smoothing, h: float) -> None:
         """Positions of the base and of the arm at the moment of the message."""
         assert self.measured is not None
-        pose = self._estimated()
+        pose = self.odometry.pose
         c, s = np.cos(pose[2]), np.sin(pose[2])
         vx, vy, _ = self._rates[self.robot.input["base"]]
         rates = np.concatenate([[c * vx - s * vy, s * vx + c * vy], self._arm_mean + self.sag])
@@ -166,7 +166,7 @@ class SwerveAgent:
     @property
     def pose(self) -> np.ndarray:
         """(x, y, yaw) of the base that is controlled."""
-        pose = self._estimated()
+        pose = self.odometry.pose
         if self._smoothing is not None and self._smoothing.value is not None:
             pose = np.append(self._smoothing.value[:2], pose[2])
         return pose
@@ -177,9 +177,6 @@ class SwerveAgent:
         assert self.measured is not None
         smooth = self._smoothing.value if self._smoothing is not None else None
         return self.measured.arm if smooth is None else smooth[2:]
-
-    def _estimated(self) -> np.ndarray:
-        return self.odometry.steady if self.steady else self.odometry.pose
 
     def base_pose(self) -> np.ndarray:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""

@@ -90,8 +90,6 @@ class _State:
 
 #: Contradictions of the wheels are added up over pieces of way [m] of this length.
 PIECE = 0.05
-#: Way [m] that the wheels roll while most (1 - 1/e) of what the filter corrected behind the base comes into ``steady``.
-TAKEN_IN = 0.5
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
 SMOOTHING = 0.05
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
@@ -146,10 +144,6 @@ class _SlipIntensity:
 class FusedOdometry:
     """Planar pose of a swerve base with its covariance.
 
-    ``pose`` is the best estimate. It jumps: what the filter learns about a turn that lies behind moves a base that has come far
-    sideways, also while it stands. ``steady`` is for controllers: it goes the way that wheels and gyro show from where it is, and
-    takes corrections in over the way (``TAKEN_IN``), so that a base that stands has nothing to go after.
-
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``refused``: how
@@ -178,7 +172,6 @@ class FusedOdometry:
         p[WHEELS:, WHEELS:] = known.covariance
         self._state = _State(-np.inf, np.concatenate([_three("pose0", pose0), np.zeros(2 + 2 * n)]), p)
         self._one = np.eye(p.shape[0])
-        self._steady = self._state.mean[:3].copy()
         self._keep, self._past = history, deque[tuple[_State, _Step]]()
         self._last: Sample | None = None
         self._open = np.zeros(n, dtype=bool)
@@ -194,11 +187,6 @@ class FusedOdometry:
     def pose(self) -> Array:
         """(x, y, yaw), yaw not wrapped."""
         return self._state.mean[:3]
-
-    @property
-    def steady(self) -> Array:
-        """(x, y, yaw) without jumps of the position, near ``pose``; yaw not wrapped."""
-        return self._steady
 
     @property
     def covariance(self) -> Array:
@@ -250,7 +238,6 @@ class FusedOdometry:
         if covariance is not None:
             p[:3, :3] = covariance
         self._state = _State(self._state.t, mean, p)
-        self._steady = mean[:3].copy()
         self._past.clear()
 
     def restart_clock(self) -> None:
@@ -288,24 +275,13 @@ class FusedOdometry:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
             step = self._step(h, self._last, now, gyro, self._open & is_open, weights)
-            before = self._state
-            self._past.append((before, step))
-            self._state = self._advanced(before, step)
-            self._go_on(step.twist, float(self.pose[2] - before.mean[2]), now[2] - self._last[2])
+            self._past.append((self._state, step))
+            self._state = self._advanced(self._state, step)
             self.twist = step.twist / h
             while self._past and self._past[0][0].t < t - self._keep:
                 self._past.popleft()
         self._last, self._open = now, is_open
         return self.pose
-
-    def _go_on(self, twist: Array, turn: float, rolled: Array) -> None:
-        """``steady`` after one interval: the wheels' way [m], the filter's ``turn`` [rad], and some of what it is off.
-
-        A correction of yaw turns the base where it is, not about where it came from. ``rolled`` (n) [rad]: by the wheels.
-        """
-        moved = lie.se2_step(self._steady, [twist[0], twist[1], turn])
-        way = float(np.mean(np.abs(rolled) * self._prior.wheel_radius))
-        self._steady = moved + (1.0 - np.exp(-way / TAKEN_IN)) * (self.pose - moved)
 
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""

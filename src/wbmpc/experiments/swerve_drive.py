@@ -62,7 +62,7 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED, RECOVERED = np.radians(5.0), 150.0, 0.3, np.ra
 
 
 class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``steady``, ``odd_wheels`` (MPC and rival): see
+    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``odd_wheels`` (MPC and rival): see
     :class:`wbmpc.control.SwerveAgent`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.control.RollingAgent`)."""
@@ -75,7 +75,6 @@ class SwerveDriveSettings(ExperimentSettings):
     )
     robot: str = "swerve-ur10"
     use_gyro: bool = True
-    steady: bool = True
     odd_wheels: bool = False
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
@@ -188,7 +187,6 @@ class _Run:
         truth, add = plant.truth(), self.log.add
         add(f"{name}.base", t, truth.pose)
         add(f"{name}.base_odometry", t, agent.pose)
-        add(f"{name}.base_best", t, agent.odometry.pose)
         add(f"{name}.base_reference", t, mission.base(t)[0][0])
         add(f"{name}.leg", t, truth.state[self.robot.state["leg"]])
         add(f"{name}.leg_reference", t, mission.leg(t)[0][0])
@@ -216,7 +214,7 @@ class _Run:
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveAgent(
             robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
-            use_gyro=s.use_gyro, steady=s.steady, odd_wheels=s.odd_wheels,
+            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels,
             monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]),
             faulty=brakes.accept,
         )  # fmt: skip
@@ -248,7 +246,7 @@ class _Run:
         agent = RollingAgent(
             robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
             lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
-            steady=s.steady, odd_wheels=s.odd_wheels,
+            odd_wheels=s.odd_wheels,
         )  # fmt: skip
         _stand(plant, agent, timing, s.rest)
         with watched(plant, timing.period, duration, progress, agent) as tick:
@@ -302,9 +300,9 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     )  # fmt: skip
 
 
-def _error(log: Log, name: str, estimate: str = "base_odometry") -> tuple[float, float]:
-    """Root mean squares of position [m] and yaw [rad] in the estimated frame that is controlled, or in ``base_best``."""
-    d = log.array(f"{name}.{estimate}") - log.array(f"{name}.base_reference")
+def _error(log: Log, name: str) -> tuple[float, float]:
+    """Root mean squares of position [m] and yaw [rad] in the estimated frame."""
+    d = log.array(f"{name}.base_odometry") - log.array(f"{name}.base_reference")
     return float(np.sqrt(np.mean(np.sum(d[:, :2] ** 2, axis=1)))), float(np.sqrt(np.mean(d[:, 2] ** 2)))
 
 
@@ -362,7 +360,6 @@ def _metrics(log: Log, robot: RobotModel, faults: list[str], knock: _Knock | Non
     position, yaw = _error(log, "tour")
     metrics = {
         "base_position_error_rms": Metric(position, "m", goal=0.008),
-        "base_position_error_rms_best": Metric(_error(log, "tour", "base_best")[0], "m"),
         "base_yaw_error_rms": Metric(yaw, "rad", goal=float(np.radians(0.8))),
         "leg_angle_error_rms": Metric(_leg_error(log, "tour"), "rad", goal=float(np.radians(1.5))),
         "wheel_slip_max": Metric(float(log.array("tour.wheel_slip").max()), "m/s"),
@@ -376,7 +373,6 @@ def _metrics(log: Log, robot: RobotModel, faults: list[str], knock: _Knock | Non
     if "rival.base" in log.channels:
         rival = _error(log, "rival")
         metrics["baseline_position_error_rms"] = Metric(rival[0], "m")
-        metrics["baseline_position_error_rms_best"] = Metric(_error(log, "rival", "base_best")[0], "m")
         metrics["baseline_yaw_error_rms"] = Metric(rival[1], "rad")
         metrics["baseline_leg_angle_error_rms"] = Metric(_leg_error(log, "rival"), "rad")
         metrics["baseline_ratio"] = Metric(position / rival[0], "1", goal=0.5)
