@@ -103,7 +103,21 @@ def risen(t: np.ndarray, length: float) -> np.ndarray:
 
 
 def nearest_distance(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    """Distance (n,) [m] of points (n, 3) to a finely sampled curve (m, 3)."""
+    """Distance (n,) [m] of points (n, 3) to a curve of straight pieces between (m, 3), finely sampled: to those beside its
+    nearest corner."""
     from scipy.spatial import cKDTree
 
-    return np.asarray(cKDTree(curve).query(points)[0])
+    corner = cKDTree(curve).query(points)[1]
+    return np.minimum(*(_to_segments(points, curve[corner], curve[beside]) for beside in _beside(corner, len(curve))))
+
+
+def _beside(corner: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.maximum(corner - 1, 0), np.minimum(corner + 1, count - 1)
+
+
+def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points to the segments from a to b (n, 3), which may have no length."""
+    along = b - a
+    length = np.maximum(np.sum(along**2, axis=1), 1e-300)
+    share = np.clip(np.sum((points - a) * along, axis=1) / length, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - a - share[:, None] * along, axis=1))
