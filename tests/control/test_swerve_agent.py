@@ -90,6 +90,18 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(scrubbing
     assert error < 1e-4 if scrubbing else error > 1e-3
 
 
+@pytest.mark.parametrize("odd_wheels", [True, False])
+def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(odd_wheels: bool) -> None:
+    """Three wheels roll straight ahead at 0.3 m/s, the fourth turns 0.1 m/s faster. Truth: the base goes as the three do."""
+    geometry = SWERVE.base.geometry
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, odd_wheels=odd_wheels)
+    speed = np.array([0.3, 0.3, 0.4, 0.3]) / geometry.wheel_radius
+    for k in range(150):
+        agent.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
+    error = np.abs(agent.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
+    assert error < 1e-3 if odd_wheels else error > 5e-3
+
+
 def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
     """A drive with a lag of T stops T · speed after its last command: the observation is where that is.
 
@@ -266,6 +278,48 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
         arm[k] = arm[k - 1] + PERIOD * (rate + sag)
     np.testing.assert_allclose(agent.sag, sag, atol=2e-3)
     np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
+
+
+def test_wheels_and_steering_are_told_what_friction_takes() -> None:
+    """Drives that lose 0.03 rad/s, as dry friction makes them. Truth: after a while they turn as planned."""
+    u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
+    u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), period, friction=True), Plans()
+    plans.add(0.0, constant_policy(u))
+    wheel, steer, behind = np.zeros(4), np.zeros(4), []
+    for k in range(300):
+        t = k * period
+        agent.measure(message(t, wheel=wheel, steer=steer))
+        command = agent.command(t, plans)
+        wheel, steer = wheel + period * (command.wheel - lost), steer + period * (command.steer - lost)
+        behind.append(t + period - steer)
+    np.testing.assert_allclose(command.wheel - lost, 2.0, atol=3e-3)
+    # a servo of 5 /s alone would stay 6 mrad behind
+    assert np.abs(behind[50]).max() > 3e-3 and np.abs(behind[-1]).max() < 1e-3
+
+
+def test_smoothed_positions_are_those_of_the_moment() -> None:
+    """A base and an arm at constant speeds whose messages are up to 2 ms old. Truth: speed times time."""
+    rng, u = np.random.default_rng(0), np.zeros(SWERVE.input.size)
+    geometry, given = SWERVE.base.geometry, SWERVE.input
+    u[given["base"]], u[given["arm"]] = [0.3, 0.0, 0.0], 0.5
+    plan, steer = constant_policy(u), -geometry.wheel_heading
+    plan.x[:, SWERVE.state["steer"]] = steer
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, smoothing=0.025), Plans()
+    plans.add(0.0, plan)
+    base, arm = [], []
+    for k in range(400):
+        t = k * PERIOD
+        read = max(t - rng.uniform(0.0, 0.002), 0.0)
+        agent.measure(
+            message(t, steer=steer, wheel=np.full(4, 0.3 * read / geometry.wheel_radius), arm=np.full(6, 0.5 * read))
+        )
+        agent.command(t, plans)
+        base.append(agent.pose[0] - 0.3 * t)
+        arm.append(agent.arm[0] - 0.5 * t)
+    for off, speed in ((base, 0.3), (arm, 0.5)):
+        assert np.std(off[100:]) < 0.3 * speed * 0.002 / np.sqrt(12.0)
+        assert abs(np.mean(off[100:])) < 0.1 * speed * 0.001
 
 
 def test_calibration_corrects_angles_and_wheel_speeds() -> None:

@@ -89,7 +89,7 @@ def test_covariance_fits_the_errors(level: str) -> None:
     """Slip is found from the wheels' contradiction alone: the filter is told nothing of its size."""
     pose, bias = [], []
     for seed in range(40):
-        base = Drawn(FOUR, seed, **LEVELS[level])
+        base = Drawn(FOUR, seed, length=8.0, **LEVELS[level])
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
         if base.gyro:

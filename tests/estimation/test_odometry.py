@@ -12,7 +12,7 @@ from scipy.linalg import expm, null_space
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import ReleaseOdometry, WheelOdometry
-from wbmpc.estimation.odometry import fit_twist
+from wbmpc.estimation.odometry import fit_twist, odd_one_out
 from wbmpc.model import load_robot
 
 ROBOT = load_robot("swerve-ur10")
@@ -196,3 +196,20 @@ def test_a_wheel_that_is_known_to_slip_does_not_count() -> None:
         assert np.abs(fit_twist(FIXED, radius, before, spoilt).twist - true).max() > 1e-3
         same = fit_twist(FIXED, radius, before, spoilt, np.ones(4)).twist
         np.testing.assert_allclose(same, fit_twist(FIXED, radius, before, spoilt).twist, atol=1e-15)
+
+
+@pytest.mark.parametrize("odd", range(4))
+def test_the_odd_wheel_is_the_one_without_which_the_others_agree(odd: int) -> None:
+    """Truth: linear least squares over three wheels at a time."""
+    rng = np.random.default_rng(odd)
+    axes = GEOMETRY.steer_axes(CLOSED)
+    rows = np.concatenate([np.tile(np.eye(2), (4, 1)), (axes @ [[0.0, 1.0], [-1.0, 0.0]]).reshape(8, 1)], axis=1)
+    moved = rows @ [0.3, -0.1, 0.2] + 0.002 * rng.normal(size=8)
+    moved[2 * odd : 2 * odd + 2] += 0.05 * rng.normal(size=2)
+    squares = lambda keep: float(np.linalg.lstsq(rows[keep], moved[keep], rcond=None)[1][0])
+    wheels = np.repeat(np.arange(4), 2)
+    without = [squares(wheels != i) for i in range(4)]
+    residual = moved - rows @ np.linalg.lstsq(rows, moved, rcond=None)[0]
+    i, share = odd_one_out(residual.reshape(4, 2), axes)
+    assert i == odd == int(np.argmin(without))
+    assert share == pytest.approx(1.0 - without[i] / squares(wheels >= 0))

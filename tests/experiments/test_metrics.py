@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from toys import robot
+from wbmpc.estimation import WheelCalibration
 from wbmpc.experiments import rezero_steps, swerve_track
 from wbmpc.experiments.rezero_steps import STEPS, RezeroStepsSettings
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 from wbmpc.log import Log
+from wbmpc.ocp import Reference
 
 BALL = robot("rezero")
 
@@ -142,3 +147,18 @@ def test_an_error_along_the_path_is_not_one_to_its_nearest_point() -> None:
     assert m["hand_error_mean_odometry"] == pytest.approx(0.01)
     assert 0.004 < m["hand_error_mean_nearest"] < 0.009
     assert m["odometry_drift_ratio"] == 0.0
+
+
+def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
+    """Truth: a base whose wheels are 0.3 mm smaller stands 0.3 mm lower, and its hand has to reach as much higher."""
+    swerve = robot("swerve-ur10")
+    geometry = swerve.base.geometry
+    known = replace(WheelCalibration.unknown(geometry), wheel_radius=np.full(4, geometry.wheel_radius - 3e-4))
+    assert known.rise(geometry) == pytest.approx(-3e-4)
+    given: dict[str, Reference] = {}
+    mpc = SimpleNamespace(reference=given, ocp=SimpleNamespace(dynamics=swerve.dynamics()))
+    references = swerve_track._References(TRACK, swerve)
+    references.set(mpc, swerve.home, -known.rise(geometry))  # type: ignore[arg-type]
+    t = np.array([3.0])
+    height = given["hand"].at(3.0)[2]
+    assert height - references.hand(t)[0, 2] == pytest.approx(3e-4, abs=1e-6)

@@ -79,7 +79,7 @@ def test_both_controllers_take_the_steps() -> None:
 
 def test_ctrl_c_in_the_second_part_is_told() -> None:
     def pressed(fraction: float, note: str) -> None:
-        if note.startswith("taskspace") and fraction > 0.6:
+        if note.startswith("taskspace") and fraction > 0.2:
             signal.raise_signal(signal.SIGINT)
 
     result = rezero_taskspace.run(RezeroTaskspaceSettings(settle=0.5, hold=1.0), 1, pressed)

@@ -14,7 +14,7 @@ from wbmpc.experiments.swerve_track import SwerveTrackSettings
 
 TRACK = SwerveTrackSettings(periods=1, rest=2.0, calibration="none")
 STEPS = RezeroStepsSettings(hold=3.5, settle=1.5)
-SHORT = RezeroStepsSettings(hold=3.0, settle=1.0, rest=0.0, preview=False)
+SHORT = RezeroStepsSettings(hold=1.5, settle=0.5, rest=0.0, preview=False)
 
 
 @pytest.fixture(scope="module")

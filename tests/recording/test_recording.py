@@ -36,7 +36,7 @@ from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.robots import load_description
 from wbmpc.view.replay import Film
 
-FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1"]
+FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
 BALL = ["--set", "hold=1.5", "--set", "settle=0.5", "--set", "rest=0", "--set", "preview=false"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -200,7 +200,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
 
 
 def test_recording_changes_nothing(track: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, speed=0.8, rest=1.0)
+    settings = SwerveTrackSettings(periods=1, speed=0.8, rest=1.0, calibration="none")
     alone = REGISTRY["swerve-track"].run(settings, 3, None)
     saved = json.loads((track / "metrics.json").read_text())["metrics"]
     assert {n: m.value for n, m in alone.metrics.items()} == {n: m["value"] for n, m in saved.items()}

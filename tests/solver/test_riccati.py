@@ -98,7 +98,9 @@ def test_short_and_long_horizons(n: int, nx: int, nu: int, data: st.DataObject) 
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-@pytest.mark.parametrize(("nx", "nu", "ng"), [(3, 2, 0), (3, 2, 1), (7, 8, 5), (8, 7, 7), (15, 9, 8), (17, 16, 9)])
+@pytest.mark.parametrize(
+    ("nx", "nu", "ng"), [(3, 2, 0), (3, 2, 1), (7, 8, 5), (8, 7, 7), (15, 9, 8), (17, 9, 9), (9, 16, 9)]
+)
 def test_sizes_around_the_vector_length(backend: str, nx: int, nu: int, ng: int) -> None:
     lq = LinearQuadratic(nx, nu, ng, n=3, seed=4)
     check_against_kkt(lq, one_step(lq, backend))

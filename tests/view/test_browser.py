@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser, project
+from filmed import record
 from test_live import free_port
 
 from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import lie
-from wbmpc.cli import main
 from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import read
 from wbmpc.report import plots_page, write_run
@@ -27,7 +27,6 @@ from wbmpc.view.replay import Film
 
 pytest.importorskip("viser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-SHORT = [text for key in ("hold=1.5", "settle=0.5", "rest=0", "preview=false") for text in ("--set", key)]
 #: viser's cameras, vertically [rad].
 FIELD = np.radians(75.0)
 
@@ -162,7 +161,7 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
 def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
     """As a terminal sends it: to the view's process too."""
     if what == "replay":
-        assert main(["run", "rezero-steps", *SHORT, "--out", str(tmp_path), "--json"]) == 0
+        record(tmp_path)
     process, _ = start(what, "rezero" if what == "view" else str(tmp_path))
     time.sleep(1.0)
     os.killpg(process.pid, signal.SIGINT)

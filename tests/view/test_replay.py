@@ -13,20 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import browser
+from filmed import record
 from test_live import free_port
 
 from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
-from wbmpc.loop import Ending, Running, Watch, run_lockstep
-from wbmpc.model import load_robot
+from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.reader import read
-from wbmpc.recording.recorder import Recorder
 from wbmpc.recording.writer import McapFile
 from wbmpc.view import render
 from wbmpc.view.replay import Film
-from wbmpc.view.session import _swerve
 from wbmpc.view.snapshot import NUMBERS
 
 #: The robot's base in a page.
@@ -55,12 +53,7 @@ class Truth:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder, truth = tmp_path_factory.mktemp("run"), Truth()
-    recorder = Recorder(folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1}})
-    plant, agent, mpc, timing = _swerve(load_robot("swerve-ur10"), 1)
-    watch = Watch(None, (truth, recorder))
-    ending = run_lockstep(plant, agent, mpc, timing, 1.0, lambda *_: None, watch)
-    assert ending.reason == ""
-    recorder.close({"completed": "true"})
+    mpc = record(folder, truth)
     return SimpleNamespace(folder=folder, truth=truth, film=Film(read(folder)), goal=mpc.reference["hand"].at(0.0))
 
 

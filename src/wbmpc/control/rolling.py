@@ -64,7 +64,7 @@ class RollingAgent(SwerveAgent):
         if resting and self.look_ahead > 0.0:
             target, wheel = self._await(t, leg)
         else:
-            twist = self.twist(pose - self.odometry.pose, rate)
+            twist = self.twist(pose - self.pose, rate)
             target, wheel = rolling_inverse_kinematics(geometry, leg, m.steer, twist, swing)
             target = np.where(np.abs(wheel) * geometry.wheel_radius < SLOW, m.steer, target)
         target, wheel = self._within(target, wheel)
@@ -83,7 +83,7 @@ class RollingAgent(SwerveAgent):
         return self._in_base(rate + self.base_gain * error)
 
     def _in_base(self, v: np.ndarray) -> np.ndarray:
-        c, s = np.cos(self.odometry.pose[2]), np.sin(self.odometry.pose[2])
+        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
         return np.array([c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]])
 
     def _legs(self, wanted: np.ndarray, rate: np.ndarray, brake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +120,7 @@ class FourWheelSteeringAgent(RollingAgent):
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Body twist (3) whose sideways part is 0."""
         k, (ex, ey, yaw) = self.base_gain, self._in_base(error)
-        own = self.odometry.pose[2] + yaw
+        own = self.pose[2] + yaw
         speed = float(np.cos(own) * rate[0] + np.sin(own) * rate[1])  # along the reference's own axis
         turn = rate[2] + k * (k * speed * ey + max(abs(speed), 0.2) * np.sin(yaw))
         return np.array([speed * np.cos(yaw) + k * ex, 0.0, turn])

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.estimation import (
     BrakeFault,
     BrakeMonitor,
@@ -21,6 +22,7 @@ from wbmpc.estimation import (
     WheelCalibration,
     WheelOdometry,
 )
+from wbmpc.estimation.odometry import odd_one_out
 from wbmpc.model import RobotModel, aligned_steering, wheel_velocities
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
@@ -36,6 +38,9 @@ SAG_TIME, SAG_MOST = 1.0, 0.15
 #: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag), and its weight in
 #: the odometry meanwhile.
 SCRUBS, SCRUBBING, SCRUB_WEIGHT = 0.02, 0.1, 1e-3
+#: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
+#: wheel has to make, for how long [s] it is not believed after that, fewest wheels that can tell which one it is.
+CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
 
 
 def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
@@ -57,6 +62,10 @@ class SwerveAgent:
     load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; left out, one with
     the usual tolerances (None for fixed legs). ``faulty`` is called with each fault that it finds. ``scrubbing``: plans let
     wheels slip sideways while they turn about, and the odometry hardly listens to those.
+    ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict,
+    as of one that hangs in the air.
+    ``friction``: whether what dry friction takes from wheels and steering is learned and given back. ``smoothing`` [s] of base
+    position and arm against the jitter of the encoders' age (0: none).
     """
 
     def __init__(
@@ -75,6 +84,9 @@ class SwerveAgent:
         monitor: BrakeMonitor | None = None,
         faulty: Callable[[BrakeFault], None] | None = None,
         scrubbing: bool = False,
+        odd_wheels: bool = False,
+        friction: bool = False,
+        smoothing: float = 0.0,
     ) -> None:
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
@@ -85,6 +97,11 @@ class SwerveAgent:
             geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
         )
         self.use_gyro = use_gyro
+        self.friction = {g: DryFriction(geometry.modules, period, lag) for g in ("wheel", "steer")} if friction else {}
+        self.odd_wheels = odd_wheels and geometry.modules >= ODD_WHEELS
+        self._odd, self._apart = np.zeros(geometry.modules), np.zeros((geometry.modules, 2))
+        self._smoothing = Smoothing(smoothing) if smoothing > 0.0 else None
+        self._mean_age = (noise or OdometryNoise()).mean_age
         # the model has one radius for all wheels
         self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
         self.lag = lag
@@ -116,11 +133,38 @@ class SwerveAgent:
         turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
         self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
-        slips = self._scrubs > 0.0  # one sound wheel alone tells no motion
+        if self.odd_wheels:
+            self._note_odd_wheel(m.time - before.time)
+        slips = (self._scrubs > 0.0) | (self._odd > 0.0)  # one sound wheel alone tells no motion
         weights = np.where(slips, SCRUB_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
         self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
+        for group, drives in self.friction.items():
+            drives.learn(getattr(m, group) - getattr(before, group), m.time - before.time)
+        if self._smoothing is not None:
+            self._smooth(self._smoothing, m.time - before.time)
+
+    def _note_odd_wheel(self, h: float) -> None:
+        """Which wheel goes elsewhere than all others do."""
+        self._odd = np.maximum(self._odd - h, 0.0)
+        if h <= 0.0:
+            return
+        self._apart += (1.0 - np.exp(-h / ODD_TIME)) * (self.wheels_alone.residual / h - self._apart)
+        if np.sqrt(np.sum(self._apart**2)) > CONTRADICTS:
+            axes = self.robot.base.geometry.steer_axes(self.leg if self.leg.size else np.zeros(len(self._odd)))
+            i, share = odd_one_out(self._apart, axes)
+            if share > ODD_SHARE:
+                self._odd[i] = ODD_FOR
+
+    def _smooth(self, smoothing: Smoothing, h: float) -> None:
+        """Positions of the base and of the arm at the moment of the message."""
+        assert self.measured is not None
+        pose = self.odometry.pose
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        vx, vy, _ = self._rates[self.robot.input["base"]]
+        rates = np.concatenate([[c * vx - s * vy, s * vx + c * vy], self._arm_mean + self.sag])
+        smoothing.update(np.concatenate([pose[:2], self.measured.arm]), rates * h, rates * self._mean_age, h)
 
     def _learn_sag(self, turned: np.ndarray, h: float) -> None:
         """From what the arm's joints ``turned`` (m) [rad] in h [s] and what lagging drives should have made of the commands."""
@@ -128,9 +172,24 @@ class SwerveAgent:
             share = 1.0 - np.exp(-h / SAG_TIME)
             self.sag = np.clip(self.sag + share * (turned / h - self._arm_mean - self.sag), -SAG_MOST, SAG_MOST)
 
+    @property
+    def pose(self) -> np.ndarray:
+        """(x, y, yaw) of the base that is controlled."""
+        pose = self.odometry.pose
+        if self._smoothing is not None and self._smoothing.value is not None:
+            pose = np.append(self._smoothing.value[:2], pose[2])
+        return pose
+
+    @property
+    def arm(self) -> np.ndarray:
+        """Measured angles of the arm, smoothed if they shall be."""
+        assert self.measured is not None
+        smooth = self._smoothing.value if self._smoothing is not None else None
+        return self.measured.arm if smooth is None else smooth[2:]
+
     def base_pose(self) -> np.ndarray:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
-        x, y, yaw = self.odometry.pose
+        x, y, yaw = self.pose
         return np.array([x, y, self.robot.base.height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
 
     @property
@@ -149,7 +208,7 @@ class SwerveAgent:
         """Estimated state (nx), with the measured steering angles."""
         m = self.measured
         assert m is not None
-        parts = {"base": self.odometry.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": m.arm}
+        parts = {"base": self.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": self.arm}
         return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def predict(self, t: float, until: float, plans: Plans) -> Observation:
@@ -204,6 +263,8 @@ class SwerveAgent:
         self.wanted, self.sent = np.zeros((2, self.robot.input.size))
         self.clamped = self.aligning = False
         self._lag_behind(self.sent)
+        for drives in self.friction.values():
+            drives.command(np.zeros(drives.droop.size), np.inf, np.inf)
         still = SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
         return still if "leg" in self.robot.input else replace(still, brake=np.zeros(0))
 
@@ -246,7 +307,17 @@ class SwerveAgent:
         limit, change = self.robot.limits.input_upper[given["arm"]], self.robot.limits.input_change[given["arm"]]
         arm = np.clip(sent[given["arm"]] - self.sag, -limit, limit)
         self._drive_arm(self._arm + np.clip(arm - self._arm, -change * self.period, change * self.period))
-        return SwerveCommand(wheel, sent[given["steer"]], self._arm, brake)
+        return SwerveCommand(
+            self._driven("wheel", wheel), self._driven("steer", sent[given["steer"]]), self._arm, brake
+        )
+
+    def _driven(self, group: str, wanted: np.ndarray) -> np.ndarray:
+        """The command to drives (n) [rad/s] with what friction takes of it."""
+        if group not in self.friction:
+            return wanted
+        limits, index = self.robot.limits, self.robot.input[group]
+        step = limits.input_change[index] * self.period
+        return self.friction[group].command(wanted, limits.drive_upper[index], step)
 
     def _note_scrubbing(self, steer: np.ndarray, u: np.ndarray) -> None:
         """Which wheels slip sideways under the planned angles ``steer`` (n) and input u."""

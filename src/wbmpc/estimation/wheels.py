@@ -58,6 +58,11 @@ class WheelCalibration:
         """Number of modules n."""
         return len(self.steer_zero)
 
+    def rise(self, geometry: SwerveGeometry) -> float:
+        """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tyre's sink
+        a rolling radius holds half.)"""
+        return float(np.mean(self.wheel_radius)) - geometry.wheel_radius
+
     @property
     def std(self) -> tuple[Array, Array]:
         """Standard deviations (n) of the steer zeros [rad] and of the radii (relative)."""

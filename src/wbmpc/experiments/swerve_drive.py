@@ -45,7 +45,8 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
 class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track. ``rival_…``: gains [1/s] for base, legs and steering; by how much
+    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``odd_wheels`` (MPC and rival): see
+    :class:`wbmpc.control.SwerveAgent`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.control.RollingAgent`)."""
 
@@ -57,6 +58,7 @@ class SwerveDriveSettings(ExperimentSettings):
     )
     robot: str = "swerve-ur10"
     use_gyro: bool = True
+    odd_wheels: bool = False
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     # of a search that benchmarks/rivals.py does, of which only a part was run
@@ -146,7 +148,7 @@ class _Run:
     ) -> None:
         truth, add = plant.truth(), self.log.add
         add(f"{name}.base", t, truth.pose)
-        add(f"{name}.base_odometry", t, agent.odometry.pose)
+        add(f"{name}.base_odometry", t, agent.pose)
         add(f"{name}.base_reference", t, mission.base(t)[0][0])
         add(f"{name}.leg", t, truth.state[self.robot.state["leg"]])
         add(f"{name}.leg_reference", t, mission.leg(t)[0][0])
@@ -174,7 +176,7 @@ class _Run:
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveAgent(
             robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
-            use_gyro=s.use_gyro, faulty=brakes.accept,
+            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels, faulty=brakes.accept,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
         mpc.reset(home)
@@ -203,6 +205,7 @@ class _Run:
         agent = RollingAgent(
             robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
             lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
+            odd_wheels=s.odd_wheels,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
         with watched(plant, timing.period, duration, progress, agent) as tick:

@@ -13,7 +13,7 @@ from wbmpc.estimation import ReleaseOdometry
 from wbmpc.experiments.paths import Approach, SinePath, nearest_distance
 from wbmpc.experiments.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.experiments.swerve_calibrate import WheelLog, calibrated, swerve_robot
-from wbmpc.experiments.swerve_problem import SwerveCost, closed_brakes, swerve_mpc
+from wbmpc.experiments.swerve_problem import HandCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel
@@ -41,9 +41,9 @@ class SwerveTrackSettings(ExperimentSettings):
     (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
     standing; ``calibration`` of the wheels: drive (a reference drive with ``localisation`` first), none, or a file that
     'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the ``localisation``; ``drive_lag`` [s] that the
-    controller assumes."""
+    controller assumes; ``friction``, ``smoothing``: see :class:`wbmpc.control.SwerveAgent`."""
 
-    cost: SwerveCost = SwerveCost()
+    cost: SwerveCost = SwerveCost(hand=HandCost(weight=4000.0))
     robot: str = "swerve-ur10"
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
@@ -53,6 +53,8 @@ class SwerveTrackSettings(ExperimentSettings):
     calibration: str = "drive"
     global_poses: bool = False
     localisation: LocalisationSettings = LocalisationSettings()
+    friction: bool = True
+    smoothing: float = Field(0.025, ge=0, le=1)
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
 
@@ -108,10 +110,11 @@ class _References:
         share = self.path.length / self.path.arc_length
         return s * share, rate * share
 
-    def set(self, mpc: MPC, home: np.ndarray) -> None:
+    def set(self, mpc: MPC, home: np.ndarray, lift: float = 0.0) -> None:
+        """``lift`` [m]: by what the hand goes higher over the model's base than over the floor."""
         robot_state, robot_input = mpc.ocp.dynamics.state, mpc.ocp.dynamics.input
         t = np.arange(0.0, self.duration + 0.02, 0.02)
-        mpc.reference["hand"] = Reference.poses(t, self.hand(t), self.orientation(t))
+        mpc.reference["hand"] = Reference.poses(t, self.hand(t) + [0.0, 0.0, lift], self.orientation(t))
         x, speed = self.base(t)
         states = np.tile(home, (t.size, 1))
         states[:, robot_state["base"]] = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
@@ -131,7 +134,6 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     robot = swerve_robot(settings.robot)
     references = _References(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
-    references.set(mpc, robot.home)
     source = settings.localisation.source(seed) if settings.global_poses else None
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
@@ -146,7 +148,11 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         calibration=calibration,
         use_gyro=settings.use_gyro,
         faulty=closed_brakes(robot, mpc),
+        friction=settings.friction,
+        smoothing=settings.smoothing,
     )
+    # the model's base has one height: what the true one lacks of it, the hand makes up for
+    references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
     stand_still(plant, agent, timing, settings.rest)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
@@ -161,7 +167,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         if round(t / timing.period) % 4:
             return
         truth = plant.truth()
-        pose = agent.odometry.pose
+        pose = agent.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
         log.add("base_std", t, np.sqrt(np.diag(agent.odometry.covariance)))

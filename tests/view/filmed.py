@@ -1,0 +1,22 @@
+"""A short recording to show: the swerve robot of a session, which holds its hand for a second."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from wbmpc.loop import Watch, run_lockstep
+from wbmpc.model import load_robot
+from wbmpc.recording.recorder import Recorder
+from wbmpc.view.session import _swerve
+
+
+def record(folder: Path, *watchers: Any) -> Any:
+    """Writes ``folder/run.mcap``, with other watchers before the recorder; returns the MPC."""
+    recorder = Recorder(folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1}})
+    plant, agent, mpc, timing = _swerve(load_robot("swerve-ur10"), 1)
+    watch = Watch(None, (*watchers, recorder))
+    ending = run_lockstep(plant, agent, mpc, timing, 1.0, lambda *_: None, watch)
+    assert ending.reason == ""
+    recorder.close({"completed": "true"})
+    return mpc
