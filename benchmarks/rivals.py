@@ -67,7 +67,7 @@ def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
     log, reference = Log(), fixed.Motion.of(settings, seed)
-    if fixed.drive(name, settings, seed, robot, reference, None, log).reason:
+    if fixed.drive(name, settings, seed, robot, reference, None, log)[0].reason:
         return np.full(1, np.inf)
     return np.asarray(fixed.errors(log, name, reference)[1] ** 2)
 

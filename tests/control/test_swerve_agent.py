@@ -348,3 +348,47 @@ def test_global_poses_reach_the_odometry() -> None:
         place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
         agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
     np.testing.assert_allclose(agent.odometry.pose, seen, atol=1e-6)
+
+
+def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
+    """A plan runs out at speed, and another comes. Truth: from rest, by the limit times the period."""
+    agent, plans = SwerveAgent(HURRIED, np.zeros(3), PERIOD, lag=0.02), Plans()
+    u = np.zeros(HURRIED.input.size)
+    u[HURRIED.input["wheel"]] = 4.0
+    plans.add(0.0, constant_policy(u))
+    agent.measure(message())
+    for k in range(100):
+        last = agent.command(k * PERIOD, plans).wheel
+    assert last == pytest.approx(4.0)
+    for _ in range(100):
+        agent.stop()
+    rise = HURRIED.limits.input_change[HURRIED.input["wheel"]].min() * PERIOD
+    assert agent.command(0.3, plans).wheel == pytest.approx(rise)
+    assert agent.predict(0.3, 0.3, plans).x[HURRIED.state["wheel"]] == pytest.approx(0.02 * rise, abs=0.02 * rise)
+
+
+def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
+    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a sentence. Fixed legs have no brakes."""
+    told: list[object] = []
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, faulty=told.append), Plans()
+    plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
+    for k in range(10):
+        agent.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
+        agent.command(0.01 * k, plans)
+    name = SWERVE.state.groups["leg"][2]
+    assert len(told) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
+    fixed = robot("swerve-fixed-ur10")
+    assert SwerveAgent(fixed, np.zeros(3), PERIOD).monitor is None
+
+
+def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
+    """Open ones would be said not to open after a plan has run out: the legs stand and nothing moves them."""
+    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4)), Plans()
+    u = np.zeros(SWERVE.input.size)
+    u[SWERVE.input["leg"]] = 0.4
+    plans.add(0.0, constant_policy(u))
+    agent.measure(message())
+    agent.command(0.0, plans)
+    agent.command(11.0, plans)
+    assert agent.monitor is not None and not agent.monitor._open.any()  # type: ignore[union-attr]
+    agent.command(2.0, plans)

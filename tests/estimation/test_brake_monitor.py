@@ -141,3 +141,20 @@ def test_senseless_thresholds_are_refused() -> None:
         BrakeMonitor(NAMES, moved=0.0)
     with pytest.raises(InputError, match=r"limit: positive rates"):
         BrakeMonitor(NAMES, limit=[0.4, 0.4, 0.0, 0.4])
+
+
+def test_what_was_wrong_about_a_leg_is_not_real() -> None:
+    """A leg that stood and then moved was sound; one that stands to the end is not; one that slipped and holds again did slip."""
+    rate = lambda t: np.array([0.4, 0.0, 0.0, 0.0])
+    leg = lambda t: np.array([0.2 * np.clip(t - 2.0, 0.0, 2.0), 0.0, 0.0, 0.0])
+    monitor = watch(leg, lambda t: OPEN, rate)
+    assert monitor.real == monitor.faults[1:] and len(monitor.faults) == 2
+    slip = lambda t: np.array([0.1 * np.clip((t - 2.0) / 0.05, 0.0, 1.0), 0.0, 0.0, 0.0])
+    monitor = watch(slip, lambda t: CLOSED, lambda t: np.array([-0.4 * (t > 2.01), 0.0, 0.0, 0.0]))
+    assert len(monitor.withdrawn) == 1 and monitor.real == monitor.faults and len(monitor.real) == 1
+
+
+def test_a_leg_that_drifts_slowly_is_told() -> None:
+    """2 mrad/s, as a hinge that no brake holds drifted under a base that drove on: 10 mrad and what creeps meanwhile."""
+    (fault,) = watch(lambda t: np.array([2e-3 * t, 0.0, 0.0, 0.0]), lambda t: CLOSED, lambda t: STILL, 8.0).faults
+    assert fault.leg == 0 and fault.time == pytest.approx(10.0 / 1.8, abs=0.3)

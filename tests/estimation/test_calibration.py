@@ -157,6 +157,29 @@ def test_file_keeps_the_numbers(tmp_path: Path) -> None:
         np.testing.assert_allclose(getattr(loaded, name), getattr(saved, name), rtol=1e-12)
 
 
+@pytest.mark.parametrize("known", [1.0, 0.0])  # a doubt that is 0 has no correlation
+def test_file_keeps_what_is_known_of_sums(known: float, tmp_path: Path) -> None:
+    """Truth: the covariance, formed as a product; in another order of the modules its rows are in that order too."""
+    root = np.random.default_rng(1).normal(size=(8, 8)) * 1e-3
+    root[5] *= known
+    saved = replace(WheelCalibration.unknown(UNEVEN), covariance=root @ root.T)
+    saved.save(tmp_path / "c.yaml", NAMES)
+    np.testing.assert_allclose(
+        WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES).covariance, root @ root.T, atol=1e-18
+    )
+    turned = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES[::-1]).covariance
+    order = [3, 2, 1, 0, 7, 6, 5, 4]
+    np.testing.assert_allclose(turned, (root @ root.T)[np.ix_(order, order)], atol=1e-18)
+
+
+def test_a_file_without_correlation_says_that_errors_are_independent(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "modules: {a: {steer_zero_std: 0.002}, b: {wheel_radius_std: 0.001}, c: {}, d: {}}"
+    )
+    loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
+    np.testing.assert_allclose(loaded.covariance, np.diag([4e-6, 0, 0, 0, 0, 1e-6, 0, 0]))
+
+
 ROWS = "{a: {}, b: {}, c: {}, d: {}}"
 
 
@@ -172,6 +195,13 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
         ("modules: {a: {wheel_radius: -0.1}, b: {}, c: {}, d: {}}", "positive"),
         ("modules: {a: 3, b: {}, c: {}, d: {}}", "a mapping is needed"),
         ("modules: [", "not valid YAML"),
+        (f"modules: {ROWS}\ncorrelations: []", "did you mean 'correlation'"),
+        (f"modules: {ROWS}\ncorrelation: [[1.0]]", "8 rows of 8"),
+        (
+            f"modules: {ROWS}\ncorrelation: {np.ones((8, 8)).tolist()}".replace("1.0]]", "-3.0]]"),
+            "a correlation matrix",
+        ),
+        (f"modules: {ROWS}\ncorrelation: {(2 * np.eye(8) - 1).tolist()}", "a correlation matrix"),
     ],
 )
 def test_bad_files_are_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:

@@ -285,3 +285,42 @@ def test_bad_input_is_refused() -> None:
         odometry.correct(1.0, [0.0, np.nan, 0.0], np.eye(3))
     with pytest.raises(InputError, match="3 by 3"):
         odometry.correct(1.0, np.zeros(3), np.ones(3))
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [-np.eye(3), np.diag([1.0, -1e-3, 1.0]), [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], np.eye(2)],
+)
+def test_what_is_no_covariance_is_refused(covariance: np.ndarray) -> None:
+    """Eigenvalues by hand: -1, -0.001, and 1 - 2."""
+    odometry = FusedOdometry(FOUR)
+    odometry.update(1.0, *np.zeros((3, 4)), 0.0)
+    for take in (
+        lambda: odometry.correct(1.0, np.zeros(3), covariance),
+        lambda: odometry.place(np.zeros(3), covariance),
+    ):
+        with pytest.raises(InputError, match="covariance"):
+            take()
+    assert odometry.taken == 0 and not odometry.covariance.any()
+
+
+def test_poses_of_no_time_and_of_the_future_do_not_count() -> None:
+    odometry = FusedOdometry(FOUR, pose_std=(0.1, 0.1, 0.1))
+    odometry.update(1.0, *np.zeros((3, 4)), 0.0)
+    for t in (np.nan, np.inf):
+        with pytest.raises(InputError, match="time must be finite"):
+            odometry.correct(t, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))
+    assert not odometry.correct(100.0, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))
+    assert odometry.taken == 0 and not odometry.pose.any()
+    assert odometry.correct(1.005, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))  # on its way: as of the last message
+
+
+@pytest.mark.parametrize(
+    "weights", [np.zeros(4), [1.0, 0.0, 0.0, 0.0], [1.0, 1.0, -1.0, 1.0], np.full(4, np.nan), np.ones(3)]
+)
+def test_weights_that_show_no_motion_are_refused(weights: np.ndarray) -> None:
+    odometry = FusedOdometry(FOUR)
+    odometry.update(1.0, *np.zeros((3, 4)))
+    with pytest.raises(InputError, match="weights"):
+        odometry.update(1.01, np.zeros(4), np.zeros(4), np.ones(4), weights=np.array(weights))
+    assert np.isfinite(odometry.pose).all()

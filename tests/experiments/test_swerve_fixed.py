@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.errors import InputError
 from wbmpc.experiments import swerve_fixed as fixed
 from wbmpc.log import Log
+from wbmpc.model import load_robot
+from wbmpc.mpc import Plans
+from wbmpc.plant import SwerveMeasurement
 
 
 @pytest.fixture(scope="module")
@@ -45,3 +49,20 @@ def test_standstill_is_seen(stopped: float) -> None:
         log.add("base_mpc", t, pose.copy())
     # in the first ramp the base is asked to move before it has come 0.1 s far
     assert fixed.standstill(log, "mpc", motion) == pytest.approx(max(stopped - 0.1, 0.0), abs=0.12)
+
+
+@pytest.mark.parametrize("name", ["ik", "four_wheel"])
+def test_hinged_legs_stay_where_they_are(name: str) -> None:
+    """Of a robot whose legs could swing: the rivals leave them closed. Truth: rolling straight ahead, legs at home."""
+    settings = fixed.SwerveFixedSettings(motions=("forward",), random=0.0)
+    motion, robot = fixed.Motion.of(settings, 0), load_robot("swerve-ur10")
+    agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    home = robot.state.split(robot.home)
+    agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
+    command = agent.command(3.0, Plans())  # in the midst of the motion
+    assert not command.brake.any() and np.isfinite(command.wheel).all() and np.isfinite(command.steer).all()
+
+
+def test_another_base_is_refused() -> None:
+    with pytest.raises(InputError, match="type 'ball'"):
+        fixed.run(fixed.SwerveFixedSettings(robot="rezero"), 0)

@@ -8,6 +8,8 @@ import pytest
 
 from wbmpc.experiments import swerve_plaster as plaster
 from wbmpc.experiments.swerve_plaster import Lines, SwervePlasterSettings, coat, judged, pass_spread, run, stops
+from wbmpc.log import Log
+from wbmpc.model import load_robot
 
 
 def test_the_way_is_that_of_the_paper_and_gentle() -> None:
@@ -81,3 +83,18 @@ def test_the_switch_stops_the_hand_before_the_wall(monkeypatch: pytest.MonkeyPat
     settings = SwervePlasterSettings(passes=1, rest=0.0, calibration="none", sensors=False, terrain=False)
     result = run(settings, 0)
     assert not result.completed and "switch stopped it" in result.reason
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_one_pass_differs_from_nothing(passes: int) -> None:
+    """The spread of passes is a figure only where there are two."""
+    references, log = plaster._References(SwervePlasterSettings(passes=passes), load_robot("swerve-ur10")), Log()
+    for t in np.arange(references.lines.start, references.lines.end, 0.05):
+        hand = references.hand(np.array([t]))[0]
+        for name in ("hand", "hand_odometry", "hand_reference"):
+            log.add(name, t, hand)
+        for name in ("base", "base_odometry"):
+            log.add(name, t, references.base(np.array([t]))[0])
+        log.add("wheel_slip", t, np.zeros(4))
+    spread = {k for k in plaster._metrics(log, references, True) if k.startswith("pass_spread")}
+    assert spread == ({"pass_spread_rms", "pass_spread_rms_world"} if passes == 2 else set())

@@ -7,7 +7,8 @@ import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
-from wbmpc.plant import BRAKE_TORQUE, Brakes
+from wbmpc.model import load_robot
+from wbmpc.plant import BRAKE_TORQUE, Brakes, Perturbation, SwerveCommand, SwervePlant
 
 
 def test_torque_rises_and_falls_within_the_delay() -> None:
@@ -55,3 +56,27 @@ def test_the_experiment_reaches_its_goals() -> None:
     assert shares == pytest.approx(np.ones(3), abs=0.06)
     for plot in result.plots:
         assert all(len(s.x) == len(s.y) > 0 for s in plot.series)
+
+
+def test_a_brake_fails_as_the_settings_say() -> None:
+    robot = load_robot("swerve-ur10")
+    settings = Perturbation.none(brake_fault="open", brake_fault_leg=2, brake_fault_time=0.01)
+    plant = SwervePlant(robot.description, None, settings)
+    plant.step(SwerveCommand.stop(4, 6), 10)
+    assert plant.brakes.engaged == pytest.approx(np.ones(4))
+    for _ in range(2):  # it is looked at once a command
+        plant.step(SwerveCommand.stop(4, 6), 15)
+    assert plant.brakes.engaged == pytest.approx([1.0, 1.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "leg", "words"),
+    [
+        ("swerve-ur10", 4, "no leg 4 with a brake; valid: 0"),
+        ("swerve-fixed-ur10", 0, "valid: a robot with hinged legs"),
+    ],
+)
+def test_a_brake_that_is_not_there_cannot_fail(name: str, leg: int, words: str) -> None:
+    settings = Perturbation(brake_fault="closed", brake_fault_leg=leg)
+    with pytest.raises(InputError, match=words):
+        SwervePlant(load_robot(name).description, None, settings)

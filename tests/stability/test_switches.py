@@ -181,3 +181,18 @@ def test_senseless_motions_are_refused(times: list, points: list, words: str) ->
 def test_slopes_on_which_nothing_stands_are_refused(slope: float) -> None:
     with pytest.raises(InputError, match=r"slope: less than 1\.57 rad"):
         stability.slope_gravity(slope)
+
+
+@pytest.mark.parametrize(
+    ("points", "forces", "words"),
+    [
+        ([[0.1, 0.0], [np.nan, np.nan], [0.2, 0.0]], [9.0] * 3, "zero-moment points"),
+        ([[0.1, 0.0]] * 2, [9.0] * 2, "zero-moment points"),
+        ([[0.1, 0.0]] * 3, [9.0, np.nan, 9.0], "forces"),
+        ([[0.1, 0.0]] * 3, [9.0], "forces"),
+    ],
+)
+def test_stances_that_make_no_sense_are_refused(points: list, forces: list, words: str) -> None:
+    stance = lambda up, face: (SQUARE, np.array(points), np.array(forces))
+    with pytest.raises(InputError, match=words):
+        stability.support_switches([0.0, 1.0, 2.0], SQUARE, [0.01, 0.0, 0.0, 0.0], stance)

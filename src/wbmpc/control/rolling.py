@@ -75,7 +75,7 @@ class RollingAgent(SwerveAgent):
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.steer_gain * (target - m.steer), -steer_limit, steer_limit)
         if self.monitor is not None:
-            self._watch(t, brake, swing)
+            self.watch(t, brake, swing)
         return SwerveCommand(wheel, steer, np.zeros(m.arm.size), brake)
 
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:

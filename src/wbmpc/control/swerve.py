@@ -6,6 +6,7 @@ angles the rolling rows of four wheels are never exactly consistent, and their o
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -26,6 +27,7 @@ from wbmpc.model import RobotModel, aligned_steering, wheel_velocities
 from wbmpc.mpc import Observation, Plans
 from wbmpc.plant import SwerveCommand, SwerveMeasurement
 
+_LOG = logging.getLogger("wbmpc")
 #: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
 #: The last is no smaller: the plan's angles move on meanwhile, and a base that waits for the rest falls behind its reference.
 CROOKED, MISALIGNED, ALIGNED = 0.05, 0.45, 0.1
@@ -41,6 +43,13 @@ SCRUBS, SCRUBBING, SCRUB_WEIGHT = 0.02, 0.1, 1e-3
 CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
 
 
+def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
+    """Of the brakes of a robot's legs, with the usual tolerances; None for fixed legs."""
+    if "leg" not in robot.input:
+        return None
+    return BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
+
+
 class SwerveAgent:
     """Estimation, prediction and tracking of a swerve robot at the controller's rate.
 
@@ -50,9 +59,9 @@ class SwerveAgent:
     While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
     slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
     base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
-    load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; ``faulty`` is called
-    with each fault that it finds. ``scrubbing``: plans let wheels slip sideways while they turn about, and the odometry
-    hardly listens to those.
+    load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; left out, one with
+    the usual tolerances (None for fixed legs). ``faulty`` is called with each fault that it finds. ``scrubbing``: plans let
+    wheels slip sideways while they turn about, and the odometry hardly listens to those.
     ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict,
     as of one that hangs in the air.
     ``friction``: whether what dry friction takes from wheels and steering is learned and given back. ``smoothing`` [s] of base
@@ -98,7 +107,7 @@ class SwerveAgent:
         self.lag = lag
         steer = robot.state["steer"]
         self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
-        self.monitor, self.faulty, self.scrubbing = monitor, faulty, scrubbing
+        self.monitor, self.faulty, self.scrubbing = monitor or brake_monitor(robot), faulty, scrubbing
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
@@ -249,8 +258,11 @@ class SwerveAgent:
         return u
 
     def stop(self) -> SwerveCommand:
-        """Everything at rest, brakes closed."""
+        """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
         self._drive_arm(np.zeros(self.sag.size))
+        self.wanted, self.sent = np.zeros((2, self.robot.input.size))
+        self.clamped = self.aligning = False
+        self._lag_behind(self.sent)
         for drives in self.friction.values():
             drives.command(np.zeros(drives.droop.size), np.inf, np.inf)
         still = SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
@@ -265,7 +277,10 @@ class SwerveAgent:
         policy, given = plans.current, self.robot.input
         assert policy is not None and self.measured is not None
         if t > policy.end:
-            return self.stop()
+            still = self.stop()
+            if self.monitor is not None:
+                self.watch(t, still.brake, np.zeros(still.brake.size))
+            return still
         # a plan whose limits give way may lie beyond the joints' range, where no wheel can be waited for
         planned = np.clip(policy.state(t + self.lag)[self.robot.state["steer"]], *self._steer_range)
         # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
@@ -282,17 +297,13 @@ class SwerveAgent:
         self.wanted[given["steer"]] = steer
         brake = self.brakes(t)
         self.sent = sent = self._reachable(self.sent, u, brake)
-        self._rates[given["steer"]] = self._turning
-        self._rates += self._blend * (sent - self._rates)
-        self._turning = self._rates[given["steer"]].copy()
-        if self.planned_steering:
-            self._rates[given["steer"]] = 0.0
+        self._lag_behind(sent)
         wheel, limit = sent[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
         # Too fast for one wheel: slow the whole motion down, or the wheels drag each other.
         excess = float(np.max(np.abs(wheel) / limit))
         self.clamped, wheel = excess > 1.0, wheel / max(1.0, excess)
         if self.monitor is not None:
-            self._watch(t, brake, sent[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
+            self.watch(t, brake, sent[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)))
         limit, change = self.robot.limits.input_upper[given["arm"]], self.robot.limits.input_change[given["arm"]]
         arm = np.clip(sent[given["arm"]] - self.sag, -limit, limit)
         self._drive_arm(self._arm + np.clip(arm - self._arm, -change * self.period, change * self.period))
@@ -318,6 +329,15 @@ class SwerveAgent:
         side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
         self._scrubs = np.where(np.abs(side) > SCRUBS, SCRUBBING, np.maximum(self._scrubs - self.period, 0.0))
 
+    def _lag_behind(self, sent: np.ndarray) -> None:
+        """What drives of first order owe after a command ``sent`` (nu); the planned steering has no lag."""
+        steer = self.robot.input["steer"]
+        self._rates[steer] = self._turning
+        self._rates += self._blend * (sent - self._rates)
+        self._turning = self._rates[steer].copy()
+        if self.planned_steering:
+            self._rates[steer] = 0.0
+
     def _drive_arm(self, command: np.ndarray) -> None:
         """What drives of first order make of a command (m) [rad/s] within a period."""
         behind = self._arm_rate - command
@@ -338,8 +358,16 @@ class SwerveAgent:
         excess[self._together] = excess[self._together].max()
         return sent + step / excess
 
-    def _watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
+    @property
+    def faults(self) -> list[str]:
+        """Brakes that were found not to answer, as sentences; those that did after all are left out."""
+        return [] if self.monitor is None else [str(fault) for fault in self.monitor.real]
+
+    def watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
+        """Judge the brakes of hinged legs at t [s] by the last measurement: commanded ``brake`` (n, 1 = open), planned leg
+        rates ``rate`` (n) [rad/s]."""
         assert self.monitor is not None and self.measured is not None
         for fault in self.monitor.update(t, self.measured.leg, brake, rate):
+            _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
             if self.faulty is not None:
                 self.faulty(fault)

@@ -8,7 +8,7 @@ from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
-from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
+from wbmpc.estimation.fused import FusedOdometry, OdometryNoise, is_covariance
 from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
@@ -52,6 +52,7 @@ __all__ = [
     "calibrate",
     "estimate_mass_offset",
     "fit_wheels",
+    "is_covariance",
     "replay",
     "rockings",
 ]

@@ -55,7 +55,7 @@ class BrakeMonitor:
     of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
     judged again, from the beginning, once the plan has held it for ``settle``. ``faults``: all that were told; ``withdrawn``:
     those that were taken back, of legs that were said not to open and then moved by ``moved``, or not to hold and then stood as
-    one does that is not open.
+    one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip).
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class BrakeMonitor:
         settle: float = 0.25,
         crawl: float = 0.08,
         patience: float = 1.3,
-        creep: float = 5e-4,
+        creep: float = 2e-4,
         limit: ArrayLike = np.inf,
     ) -> None:
         if min(moved, expected, still, window, settle, patience) <= 0.0 or min(crawl, creep) < 0.0:
@@ -85,6 +85,7 @@ class BrakeMonitor:
         self.expected = expected * np.minimum(1.0, (most - self.crawl) / (FAST - crawl))
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
+        self.real: list[BrakeFault] = []
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
         self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
@@ -126,6 +127,7 @@ class BrakeMonitor:
                 self._told[i], self._told_at[i] = True, angle[i]
                 self._unsettled = t
         self.faults += new
+        self.real += new
         return withdrawn + new
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
@@ -140,6 +142,9 @@ class BrakeMonitor:
                 found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
         self._told[[f.leg for f in found]] = False
         self.withdrawn += found
+        for back in found:
+            if back.kind == "opens after all":
+                self.real.remove([f for f in self.real if f.leg == back.leg][-1])
         return found
 
     def _stands(self, i: int) -> bool:

@@ -31,6 +31,8 @@ GATE = 21.1
 PATIENCE = 10
 #: By so much the wheels' standard deviations grow then: a base that nobody carried away has wheels that are worse than believed.
 DOUBTED = 3.0
+#: A pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
+AHEAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ class FusedOdometry:
         mean[:3] = _three("pose", pose)
         p[:3, :], p[:, :3] = 0.0, 0.0
         if covariance is not None:
-            p[:3, :3] = covariance
+            p[:3, :3] = _checked_covariance("place", covariance)
         self._state = _State(self._state.t, mean, p)
         self._past.clear()
 
@@ -215,7 +217,7 @@ class FusedOdometry:
     ) -> Array:
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
         message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
-        ``weights`` (n): little for wheels that are known to slip.
+        ``weights`` (n): little for wheels that are known to slip, of two or more above 0.
 
         ``brake`` (n): which hinges turn freely by now (1 = open; left out: none is taken to). A leg that gives way shows where its
         wheel goes, and so the zeros. The first message only starts. Raises :class:`InputError` for numbers that are not finite or
@@ -226,6 +228,8 @@ class FusedOdometry:
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
+        if weights is not None:
+            self._check_weights(weights)
         h, is_open = t - self._state.t, self._opened(brake)
         if self._last is None:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
@@ -238,6 +242,11 @@ class FusedOdometry:
                 self._past.popleft()
         self._last, self._open = now, is_open
         return self.pose
+
+    def _check_weights(self, weights: Array) -> None:
+        right = np.shape(weights) == (self._n,) and np.isfinite(weights).all() and (weights >= 0.0).all()
+        if not right or np.sum(weights > 0.0) < 2:
+            raise InputError(f"odometry: 'weights' needs {self._n} numbers, none negative, two above 0, got {weights}")
 
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
@@ -347,13 +356,14 @@ class FusedOdometry:
         """Take in a global pose (x, y, yaw) that was true at time ``t`` [s], with its covariance (3, 3).
 
         The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
-        history or does not fit (see ``GATE`` and ``PATIENCE``).
+        history, of a future that no message has come from (see ``AHEAD``), or does not fit (see ``GATE`` and ``PATIENCE``).
+        Raises :class:`InputError` for what is not finite and for a covariance that is none.
         """
-        z, r = _three("global pose", pose), np.asarray(covariance, float)
-        if r.shape != (3, 3) or not np.isfinite(r).all():
-            raise InputError(f"global pose: a covariance of 3 by 3 finite numbers is needed, got shape {r.shape}")
+        z, r = _three("global pose", pose), _checked_covariance("global pose", covariance)
+        if not np.isfinite(t):
+            raise InputError(f"global pose: its time must be finite, got {t}")
         oldest = self._past[0][0].t if self._past else self._state.t
-        if t < oldest:
+        if t < oldest or -np.inf < self._state.t < t - AHEAD:
             return False
         later: list[_Step] = []
         state = self._state
@@ -404,6 +414,22 @@ def _given_way(mean: Array, p: Array, shown: _Shown, fitted: Array) -> tuple[Arr
     s = rows @ cross[WHEELS:] + shown.variance * np.eye(len(rows))
     gain = np.linalg.solve(s, cross.T).T
     return mean - gain @ apart, p - gain @ cross.T
+
+
+def is_covariance(matrix: ArrayLike) -> bool:
+    """Whether a matrix of finite numbers can be a covariance: no variance is negative, in no direction."""
+    values = np.linalg.eigvalsh(0.5 * (np.asarray(matrix) + np.asarray(matrix).T))
+    return bool(values[0] >= -1e-9 * max(values[-1], 0.0))
+
+
+def _checked_covariance(name: str, value: ArrayLike) -> Array:
+    """(3, 3), or :class:`InputError`."""
+    array = np.asarray(value, float)
+    if array.shape != (3, 3) or not np.isfinite(array).all():
+        raise InputError(f"{name}: a covariance of 3 by 3 finite numbers is needed, got shape {array.shape}")
+    if not is_covariance(array):
+        raise InputError(f"{name}: a covariance is needed, a variance of this one is negative")
+    return array
 
 
 def _three(name: str, value: ArrayLike) -> Array:

@@ -82,26 +82,56 @@ class WheelCalibration:
             }
             for i, name in enumerate(modules)
         }
+        scale = np.concatenate(std)
+        scale[scale == 0.0] = 1.0
+        correlation = self.covariance / np.outer(scale, scale)
+        correlation[np.diag_indices_from(correlation)] = 1.0
         head = "# Wheels of a swerve base: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
         head += "".join(f"# {note}\n" for note in notes)
-        path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False))
+        tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
+        tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
+        path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
 
     @classmethod
     def load(cls, path: Path | str, geometry: SwerveGeometry, modules: list[str]) -> WheelCalibration:
-        """Read such a file; keys that are left out are the description's. Raises :class:`InputError` naming the key."""
-        rows = _read(Path(path), modules)
+        """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
+        Raises :class:`InputError` naming the key."""
+        rows, given = _read(Path(path), modules)
         value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
         std = np.concatenate([value("steer_zero_std", 0.0), value("wheel_radius_std", 0.0)])
         radius = value("wheel_radius", geometry.wheel_radius)
         if (radius <= 0.0).any() or (std < 0.0).any():
             raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
-        return cls(value("steer_zero", 0.0), value("leg_zero", 0.0), radius, np.diag(std**2))
+        covariance = np.outer(std, std) * _correlation(path, given, list(rows), modules)
+        return cls(value("steer_zero", 0.0), value("leg_zero", 0.0), radius, covariance)
 
 
 _KEYS = ("steer_zero", "leg_zero", "wheel_radius", "steer_zero_std", "wheel_radius_std")
 
 
-def _read(path: Path, modules: list[str]) -> dict[str, dict[str, object]]:
+def _correlation(path: Path | str, given: object, order: list[str], modules: list[str]) -> Array:
+    """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
+    n = len(modules)
+    if given is None:
+        return np.eye(2 * n)
+    try:
+        values = np.asarray(given, float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)
+    # a direction without doubt (std 0) has 1 on the diagonal all the same
+    if not right or not np.allclose(np.diag(values), 1.0) or np.linalg.eigvalsh(values)[0] < -1e-6:
+        raise InputError(
+            f"{path}: key 'correlation': {2 * n} rows of {2 * n} numbers are needed, a correlation matrix of the zeros, then of "
+            "the radii; or leave it out"
+        )
+    place = [order.index(name) for name in modules]
+    index = np.array([*place, *(n + i for i in place)])
+    return values[np.ix_(index, index)]
+
+
+def _read(path: Path, modules: list[str]) -> tuple[dict[str, dict[str, object]], object]:
+    """By module, in the file's order, what it says; and its correlation (None if there is none)."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; 'wbmpc calibrate' writes one")
     try:
@@ -109,8 +139,11 @@ def _read(path: Path, modules: list[str]) -> dict[str, dict[str, object]]:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     rows = data.get("modules") if isinstance(data, Mapping) else None
-    if not isinstance(rows, Mapping) or len(data) > 1:
+    if not isinstance(rows, Mapping):
         raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")
+    for key in data:
+        if key not in ("modules", "correlation"):
+            raise InputError(f"{path}: {unknown_name('key', str(key), ('modules', 'correlation'))}")
     for name in rows:
         if name not in modules:
             raise InputError(f"{path}: {unknown_name('module', str(name), modules)}")
@@ -122,7 +155,7 @@ def _read(path: Path, modules: list[str]) -> dict[str, dict[str, object]]:
     missing = [n for n in modules if n not in rows]
     if missing:
         raise InputError(f"{path}: key 'modules': there is no entry for {', '.join(missing)}")
-    return {n: dict(rows[n]) for n in modules}
+    return {n: dict(row) for n, row in rows.items()}, data.get("correlation")
 
 
 def _number(path: Path | str, module: str, key: str, value: object) -> float:

@@ -259,13 +259,11 @@ def run_task(
         return [*plots(log), times]
 
     ending = run_lockstep(plant, agent, planner, timing, task.duration, record, progress)
-    result = finished(
+    return finished(
         name, seed, settings, ending, planner or mpc, log,
         metrics=lambda: {**metrics(log, ending), **estimator_metrics(log), **fault_metrics(agent)}, plots=drawn,
-        idealisations=[*idealisations, *IDEALISATIONS],
+        idealisations=[*idealisations, *IDEALISATIONS], faults=agent.faults,
     )  # fmt: skip
-    result.faults = agent.faults
-    return result
 
 
 def record_rezero(log: Log, t: float, plant: RezeroPlant, agent: RezeroAgent, torque: np.ndarray) -> None:

@@ -84,13 +84,15 @@ def finished(
     metrics: Callable[[], dict[str, Metric]],
     plots: Callable[[], Sequence[Plot | Drawing]],
     idealisations: list[str],
+    faults: Sequence[str] = (),
 ) -> RunResult:
-    """The result of a run however it ended. A run that ended before its first record has neither figures nor plots."""
+    """The result of a run however it ended, with the ``faults`` that it found in its robot. A run that ended before its first
+    record has neither figures nor plots."""
     m = mpc.statistics
     statistics = MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
     reason = ending.reason or statistics.fault
     figures, drawn = (metrics(), list(plots())) if log.channels else ({}, [])
     return RunResult(
         name, seed, not reason, reason, figures, statistics, log, drawn, idealisations,
-        settings.model_dump(mode="json"), ending.interrupted,
+        settings.model_dump(mode="json"), ending.interrupted, list(faults),
     )  # fmt: skip

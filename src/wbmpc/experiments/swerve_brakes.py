@@ -101,13 +101,15 @@ def run(settings: SwerveBrakesSettings, seed: int, progress: Progress | None = N
     moved = {(name, is_open): _push(bench, name, is_open) for name in CONFIGURATIONS for is_open in (False, True)}
     slip = _slip_torque(bench)
     slides = {name: _slide_force(bench, name) for name in CONFIGURATIONS}
-    faults = {kind: _fault(bench, kind) for kind in (None, "closed", "open")}
+    faults = {
+        kind: _fault(bench, kind) for kind in (None, "closed", "open")
+    }  # None: what is told then was not asked for
     if progress is not None:
         progress(1.0, "")
     return RunResult(
         NAME, seed, True, "", _metrics(moved, slip, slides, faults, bench.left_front), None, bench.log,
         _plots(bench.log, bench.left_front), IDEALISATIONS,
-        settings.model_dump(mode="json"),
+        settings.model_dump(mode="json"), faults=[str(f) for f in faults[None][1]],
     )  # fmt: skip
 
 

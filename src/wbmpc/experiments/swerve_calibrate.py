@@ -193,6 +193,8 @@ def drive(
             for k in range(round(phase.length / period)):
                 m = plant.measure()
                 agent.measure(m)
+                if agent.monitor is not None:  # open legs give way: nothing is planned for them
+                    agent.watch(plant.time, brake, np.zeros(brake.size))
                 wheels.add(plant.time, m, brake)
                 if len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
@@ -227,7 +229,8 @@ def calibrated(
     if how == "none":
         return WheelCalibration.unknown(geometry)
     if how == "drive":
-        log, _, reason = drive(robot, SwerveCalibrateSettings(plant=plant, localisation=localisation), seed)
+        sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
+        log, _, reason = drive(robot, SwerveCalibrateSettings(plant=sound, localisation=localisation), seed)
         if reason:
             raise RunAborted(f"the reference drive for the calibration: {reason}")
         return calibrate(geometry, record_of(log))
@@ -237,7 +240,7 @@ def calibrated(
 def run(settings: SwerveCalibrateSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """The drive, and what a calibration finds in it; the log is the input of 'wbmpc calibrate'."""
     robot = swerve_robot(settings.robot)
-    log, _, reason = drive(robot, settings, seed, progress=progress)
+    log, agent, reason = drive(robot, settings, seed, progress=progress)
     metrics: dict[str, Metric] = {}
     try:
         metrics = metrics if reason else _metrics(robot, log)
@@ -245,7 +248,7 @@ def run(settings: SwerveCalibrateSettings, seed: int, progress: Progress | None 
         reason = f"the calibration: {error}"
     return RunResult(
         NAME, seed, not reason, reason, metrics, MpcStatistics.of(1.0, []), log, _plots(log), IDEALISATIONS,
-        settings.model_dump(mode="json"),
+        settings.model_dump(mode="json"), faults=agent.faults,
     )  # fmt: skip
 
 

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from wbmpc.control import BrakeControl, RollingAgent, SwerveAgent
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, at_home, riding
 from wbmpc.experiments.settings import ExperimentSettings, finished
 from wbmpc.experiments.swerve_calibrate import swerve_robot
@@ -177,9 +176,7 @@ class _Run:
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveAgent(
             robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
-            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels,
-            monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]),
-            faulty=brakes.accept,
+            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels, faulty=brakes.accept,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
         mpc.reset(home)
@@ -191,8 +188,7 @@ class _Run:
                 self.record(name, now, plant, agent, mission, command)
 
         ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
-        assert agent.monitor is not None
-        return ending, mpc, [str(f) for f in agent.monitor.faults], hit
+        return ending, mpc, [f"{name}: {fault}" for fault in agent.faults], hit
 
     def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> None:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
@@ -260,5 +256,5 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
         NAME, seed, settings, ending, mpc, bench.log,
         metrics=lambda: metrics(bench.log, robot, faults, None if knock is None else knock.done),
         plots=lambda: plots(bench.log, robot),
-        idealisations=IDEALISATIONS,
+        idealisations=IDEALISATIONS, faults=faults,
     )  # fmt: skip

@@ -16,11 +16,12 @@ from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.experiments.directions import refuse_directions
 from wbmpc.experiments.settings import ExperimentSettings, finished
-from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_calibrate import swerve_robot
+from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.experiments.swerve_track import stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
-from wbmpc.model import RobotModel, load_robot
+from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, SteeringGuess, TurningGuess, fast_enough
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
@@ -92,8 +93,8 @@ class Motion:
 
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = self.path.times[::2]
-        none = np.zeros((t.size, robot.base.geometry.modules))
-        refuse_directions(robot, t, self.path.twists[::2], none, none)
+        legs = np.tile(legs_at_home(robot), (t.size, 1))
+        refuse_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.path.poses[::2]
         inputs = np.zeros((t.size, robot.input.size))
@@ -111,14 +112,20 @@ def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSet
     return SwerveAgent(r, pose, period, lag=s.drive_lag, scrubbing=fast_enough(r))
 
 
-def goals(motion: Motion, t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Base pose and its rate in world axes; there are no legs to move."""
+def legs_at_home(robot: RobotModel) -> np.ndarray:
+    """Leg angles (n) [rad] at which hinged legs are held; 0 for fixed ones."""
+    return robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(robot.base.geometry.modules)
+
+
+def goals(
+    motion: Motion, t: float, legs: np.ndarray
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Base pose and its rate in world axes; ``legs`` (n) [rad] stay as they are."""
     pose, twist = motion.path.pose(t), motion.path.twist(t)
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (_NONE, _NONE)
+    return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (legs, 0.0 * legs)
 
 
-_NONE = np.zeros(0)
 #: From ``benchmarks/rivals.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
 #: twists of 20 s, seeds 0 and 1 (with an earlier odometry). Four wheels: forward and turning (what it can do), seed 0, 0.56 mm
 #: rms (by hand: 4.1).
@@ -132,7 +139,7 @@ def rival(kind: type[RollingAgent], **gains: float) -> Make:
     """A maker of a rival's agent."""
 
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveAgent:
-        return kind(r, pose, period, lambda t: goals(p, t), **gains)  # type: ignore[arg-type]
+        return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), **gains)  # type: ignore[arg-type]
 
     return make
 
@@ -146,23 +153,25 @@ CONTROLLERS: dict[str, Make] = {
 
 def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All controllers on the same reference and the same plant."""
-    robot = load_robot(settings.robot)
+    robot = swerve_robot(settings.robot)
     reference = Motion.of(settings, seed)
     turns = fast_enough(robot)  # else the base stops for wheels that have to turn about
     guess = (TurningGuess if turns else SteeringGuess)(robot, lambda t, _: reference.path.twist(t))
     mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=turns)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
-    log, ending = Log(), Ending()
+    log, ending, faults = Log(), Ending(), list[str]()
     for k, name in enumerate(CONTROLLERS):
         own = part(progress, k, len(CONTROLLERS), name)
-        ended = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, own)
+        ended, found = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, own)
+        faults += [f"{name}: {fault}" for fault in found]
         ending = ended if ended.interrupted or not ending.reason else ending
         if ended.interrupted:
             break
     return finished(
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(log, reference), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
+        faults=faults,
     )  # fmt: skip
 
 
@@ -175,11 +184,14 @@ def drive(
     mpc: MPC | None,
     log: Log,
     progress: Progress | None = None,
-) -> Ending:
-    """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
+) -> tuple[Ending, list[str]]:
+    """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``. How it ended, and the
+    faults that it found."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
+    if mpc is not None:
+        agent.faulty = closed_brakes(robot, mpc)
     stand_still(plant, agent, timing, settings.rest)
 
     def record(t: float, command: Any, plans: Any) -> None:
@@ -192,7 +204,8 @@ def drive(
         log.add(f"wheel_{name}", t, command.wheel)
         log.add(f"steer_{name}", t, agent.measured.steer if agent.measured is not None else command.steer)
 
-    return run_lockstep(plant, agent, mpc, timing, float(reference.path.times[-1]), record, progress)
+    ending = run_lockstep(plant, agent, mpc, timing, float(reference.path.times[-1]), record, progress)
+    return ending, agent.faults
 
 
 def errors(log: Log, name: str, reference: Motion, of: str = "odometry") -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from wbmpc.errors import RunAborted
 from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.experiments.swerve_calibrate import calibrated, swerve_robot
-from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.experiments.swerve_track import HAND_ORIENTATION, in_frame, stand_still
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
@@ -227,7 +227,10 @@ def run(settings: SwervePlasterSettings, seed: int, progress: Progress | None = 
     )  # fmt: skip
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
-    agent = SwerveAgent(robot, plant.truth().pose, timing.period, lag=settings.drive_lag, calibration=calibration)
+    agent = SwerveAgent(
+        robot, plant.truth().pose, timing.period, lag=settings.drive_lag, calibration=calibration,
+        faulty=closed_brakes(robot, mpc),
+    )  # fmt: skip
     stand_still(plant, agent, timing, settings.rest)
     mpc.reset(robot.home)
     log = Log()
@@ -252,7 +255,7 @@ def run(settings: SwervePlasterSettings, seed: int, progress: Progress | None = 
     return finished(
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(log, references, settings.sensors), plots=lambda: _plots(log, references),
-        idealisations=IDEALISATIONS,
+        idealisations=IDEALISATIONS, faults=agent.faults,
     )  # fmt: skip
 
 
@@ -310,9 +313,13 @@ def _metrics(log: Log, references: _References, sensors: bool) -> dict[str, Metr
     part = judged(*coat(hand, float(t[1] - t[0])))
     spread = pass_spread(lines, t[use], odometry[:, 1])
     goal = lambda value: value if sensors else None
-    return {
+    number, _ = lines.arc(t[use])
+    spreads = {
         "pass_spread_rms": Metric(spread, "m", goal=0.003),
         "pass_spread_rms_world": Metric(pass_spread(lines, t[use], hand[:, 1]), "m"),
+    }
+    return {
+        **(spreads if number.max() > 0 else {}),  # one pass differs from nothing
         "hand_error_rms": Metric(rms(odometry - wanted), "m"),
         "hand_error_rms_world": Metric(rms(hand - wanted), "m", goal=goal(0.004)),
         "hand_error_rms_world_normal": Metric(rms(hand[:, 1] - wanted[:, 1]), "m"),

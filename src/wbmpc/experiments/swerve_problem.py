@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from wbmpc.control import BrakeControl
+from wbmpc.estimation import BrakeFault
 from wbmpc.experiments.settings import MpcSettings, Settings, Weight
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
@@ -114,3 +117,8 @@ def swerve_mpc(
     """The MPC of that problem with its real-time settings."""
     ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True, scrubbing=scrubbing)
     return MPC(ocp, settings.solver(), settings.rate, guess=guess)
+
+
+def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:
+    """Legs stay closed; what takes their faults, so that the plan counts with them. None for fixed legs."""
+    return BrakeControl(robot, changed=mpc.set_schedule).accept if "brake" in robot.mode else None

@@ -13,7 +13,7 @@ from wbmpc.estimation import ReleaseOdometry
 from wbmpc.experiments.paths import Approach, SinePath, nearest_distance
 from wbmpc.experiments.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.experiments.swerve_calibrate import WheelLog, calibrated, swerve_robot
-from wbmpc.experiments.swerve_problem import HandCost, SwerveCost, swerve_mpc
+from wbmpc.experiments.swerve_problem import HandCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.log import Log
 from wbmpc.loop import Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel
@@ -147,6 +147,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
         lag=settings.drive_lag,
         calibration=calibration,
         use_gyro=settings.use_gyro,
+        faulty=closed_brakes(robot, mpc),
         friction=settings.friction,
         smoothing=settings.smoothing,
     )
@@ -187,7 +188,7 @@ def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = No
     return finished(
         NAME, seed, settings, ending, mpc, log,
         metrics=lambda: _metrics(log, references), plots=lambda: _plots(log, robot, mpc, references),
-        idealisations=IDEALISATIONS,
+        idealisations=IDEALISATIONS, faults=agent.faults,
     )  # fmt: skip
 
 

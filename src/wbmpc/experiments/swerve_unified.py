@@ -14,7 +14,6 @@ from pydantic import Field
 
 from wbmpc.control import BrakeControl, SwerveAgent
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.experiments.paths import Approach
 from wbmpc.experiments.settings import ExperimentSettings, Weight, finished
@@ -137,8 +136,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = SwerveAgent(
         robot, plant.truth().pose, timing.period, brakes.commanded,
-        use_gyro=settings.use_gyro, lag=settings.drive_lag,
-        monitor=BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]]), faulty=brakes.accept,
+        use_gyro=settings.use_gyro, lag=settings.drive_lag, faulty=brakes.accept,
     )  # fmt: skip
     stand_still(plant, agent, timing, settings.rest)
     mpc.reset(home)
@@ -167,8 +165,8 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, begin, free, len(agent.monitor.faults) if agent.monitor else 0),
-        plots=lambda: _plots(log, robot, begin), idealisations=IDEALISATIONS,
+        metrics=lambda: _metrics(log, begin, free, len(agent.faults)),
+        plots=lambda: _plots(log, robot, begin), idealisations=IDEALISATIONS, faults=agent.faults,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.estimation import MassOffset, Tipping, estimate_mass_offset
+from wbmpc.estimation import BrakeFault, BrakeMonitor, MassOffset, Tipping, estimate_mass_offset
 from wbmpc.experiments.settings import Settings
 from wbmpc.experiments.support_prediction import AWAY, RAISE, REST, UNLOADED, Case, Support, predict, tippings
 from wbmpc.log import Log
@@ -74,9 +74,11 @@ def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = N
     cases = [Case(name, height, settings.turn) for height in settings.heights for name in CONFIGURATIONS]
     for case in cases[: len(CONFIGURATIONS)]:  # what this robot cannot do is said before anything is simulated
         assess(robot, case.configuration, arm=case.arm(np.zeros(1), len(robot.input.groups["arm"]))[0])
+    faults: list[str] = []
     for k, case in enumerate([*first, *cases]):
         what = ("calibration: " if case in first else "") + f"{case.configuration}, {1e3 * case.height:g} mm"
-        _simulate(robot, settings, seed, case, case in cases, log, part(progress, k, len(first) + len(cases), what))
+        own = part(progress, k, len(first) + len(cases), what)
+        faults += [f"{what}: {fault}" for fault in _simulate(robot, settings, seed, case, case in cases, log, own)]
     seen = [tipping for case in first for tipping in _seen(robot, case, log)]
     offset = estimate_mass_offset(seen)
     supports = [Support(robot, case) for case in cases]
@@ -86,7 +88,7 @@ def run(settings: SwerveWobbleSettings, seed: int, progress: Progress | None = N
     metrics = {**_rates(log, settings), **_switches(log, cases, nominal, told), **_offset(seen, offset)}
     return RunResult(
         NAME, seed, True, "", metrics, None, log, _plots(robot, log, settings, cases, nominal, told), IDEALISATIONS,
-        settings.model_dump(mode="json"),
+        settings.model_dump(mode="json"), faults=faults,
     )  # fmt: skip
 
 
@@ -99,9 +101,9 @@ def _seen(robot: RobotModel, case: Case, log: Log) -> list[Tipping]:
 def _simulate(
     robot: RobotModel, settings: SwerveWobbleSettings, seed: int, case: Case, judged: bool, log: Log,
     progress: Progress | None,
-) -> None:  # fmt: skip
+) -> list[BrakeFault]:  # fmt: skip
     """Raise the block under its wheel, then turn the arm; channel gyro of this case, and if it is ``judged`` the truth: rate and
-    force."""
+    force. Brakes that did not hold."""
     joints, height = len(robot.input.groups["arm"]), case.height
     start = assess(robot, case.configuration, arm=case.arm(np.zeros(1), joints)[0])
     x, y = start.stance.feet[corners(robot)[case.wheel]]
@@ -116,11 +118,13 @@ def _simulate(
     plant = SwervePlant(robot.description, robot.state.split(start.x), settings.plant, seed, edit=block)
     modules, key = robot.base.geometry.modules, case.key
     steps = round(1.0 / RATE / plant.timestep)
+    monitor, still = BrakeMonitor(robot.state.groups["leg"]), np.zeros(modules)
     with watched(plant, 1.0 / RATE, case.end, progress) as tick:
         for k in range(round(case.end * RATE)):
             t = k / RATE
             plant.data.mocap_pos[0, 2] = min(RAISE * t, height) - 0.5 * height
             measured = plant.measure()
+            monitor.update(t, measured.leg, still, still)
             if t >= case.start - REST + 0.5:
                 log.add(f"gyro_{key}", t - case.start, measured.gyro[:2])
                 if judged:
@@ -128,9 +132,10 @@ def _simulate(
                     log.add(f"force_{key}", t - case.start, plant.truth().wheel_force)
             now, later = case.arm(np.array([t, t + 1.0 / RATE]), joints)
             arm = (later - now) * RATE + 2.0 * (now - measured.arm)
-            command = SwerveCommand(np.zeros(modules), np.zeros(modules), arm, np.zeros(modules))
+            command = SwerveCommand(still, still, arm, still)
             tick(t, command)
             plant.step(command, steps)
+    return monitor.real
 
 
 def unloaded(t: np.ndarray, force: np.ndarray) -> list[tuple[float, int]]:

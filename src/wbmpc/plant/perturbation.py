@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -36,7 +36,9 @@ class Perturbation(BaseModel):
 
     Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
     whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
-    whose direction is drawn. Ball robots only: ``cables`` [m]: height of a grid of cables on the floor.
+    whose direction is drawn; ``brake_fault``: from ``brake_fault_time`` [s] of the plant on, at the start of which the robot stands
+    for ``rest``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
+    Ball robots only: ``cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -80,6 +82,9 @@ class Perturbation(BaseModel):
     payload: float = Field(default=0.0, ge=0, le=50)
     load: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
+    brake_fault: Literal["none", "open", "closed"] = "none"
+    brake_fault_leg: int = Field(default=0, ge=0)
+    brake_fault_time: float = Field(default=0.0, ge=0)
     cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
@@ -97,7 +102,7 @@ class Perturbation(BaseModel):
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:
         """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
-        kept = {"drive_lag": 0.020, "friction": 0.8, "spin_friction": 0.01}
+        kept = {"drive_lag": 0.020, "friction": 0.8, "spin_friction": 0.01, "brake_fault": "none"}
         return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
 
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:

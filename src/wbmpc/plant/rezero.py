@@ -91,6 +91,8 @@ class RezeroPlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
         p = self.perturbation = perturbation or Perturbation()
+        if self.perturbation.brake_fault != "none":
+            raise InputError("plant.brake_fault: is for swerve robots only; a ball robot has no brakes")
         for name in ("payload", "load", "slope"):
             if getattr(p, name) > 0.0:
                 raise InputError(

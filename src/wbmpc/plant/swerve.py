@@ -90,6 +90,7 @@ class SwervePlant(InWorld):
                 raise InputError(
                     f"plant.{name}: is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
                 )
+        self._refuse_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -108,6 +109,14 @@ class SwervePlant(InWorld):
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
         self._set_sensors(self.draw)
         self._place(self._groups(state), lift, settle)
+
+    def _refuse_brake_fault(self) -> None:
+        p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
+        if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
+            valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with hinged legs"
+            raise InputError(
+                f"plant.brake_fault_leg: {self.description.name} has no leg {p.brake_fault_leg} with a brake; valid: {valid}"
+            )
 
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
@@ -276,6 +285,9 @@ class SwervePlant(InWorld):
         d.ctrl[self._control["steer"]] = np.clip(steer, -STEER_SPEED, STEER_SPEED)
         d.ctrl[self._control["arm"]] = np.clip(arm, -self._arm_speed, self._arm_speed)
         self.brakes.command(brake)
+        p = self.perturbation
+        if p.brake_fault != "none" and self.time >= p.brake_fault_time:
+            self.brakes.fail(p.brake_fault_leg, p.brake_fault)
         for _ in range(steps):
             self._advance_brakes()
             self.world.advance(self._arm_weight)

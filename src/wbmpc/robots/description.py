@@ -25,7 +25,7 @@ class _Model(BaseModel):
 
 
 class ModuleDescription(_Model):
-    """One swerve module: names of its joints; ``hinge`` is left out when the leg is fixed."""
+    """One swerve module: names of its joints; ``hinge`` is left out when the legs are fixed (all of a base, or none)."""
 
     hinge: str | None = None
     steer: str

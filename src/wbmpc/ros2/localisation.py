@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.estimation import is_covariance
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
@@ -97,7 +98,7 @@ class PoseSource:
         pose = planar(*read_pose(message.pose.pose, topic))
         if not np.isfinite(covariance).all():
             raise InputError(f"{topic}: a number of the covariance is not finite")
-        if np.any(np.diag(covariance) < 0.0):
+        if not is_covariance(covariance):
             raise InputError(f"{topic}: a variance is negative")
         now, stamped = self.stamp(), seconds(message.header.stamp)
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now

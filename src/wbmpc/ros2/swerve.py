@@ -52,7 +52,7 @@ class BusAgent(SwerveAgent):
         super().__init__(*given, **named)
         self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
 
-    def _watch(self, t: float, brake: Array, rate: Array) -> None:
+    def watch(self, t: float, brake: Array, rate: Array) -> None:
         """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
         assert self.measured is not None
         self.ticks.append((t, self.measured.leg, brake, rate))

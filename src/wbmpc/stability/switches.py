@@ -176,13 +176,15 @@ def support_switches(
     to pull; the switch is dated to when that foot carries less than ``unloaded`` [N]. Rocking itself is taken as short.
     Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
     its zero-moment point before it tilted, or else on the one that it stands on more firmly. Where it would rock back at once, for
-    on both of two neighbours it tips to the other, it balances on their common edge: there the prediction ends.
+    on both of two neighbours it tips to the other, it balances on their common edge: there the prediction ends. Raises
+    :class:`InputError` for times that do not rise and for a ``stance`` of other lengths, or that is not finite (nothing presses on
+    the ground, as of a robot that is lifted: it stands on nothing).
     """
     t, points = _rising(times), checked_feet(feet)
     faces = resting_triangles(points, heights)
     forces: dict[Triangle, Array] = {}
     for face in faces:
-        stood, zmp, press = stance(upright(points, heights, face), face)
+        stood, zmp, press = _checked_stance(stance(upright(points, heights, face), face), len(points), t.size)
         forces[face] = support_shares(stood, face, zmp) * press[:, None]
     firmness = lambda f: float(forces[f][0].min() if start is None else support_shares(points, f, start).min())
     now: Triangle | None = max(faces, key=firmness)
@@ -205,6 +207,16 @@ def support_switches(
         found.append(Switch(when, tuple(sorted(now)), tuple(sorted(best or ()))))
         now, k = best, i
     return found
+
+
+def _checked_stance(given: tuple[Array, Array, Array], feet: int, times: int) -> tuple[Array, Array, Array]:
+    """Feet (n, 2), points (k, 2) and forces (k,) of finite numbers, or :class:`InputError`."""
+    needed = {"feet": (feet, 2), "zero-moment points": (times, 2), "forces": (times,)}
+    arrays = [np.asarray(values, float) for values in given]
+    for (name, shape), values in zip(needed.items(), arrays, strict=True):
+        if values.shape != shape or not np.isfinite(values).all():
+            raise InputError(f"stance: {name}: finite numbers of shape {shape} are needed, got {values.shape}")
+    return arrays[0], arrays[1], arrays[2]
 
 
 def _falls_below(t: Array, values: Array, level: float) -> float:
