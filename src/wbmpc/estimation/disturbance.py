@@ -4,7 +4,8 @@ The speed v̂ follows the model with the disturbance d̂; their innovation ṽ =
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. L1 ṽ is the acceleration that d̂ does not explain, 1 / L1 late. A push is not a constant
 disturbance: while ṽ is beyond the ``gate``, and for ``hold`` seconds after, d̂ stays as it is. But what goes on in one direction for
 longer than a push, ``longest`` seconds, is a force that lasts (somebody leans on the robot, a cable holds its ball up), or one
-that has gone: d̂ then learns at full gain, whatever the gate says, until ṽ has been small for ``settled`` seconds. A plan that
+that has gone: d̂ then learns at full gain, whatever the gate says, until for ``settled`` seconds ṽ has
+neither been beyond the gate nor gone on like that. A plan that
 does not know of such a force, or believes in one that has gone, leans wrongly for as long.
 
 Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
@@ -22,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
-STEADY = 0.5
+STEADY = 0.25
 
 
 @dataclass
@@ -73,12 +74,13 @@ class DisturbanceObserver:
     def _lasts(self, t: float, felt: np.ndarray, h: float) -> None:
         """Whether the innovation ``felt``, as shares of the gate, is that of a force that lasts: for longer than a push it has
         been one and the same, within 60 degrees of its own mean since it began."""
-        if np.abs(felt).max() <= STEADY:
+        most = float(np.abs(felt).max())
+        if most <= STEADY:
             self._since = np.inf
             return
         length = np.linalg.norm(felt)
         if not np.isfinite(self._since) or felt @ self._mean < 0.5 * length * np.linalg.norm(self._mean):
             self._since, self._mean = t, felt.copy()
         self._mean += h / (t - self._since + h) * (felt - self._mean)
-        if t - self._since >= self.longest or t < self._lasts_until:
+        if t - self._since >= self.longest or (most > 1.0 and t < self._lasts_until):
             self._lasts_until = t + self.settled

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
+from wbmpc.control import Leaning, RezeroAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BallFilter, PushEstimator, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
@@ -67,6 +67,7 @@ class RezeroSettings(ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
     ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
+    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
@@ -78,6 +79,7 @@ class RezeroSettings(ExperimentSettings):
     observer: bool = True
     weigh: bool = True
     brace: float = Field(0.3, ge=0, le=1.0)
+    pushed_speed: float = Field(2.0, gt=0)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
@@ -234,6 +236,8 @@ def run_task(
     if settings.brace > 0.0 and settings.controller == "mpc" and estimator is not None:
         # (states from the simulator with noise are all pushes)
         agent.shoves = PushEstimator(robot, task.arm, settings.brace)
+    if settings.controller == "mpc" and settings.observer:
+        agent.leaning = Leaning(robot, task.arm, settings.cost.lean, settings.pushed_speed)
     mpc.reset(home, torque)
     log = Log()
 
