@@ -68,7 +68,7 @@ class FallForecast:
         if t - self._within >= self._seconds:
             raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
 
-    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike) -> float:
+    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T)) + np.reshape(shift, (2, 1))
         return float(np.linalg.norm(found, axis=0).max())

@@ -13,8 +13,8 @@ from wbmpc.model.balance import BASE, Balance
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
-#: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. (With
-#: all of it, robots that were driven 1 m off by 60 N came back on one of three perturbed plants and fell on another.)
+#: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
+#: of it, 60 N felled one of three perturbed robots after 6 s.
 MOST = 0.9
 #: A force that lasts is strong if standing against it takes more than this share.
 STRONG = 0.6
@@ -55,7 +55,7 @@ class Leaning:
         borne = float(np.hypot(*self._borne(force, float(x[2])))) / self.reach
         if borne <= STRONG:
             return
-        what = f"a force of {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
+        what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
         fast = float(np.hypot(*x[self._ball_speed])) / self.speed
         if fast > 1.0:
             raise PushedAway(f"{what}: the ball goes faster than {self.speed:g} m/s (pushed_speed); motors off")
