@@ -1,4 +1,4 @@
-"""Leaning against forces that last. Truth: statics about the ball's contact with the floor, and the equilibrium of the whole model."""
+"""Leaning against forces that last. Truth: statics about the ball's contact with the floor."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() 
 
 def test_the_heading_turns_it_all() -> None:
     along = LEANING.centre(pushed(60.0), 0.0)
-    np.testing.assert_allclose(LEANING.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi), [-along[1], along[0]], atol=1e-12)
+    turned = LEANING.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
+    np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 
 def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
@@ -69,7 +70,8 @@ def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pyt
     assert not leaning.told and not caplog.records
     for t in (1.5, 1.6):
         leaning.check(t, pushed(90.0), x)
-    assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)" and len(caplog.records) == 1
+    assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
+    assert len(caplog.records) == 1
     x[n] = 2.1
     with pytest.raises(PushedAway, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
         leaning.check(2.0, pushed(50.0), x)

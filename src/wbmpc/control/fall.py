@@ -58,7 +58,12 @@ class FallForecast:
             raise self._fall(f"{self._plans} plans in a row lean", most)
 
     def feel(
-        self, t: float, x: np.ndarray, payload: float = 0.0, force: ArrayLike = (0.0, 0.0), shift: ArrayLike = (0.0, 0.0)
+        self,
+        t: float,
+        x: np.ndarray,
+        payload: float = 0.0,
+        force: ArrayLike = (0.0, 0.0),
+        shift: ArrayLike = (0.0, 0.0),
     ) -> None:
         """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
         ``shift`` (2) [m] of the divergent component."""
@@ -70,8 +75,8 @@ class FallForecast:
 
     def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
-        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T)) + np.reshape(shift, (2, 1))
-        return float(np.linalg.norm(found, axis=0).max())
+        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
+        return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 
     def _fall(self, who: str, most: float) -> FallForeseen:
         return FallForeseen(

@@ -82,7 +82,7 @@ class RezeroAgent:
         self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed(), self._shift())
+            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed(), self._answered())
 
     def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -116,7 +116,7 @@ class RezeroAgent:
         """The horizontal force (2) [N] that is felt at the hand."""
         return np.zeros(2)
 
-    def _shift(self) -> np.ndarray:
+    def _answered(self) -> np.ndarray:
         """By how much (2) [m] the lean's divergent component counts like more than it is, under the learnt disturbance."""
         if self.leaning is None or self.measured is None:
             return np.zeros(2)
@@ -233,7 +233,7 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current, self._carried(), self._shift())
+            self.forecast.look(plans.current, self._carried(), self._answered())
         self.feedforward, self.wanted = self._law(t + self.dead * self.period, self.ahead(), plans.current, acts=True)
         return self._drive(self._possible(self.wanted))
 
