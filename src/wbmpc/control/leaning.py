@@ -14,7 +14,7 @@ from wbmpc.model.balance import BASE, Balance
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
-#: of it, 60 N felled one of three perturbed robots after 6 s.
+#: of it, 60 N that held on felled one of three perturbed robots after 6 s.
 MOST = 0.9
 #: A force that lasts is strong if standing against it takes more than this share.
 STRONG = 0.6
