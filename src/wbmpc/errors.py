@@ -30,6 +30,10 @@ class FallForeseen(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
 
+class PushedAway(RunAborted):
+    """A force that no lean can hold drives a robot that balances ever faster: the motors are switched off."""
+
+
 class EncodersFailed(RunAborted):
     """A robot that balances does not know its state any more, for its encoders stand still: the motors are switched off."""
 

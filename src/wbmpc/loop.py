@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, RunAborted
+from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, PushedAway, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
 _LOG = logging.getLogger("wbmpc")
@@ -250,7 +250,7 @@ def _tick(
         plant.step(command, timing.steps)
     except FallForeseen as error:
         return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
-    except EncodersFailed as error:
+    except (EncodersFailed, PushedAway) as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))

@@ -71,6 +71,20 @@ def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
             turning.feel(0.0025 * k, x)
 
 
+def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
+    """What is 40 mm beyond the reach counts as none if a learnt force answers 60 mm of it."""
+    forecast, answered = FallForecast(ROBOT, ARM, seconds=0.02), FallForecast(ROBOT, ARM, seconds=0.02)
+    lean = next(
+        p for p in np.arange(0.2, 0.8, 0.005) if forecast._most(leaning(p)[None], 0.0, np.zeros(2)) > 1.3 * 0.1256
+    )
+    away = np.array(forecast._component(leaning(lean), 0.0, np.zeros(2))).ravel()
+    for k in range(20):
+        answered.feel(0.0025 * k, leaning(lean), shift=-0.06 * away / np.linalg.norm(away))
+    with pytest.raises(FallForeseen):
+        for k in range(20):
+            forecast.feel(0.0025 * k, leaning(lean))
+
+
 def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     """Balance.answer (tests/model/test_balance.py): a lean that a push of the world answers is none, without it one is lost."""
     pushed, forecast = load_robot("rezero", contact="force"), FallForecast(ROBOT, ARM)

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from toys import robot
-from wbmpc.control import Plans, RezeroAgent
+from wbmpc.control import Leaning, Plans, RezeroAgent
 from wbmpc.errors import NotFinite
 from wbmpc.estimation import PushEstimator
 from wbmpc.estimation.push import DEAD
@@ -148,6 +148,19 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
     assert given is agent.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance is not finite"):
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+
+
+def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
+    """The shift of the limit is that of the disturbance just learnt (tests/control/test_leaning.py), beside a push's room."""
+    agent = ball_agent(observer=True)
+    agent.leaning = Leaning(BALL, np.zeros(3), 0.6, 2.0)
+    state = np.zeros(2 * N)
+    for k in range(200):  # half of what 20 N along x would do: 26 kg
+        state[N] = 0.9 * k * PERIOD
+        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+    given = agent.mpc.parameters[-1]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(given["push"], agent.leaning.centre(agent.disturbance, 0.0))
+    assert given["push"][0] > 0.01
 
 
 #: Height [m] of the centre of mass over the ball's centre, arm straight up: by hand, from masses and places in the robot's file.

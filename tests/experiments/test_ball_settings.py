@@ -22,7 +22,7 @@ BALL = [n for n in REGISTRY if n.startswith("rezero-")]
     ("name", "given"),
     [
         ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
-        ("rezero-door", "lasting_after=0.5"),
+        ("rezero-door", "pushed_speed=1"),
         ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
         ("rezero-frequency", "brace=0.1"), ("rezero-door", "brace=0.1"),
         ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "brace=0.1"), ("rezero-steps", "cost.torque.force=2"),

@@ -69,6 +69,18 @@ def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
 
 
+def test_a_force_beyond_all_leans_is_learnt_told_and_ends_the_run() -> None:
+    """90 N for good: 1.3 times what the wheels can hold (90 N x 0.125 m against 8.6 N m at the ball)."""
+    settings = RezeroPushHandSettings(forces=(90.0,), length=5.0, settle=0.5)
+    result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
+    assert not result.completed and "faster than 2 m/s (pushed_speed); motors off" in result.reason
+    assert result.metrics["fell"].value == 0.0 and "pushes the robot away" in result.faults[0]
+    log = result.log
+    force, start = log.array("disturbance")[:, 0], BALL.state["base_velocity"].start
+    assert force[-1] == pytest.approx(90.0, rel=0.2) and np.abs(force[log.times("disturbance") < 0.95]).max() < 10.0
+    assert log.array("state")[-1, start] == pytest.approx(2.0, abs=0.2)
+
+
 def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
     s = RezeroCircleSettings(radius=0.2, lap=4.0, rounds=2, settle=1.0)
     t = np.arange(0.0, 14.0, 0.001)

@@ -3,6 +3,7 @@
 from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.fall import FallForecast
 from wbmpc.control.frequency import FrequencyAwareAgent
+from wbmpc.control.leaning import Leaning
 from wbmpc.control.lqr import LqrAgent, LqrWeights, RegulatorGains
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
@@ -20,6 +21,7 @@ __all__ = [
     "FourWheelSteeringAgent",
     "FrequencyAwareAgent",
     "HandInverse",
+    "Leaning",
     "LqrAgent",
     "LqrWeights",
     "Plans",

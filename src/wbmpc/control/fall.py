@@ -21,7 +21,8 @@ class FallForecast:
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
     floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
-    input it is say how large it is to be.
+    input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
+    :class:`wbmpc.control.Leaning`).
     """
 
     def __init__(
@@ -43,30 +44,39 @@ class FallForecast:
         self._component = ca.Function("component", [x, mass, hand], [component])
         self._seen: Policy | None = None
 
-    def look(self, policy: Policy, payload: float = 0.0) -> None:
-        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it."""
+    def look(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> None:
+        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
+        ``shift`` (2) [m] of the divergent component."""
         if policy is self._seen:
             return
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
-        most = self._most(policy.x[1:][soon], payload, force[soon]) if soon.any() else 0.0
+        most = self._most(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:
             raise self._fall(f"{self._plans} plans in a row lean", most)
 
-    def feel(self, t: float, x: np.ndarray, payload: float = 0.0, force: ArrayLike = (0.0, 0.0)) -> None:
-        """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand."""
-        most = self._most(x[None], payload, np.asarray(force, float))
+    def feel(
+        self,
+        t: float,
+        x: np.ndarray,
+        payload: float = 0.0,
+        force: ArrayLike = (0.0, 0.0),
+        shift: ArrayLike = (0.0, 0.0),
+    ) -> None:
+        """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
+        ``shift`` (2) [m] of the divergent component."""
+        most = self._most(x[None], payload, np.asarray(force, float), shift)
         if most <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
 
-    def _most(self, states: np.ndarray, payload: float, force: np.ndarray) -> float:
-        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand."""
+    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
+        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
-        return float(np.linalg.norm(found, axis=0).max())
+        return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 
     def _fall(self, who: str, most: float) -> FallForeseen:
         return FallForeseen(

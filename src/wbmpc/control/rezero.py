@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from wbmpc.control.fall import FallForecast
+from wbmpc.control.leaning import Leaning
 from wbmpc.errors import EncodersFailed, NotFinite
 from wbmpc.estimation import DisturbanceObserver, EncoderMonitor, PayloadEstimator, PushEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
@@ -30,7 +31,8 @@ class RezeroAgent:
     controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
     one the margin of stability.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
-    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not).
+    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``leaning``: lets the robot lean
+    against forces that it has learnt (None: as if there were none).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
@@ -52,6 +54,7 @@ class RezeroAgent:
         self.disturbance = np.zeros(robot.base.nq)
         self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
         self.shoves: PushEstimator | None = None
+        self.leaning: Leaning | None = None
         self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
@@ -79,7 +82,7 @@ class RezeroAgent:
         self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed())
+            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed(), self._answered())
 
     def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -101,8 +104,9 @@ class RezeroAgent:
 
     @property
     def faults(self) -> list[str]:
-        """What was found of the encoders, as sentences."""
-        return [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
+        """What was found of the encoders, and of forces that push the robot away, as sentences."""
+        found = [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
+        return found + ([self.leaning.told] if self.leaning is not None and self.leaning.told else [])
 
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
@@ -111,6 +115,12 @@ class RezeroAgent:
     def _pushed(self) -> np.ndarray:
         """The horizontal force (2) [N] that is felt at the hand."""
         return np.zeros(2)
+
+    def _answered(self) -> np.ndarray:
+        """By how much (2) [m] the lean's divergent component counts like more than it is, under the learnt disturbance."""
+        if self.leaning is None or self.measured is None:
+            return np.zeros(2)
+        return self.leaning.shift(self.disturbance, float(self.measured.state[2]))
 
     def _feel_shoves(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
@@ -134,6 +144,8 @@ class RezeroAgent:
         if self.payload is not None:
             observer.force = self.payload.update(x[:n], observer.force, observer.learning * h)
         self.disturbance = self._finite(observer.force)
+        if self.leaning is not None:
+            self.leaning.check(t, self.disturbance, x)
 
     @staticmethod
     def _finite(disturbance: np.ndarray) -> np.ndarray:
@@ -144,9 +156,16 @@ class RezeroAgent:
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
-        if self.shoves is not None:
-            own["push"] = self.shoves.room
+        if self.shoves is not None or self.leaning is not None:
+            own["push"] = self._room()
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
+
+    def _room(self) -> np.ndarray:
+        """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learnt."""
+        room = np.zeros(2) if self.shoves is None else self.shoves.room
+        if self.leaning is not None and self.measured is not None:
+            room = room + self.leaning.centre(self.disturbance, float(self.measured.state[2]))
+        return room
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
@@ -214,7 +233,7 @@ class RezeroAgent:
     def command(self, t: float, plans: Plans) -> RezeroCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current, self._carried())
+            self.forecast.look(plans.current, self._carried(), self._answered())
         self.feedforward, self.wanted = self._law(t + self.dead * self.period, self.ahead(), plans.current, acts=True)
         return self._drive(self._possible(self.wanted))
 

@@ -1,10 +1,12 @@
 """A disturbance observer for robots with full dynamics: constant generalised forces that explain the motion.
 
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
-v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. A push is not a constant disturbance: while the innovation is large, and for ``hold``
-seconds after, d̂ stays as it is. What is there again within ``again`` seconds (0: never) after such a hold, with the ball at rest,
-is no push: a ball that a cable on the floor holds up feels 50 N for as long as the robot leans against it, and a plan that does not
-know of them leans ever further. Then d̂ learns, at full gain, until nothing has been beyond the gate for ``lasting`` seconds.
+v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. L1 ṽ is the acceleration that d̂ does not explain, 1 / L1 late. A push is not a constant
+disturbance: while ṽ is beyond the ``gate``, and for ``hold`` seconds after, d̂ stays as it is. But what goes on in one direction for
+longer than a push, ``longest`` seconds, is a force that lasts (somebody leans on the robot, a cable holds its ball up), or one
+that has gone: d̂ then learns at full gain, whatever the gate says, until ``settled`` seconds after ṽ last went
+on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
+learning at every sign of motion makes a robot with an unknown 1 kg in its hand swing against its own observer.)
 
 Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the hand, a step of
@@ -20,8 +22,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-#: A ball slower than this [m/s] is at rest.
-AT_REST = 0.1
+#: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
+STEADY = 0.35
 
 
 @dataclass
@@ -35,14 +37,15 @@ class DisturbanceObserver:
     force_gain: float = 75.0
     gate: np.ndarray = field(default_factory=lambda: np.array([0.06, 0.06, 0.25, 0.12, 0.12]))
     hold: float = 1.0
-    again: float = 0.0
-    lasting: float = 3.0
+    longest: float = 0.5
+    settled: float = 1.0
     calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
 
     def __post_init__(self) -> None:
         self.force = np.zeros(self.size)
         self._speed: np.ndarray | None = None
         self._held_until, self._lasts_until = -np.inf, -np.inf
+        self._since, self._mean = np.inf, np.zeros(self.gate.size)
         self.learning = 1.0  # how much of a constant disturbance the last update can have learnt
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
@@ -52,21 +55,31 @@ class DisturbanceObserver:
         if self._speed is None:
             self._speed = v.copy()
         innovation = v - self._speed
-        if np.any(np.abs(innovation[: self.gate.size]) > self.gate):
-            stuck = self._held_until <= t < self._held_until + self.again and np.hypot(*v[:2]) < AT_REST
-            if t < self._lasts_until or stuck:
-                self._lasts_until, self._held_until = t + self.lasting, -np.inf
-            else:
-                self._held_until = t + self.hold
-        if t < self._held_until:
-            self._speed = v.copy()
-            innovation = np.zeros(n)
+        felt = innovation[: self.gate.size] / self.gate
+        self._lasts(t, felt, h)
+        if np.abs(felt).max() > 1.0:
+            self._held_until = t + self.hold
+        lasts = t < self._lasts_until
+        held = t < self._held_until and not lasts
         before = self._speed
         after = self.step(np.concatenate([q, before]), u, h)
         self._speed = after[n:] + h * self.speed_gain * innovation
         acceleration = np.hypot(*(after[n : n + 2] - before[:2])) / h
         moving = (acceleration / self.calm[0]) ** 2 + (np.hypot(*v[3:5]) / self.calm[1]) ** 2
-        gain, lasts = self.force_gain / (1.0 + moving), t < self._lasts_until
-        self.force = self.force + h * (self.force_gain if lasts else gain) * (self.mass(q) @ innovation)
-        self.learning = 0.0 if lasts or t < self._held_until else 1.0 / (1.0 + moving)
+        gain = 0.0 if held else self.force_gain if lasts else self.force_gain / (1.0 + moving)
+        self.force = self.force + h * gain * (self.mass(q) @ innovation)
+        self.learning = 0.0 if lasts or held else 1.0 / (1.0 + moving)
         return self.force
+
+    def _lasts(self, t: float, felt: np.ndarray, h: float) -> None:
+        """Whether the innovation ``felt``, as shares of the gate, is that of a force that lasts: for longer than a push it has
+        been one and the same, within 60 degrees of its own mean since it began."""
+        if np.abs(felt).max() <= STEADY:
+            self._since = np.inf
+            return
+        length = np.linalg.norm(felt)
+        if not np.isfinite(self._since) or felt @ self._mean < 0.5 * length * np.linalg.norm(self._mean):
+            self._since, self._mean = t, felt.copy()
+        self._mean += h / (t - self._since + h) * (felt - self._mean)
+        if t - self._since >= self.longest:
+            self._lasts_until = t + self.settled

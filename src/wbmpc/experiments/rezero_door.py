@@ -84,7 +84,7 @@ class RezeroDoorSettings(RezeroSettings):
     misplaced: float = Field(0.01, ge=0, le=0.05)
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "lasting_after", "brace", "cost.hand.turn_limit",
+        *RezeroSettings.unused, "controller", "rival", "tracking", "brace", "pushed_speed", "cost.hand.turn_limit",
     )  # fmt: skip
 
 

@@ -71,7 +71,7 @@ class RezeroFrequencySettings(RezeroSettings):
     variants: tuple[str, ...] = VARIANTS
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "lasting_after", "brace", "drive_dead_time",
+        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "brace", "pushed_speed", "drive_dead_time",
     )  # fmt: skip
 
     @field_validator("step")

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent
+from wbmpc.control import Leaning, RezeroAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BallFilter, PushEstimator, RezeroEstimator
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
@@ -66,8 +66,8 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 class RezeroSettings(ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
-    ``lasting_after`` [s]: what is felt again so soon after a push, on a resting ball, is learnt as a force that lasts (0: never);
     ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
+    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
@@ -78,8 +78,8 @@ class RezeroSettings(ExperimentSettings):
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
     weigh: bool = True
-    lasting_after: float = Field(0.0, ge=0, le=5.0)
     brace: float = Field(0.3, ge=0, le=1.0)
+    pushed_speed: float = Field(2.0, gt=0)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
@@ -105,7 +105,6 @@ class AccurateSettings(RezeroSettings):
     """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
     the rivals."""
 
-    lasting_after: float = Field(0.3, ge=0, le=5.0)
     brace: float = Field(0.0, ge=0, le=1.0)
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
@@ -234,11 +233,11 @@ def run_task(
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     estimator = RezeroEstimator(robot, home) if settings.estimator == "filter" else None
     agent, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, task.arm))
-    if agent.observer is not None:
-        agent.observer.again = settings.lasting_after
     if settings.brace > 0.0 and settings.controller == "mpc" and estimator is not None:
         # (states from the simulator with noise are all pushes)
         agent.shoves = PushEstimator(robot, task.arm, settings.brace)
+    if settings.controller == "mpc" and settings.observer:
+        agent.leaning = Leaning(robot, task.arm, settings.cost.lean, settings.pushed_speed)
     mpc.reset(home, torque)
     log = Log()
 

@@ -42,7 +42,7 @@ class RezeroTaskspaceSettings(RezeroSettings):
     hold: float = Field(5.0, ge=1.0, le=600.0)
     settle: float = Field(4.0, ge=0.5, le=600.0)
 
-    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "lasting_after", "brace")
+    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "brace", "pushed_speed")
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

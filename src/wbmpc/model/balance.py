@@ -47,25 +47,33 @@ class Balance:
     """``pole`` [1/s]: how fast a lean grows, the mean of both axes. ``reach`` (n) [m]: the largest divergent component that the
     wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium). ``answer`` [m/N]: a
     steady horizontal force f on the tool counts like a divergent component of ``answer`` f, the mean of both axes: a robot
-    that leans by so much against it balances without torque."""
+    that leans by so much against it balances without torque. For a steady generalised force d (5) [N, N m] on the base, in the
+    heading's axes: ``shift`` (2, 5), the divergent component that it counts like; ``stand`` (2, 5), the offset [m] with which the
+    robot stands still under it, so that the wheels' torque there is worth (shift + stand) d of the reach."""
 
     pole: float
     reach: Array
     answer: float
+    shift: Array
+    stand: Array
 
     @classmethod
     def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
         """About the equilibrium for arm angles [rad]."""
         base = robot._ball()
         x, u = robot.equilibrium(arm)
-        a, b, pushed, offset = _linear(robot, base, x, u)
+        a, b, pushed, offset, mass = _linear(robot, base, x, u)
         pole, component = divergent(a, offset)
         effect, answer = (component @ slope / pole for slope in (b, pushed))
+        shift = component[:, BASE:] @ np.linalg.inv(mass) / pole
         limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
         most = robot.description.limits.spin_effort
         angles = 2.0 * np.pi * np.arange(directions) / directions
         reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
-        return cls(pole, np.array(reach), 0.5 * float(np.trace(answer)))
+        # at rest, leans and wheel torques bear the force: M⁻¹ (forces by pitch, roll, wheels) z + M⁻¹ d = 0
+        borne = np.linalg.pinv(mass @ np.hstack([a[BASE:, 3:BASE], b[BASE:]]))
+        stand = -offset @ borne[:2]
+        return cls(pole, np.array(reach), 0.5 * float(np.trace(answer)), shift, stand)
 
 
 def divergent(a: Array, offset: Array) -> tuple[float, Array]:
@@ -83,9 +91,9 @@ def divergent(a: Array, offset: Array) -> tuple[float, Array]:
     return 0.5 * float(np.trace(form[:2, :2])), scale @ left
 
 
-def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array]:
-    """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, and the
-    offset's slope (2, 2) by (pitch, roll)."""
+def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, the
+    offset's slope (2, 2) by (pitch, roll), and the base's mass matrix (5, 5)."""
     q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
     given, hand = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
     more = ca.SX.zeros(robot.input.size - u.size)
@@ -96,10 +104,11 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
     by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
-    mass = np.linalg.inv(robot.mass_matrix(x[:n])[:BASE, :BASE])
+    own = robot.mass_matrix(x[:n])[:BASE, :BASE]
+    mass = np.linalg.inv(own)
     a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
     accelerates = lambda slope: np.vstack([np.zeros((BASE, slope.shape[1])), mass @ slope[:BASE]])
-    return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE]
+    return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE], own
 
 
 def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:

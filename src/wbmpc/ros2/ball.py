@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.control import BrakeControl, RezeroAgent
+from wbmpc.control import BrakeControl, Leaning, RezeroAgent
 from wbmpc.estimation import BallNoise, PushEstimator, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_task import resting
@@ -186,6 +186,8 @@ class BallPilot:
         self._push = (
             PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
         )
+        home = robot.home[robot.state["arm"]]
+        self._leaning = Leaning(robot, home, settings.cost.lean, settings.pushed_speed) if settings.observer else None
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:
@@ -193,8 +195,11 @@ class BallPilot:
         estimator = RezeroEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
         agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
+        agent.leaning = self._leaning
         if self._push is not None:
             self._push.reset()
+        if self._leaning is not None:
+            self._leaning.told = ""
         return agent
 
     @property

@@ -279,13 +279,15 @@ class RosSettings(Settings):
 
 class BallSettings(RosSettings):
     """A ball robot's: torques, its own problem; rate and weights of `rezero-steps`. ``observer``: of constant disturbances;
-    ``brace`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt)."""
+    ``brace`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
+    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
 
     mpc: MpcSettings = RezeroStepsSettings().mpc
     cost: RezeroCost = STEPS_AND_PUSHES  # type: ignore[assignment]
     wrench: Exerted | None = Exerted()
     observer: bool = True
     brace: float = Field(RezeroStepsSettings().brace, ge=0, le=1.0)
+    pushed_speed: float = Field(RezeroStepsSettings().pushed_speed, gt=0)
 
 
 def settings_of(robot: RobotModel) -> type[RosSettings]:

@@ -1,0 +1,78 @@
+"""Leaning against forces that last. Truth: statics about the ball's contact with the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.control import Leaning
+from wbmpc.control.leaning import MOST
+from wbmpc.errors import PushedAway
+
+ROBOT = robot("rezero")
+ARM = ROBOT.home[ROBOT.state["arm"]]
+LEANING = Leaning(ROBOT, ARM, 0.6, 2.0)
+HEIGHT = 0.2
+
+
+def pushed(size: float, heading: float = 0.0) -> np.ndarray:
+    """Generalised forces of a horizontal force along the heading, ``HEIGHT`` above the ball's centre, of an upright base."""
+    force = np.zeros(ROBOT.base.nq)
+    force[:2] = size * np.array([np.cos(heading), np.sin(heading)])
+    force[3] = size * HEIGHT
+    return force
+
+
+def stand(force: np.ndarray) -> np.ndarray:
+    return np.asarray(LEANING.balance.stand @ force[:5])
+
+
+def test_the_robot_stands_where_its_weight_answers_the_moment_about_the_floor() -> None:
+    links, radius = ROBOT.base.tree.links, ROBOT.description.base.ball_radius
+    load = sum(link.mass for i, link in enumerate(links) if i > 1)
+    want = -40.0 * (HEIGHT + radius) / (load * 9.81)
+    np.testing.assert_allclose(stand(pushed(40.0)), [want, 0.0], atol=1e-6)
+
+
+def test_what_the_wheels_bear_is_the_force_at_the_contact() -> None:
+    """The floor's friction answers the force: a moment of F r about the ball's centre, whatever the height. A moment alone, as
+    of a displaced centre of mass, costs the wheels nothing: the robot stands leaning, and the limit moves with it."""
+    low, high = pushed(40.0), pushed(40.0)
+    high[3] *= 2.0
+    np.testing.assert_allclose(LEANING._borne(low, 0.0), LEANING._borne(high, 0.0), atol=1e-3)
+    moment = np.zeros(ROBOT.base.nq)
+    moment[3] = 2.0
+    assert np.abs(LEANING._borne(moment, 0.0)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
+    np.testing.assert_allclose(LEANING.centre(moment, 0.0), LEANING.shift(moment, 0.0) - LEANING._borne(moment, 0.0))
+
+
+def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() -> None:
+    weak, strong = pushed(10.0), pushed(60.0)
+    np.testing.assert_allclose(LEANING.centre(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
+    margin = 0.6 * LEANING.reach - np.abs(stand(strong) + LEANING.centre(strong, 0.0))[0]
+    left = MOST * LEANING.reach - np.abs(LEANING._borne(strong, 0.0))[0]
+    assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
+
+
+def test_the_heading_turns_it_all() -> None:
+    along = LEANING.centre(pushed(60.0), 0.0)
+    turned = LEANING.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
+    np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
+
+
+def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
+    leaning, x, n = Leaning(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+    x[n] = 1.9
+    leaning.check(1.0, pushed(20.0), x)
+    x[n] = 0.5
+    leaning.check(1.0, pushed(50.0), x)
+    assert not leaning.told and not caplog.records
+    for t in (1.5, 1.6):
+        leaning.check(t, pushed(90.0), x)
+    assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
+    assert len(caplog.records) == 1
+    x[n] = 2.1
+    with pytest.raises(PushedAway, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
+        leaning.check(2.0, pushed(50.0), x)
+    leaning.check(2.0, pushed(20.0), x)  # who is driven fast by a goal is not pushed away
