@@ -150,12 +150,14 @@ def draw(todo: dict[str, list[Point]], done: dict[str, Outcomes], path: Path) ->
 
 
 def _ring(axis: Any, values: dict[float, float], asked: int, label: str, style: str, colour: Any) -> None:
-    """Values over directions, closed if all that were ``asked`` are there: no line across what is missing."""
-    directions = list(values)
-    if directions and len(directions) == asked:
-        directions.append(directions[0])
+    """Values over directions, as a ring if all that were ``asked`` are there, as points else: no line across what is missing."""
+    directions, whole = list(values), len(values) == asked
     if directions:
-        axis.plot(directions, [values[d] for d in directions], style, color=colour, marker=".", label=label)
+        ring = [*directions, directions[0]] if whole else directions
+        line = style if whole else "none"
+        axis.plot(
+            ring, [values[d] for d in ring], linestyle=line, color=colour, marker="os^D"[len(style) % 4], label=label
+        )
 
 
 def main() -> None:

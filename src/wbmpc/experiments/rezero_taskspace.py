@@ -117,7 +117,8 @@ def figures(log: Log, name: str, end: float) -> dict[str, float]:
 
 def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """Both controllers, one after the other, on the same plant."""
-    log, endings, mpc = Log(), {}, None
+    log, mpc = Log(), None
+    endings: dict[str, Ending] = {}
     for k, name in enumerate(CONTROLLERS):
         endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
         mpc = made if name == "mpc" else mpc
