@@ -156,7 +156,7 @@ def _ring(axis: Any, values: dict[float, float], asked: int, label: str, style: 
         ring = [*directions, directions[0]] if whole else directions
         line = style if whole else "none"
         axis.plot(
-            ring, [values[d] for d in ring], linestyle=line, color=colour, marker="os^D"[len(style) % 4], label=label
+            ring, [values[d] for d in ring], linestyle=line, color=colour, marker="o", label=label
         )
 
 
