@@ -155,9 +155,7 @@ def _ring(axis: Any, values: dict[float, float], asked: int, label: str, style: 
     if directions:
         ring = [*directions, directions[0]] if whole else directions
         line = style if whole else "none"
-        axis.plot(
-            ring, [values[d] for d in ring], linestyle=line, color=colour, marker="o", label=label
-        )
+        axis.plot(ring, [values[d] for d in ring], linestyle=line, color=colour, marker="o", label=label)
 
 
 def main() -> None:
