@@ -1,8 +1,9 @@
-"""The push map of the ball robot: impulse at which it falls, over directions and lengths. Goes on where it was interrupted.
+"""The push map of the ball robot: impulses from which it recovers, and after which it still stands, over directions and lengths.
 
 Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
 [--controllers mpc lqr scheduled-lqr …] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER]; ``--draw`` only draws what
-FOLDER has. Rivals have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
+FOLDER has. Goes on where it was interrupted. To recover, it has to be back and at rest 7 s after the push begins (``--set
+pause=``). Rivals have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
 regulator that only has to stand, and rolls away). Of several controllers the first is compared with each of the others,
 direction by direction.
 """
@@ -15,16 +16,15 @@ import multiprocessing
 import time
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from wbmpc.configuration import configure
 from wbmpc.errors import WbmpcError
-from wbmpc.experiments.push_map import FINE, MODES, Point, measure, points, push_map
+from wbmpc.experiments.push_map import CRITERIA, FINE, MODES, Outcomes, Point, bracket, measure, points, push_map, read
 from wbmpc.experiments.rezero_rivals import Controller
 
-Table = dict[str, list[float | None]]
 #: Gains of rivals by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
 GAINS = Path(__file__).with_name("push_map_gains.json")
 
@@ -64,38 +64,64 @@ def _run(todo: list[Point], file: Path, processes: int | None, fine: float) -> N
     started = time.time()
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         results = push_map(todo, file, lambda left: pool.imap_unordered(partial(measure, fine=fine), left), fine)
-        for k, (key, (low, high)) in enumerate(results, start=1):
-            falls = "never falls" if high is None else f"falls at {high:.1f} N s"
-            done = f"{k} of {len(todo)}, {time.time() - started:.0f} s"
-            print(f"{done}: {key}: stands at {low:.1f} N s, {falls}", flush=True)
+        for k, (key, found) in enumerate(results, start=1):
+            said = ", ".join(f"{c} {told(found, c)}" for c in CRITERIA)
+            print(f"{k} of {len(todo)}, {time.time() - started:.0f} s: {key}: {said}", flush=True)
 
 
-def summary(todo: dict[str, list[Point]], done: Table) -> list[str]:
-    """For each mode, length and controller the impulses [N s] after which the robot stands, and the first controller's over the
-    others' in the directions that both have."""
+def told(found: Outcomes, criterion: str) -> str:
+    """A criterion's impulses in words."""
+    low, high = bracket(found, criterion) or (0.0, np.inf)
+    return f"{low:.1f} N s, always" if np.isinf(high) else f"{low:.1f} N s, not {high:.1f}"
+
+
+def passed(chosen: list[Point], done: dict[str, Outcomes], criterion: str) -> dict[float, float]:
+    """The largest impulse [N s] that passes, by direction, of the pushes that were measured."""
+    found = {p.direction: bracket(done.get(p.key, {}), criterion) for p in chosen}
+    return {direction: b[0] for direction, b in found.items() if b is not None}
+
+
+def travel(chosen: list[Point], done: dict[str, Outcomes]) -> float:
+    """Farthest that the ball was from its place [m] in a push from which the robot recovered; 0 for none."""
+    outcomes = (o for p in chosen for o in done.get(p.key, {}).values())
+    return max((o.travel for o in outcomes if o.recovers), default=0.0)
+
+
+def summary(todo: dict[str, list[Point]], done: dict[str, Outcomes]) -> list[str]:
+    """For each mode, length and controller the impulses [N s] from which the robot recovers and after which it stands, the first
+    controller's over the others' in the directions that both have, and the farthest way of the ball."""
     lines, first = [], next(iter(todo))
     for mode, length in dict.fromkeys((p.mode, p.length) for p in todo[first]):
-        stands: dict[str, dict[float, float]] = {}
-        for name, chosen in todo.items():
-            here = [p for p in chosen if (p.mode, p.length) == (mode, length)]
-            of = stands[name] = {
-                p.direction: low for p in here if p.key in done and (low := done[p.key][0]) is not None
-            }
-            if not of:
-                continue
-            values = list(of.values())
-            line = f"{mode} held, {length:g} s, {name}: median {np.median(values):.0f}, least {min(values):.0f}, "
-            lines.append(line + f"most {max(values):.0f} N s ({len(of)} of {len(here)} directions)")
-            ratios = [stands[first][d] / max(v, 1e-9) for d, v in of.items() if d in stands[first]]
-            if name != first and ratios:
-                lines.append(
-                    f"  {first} over {name}: median {np.median(ratios):.2f}, least {min(ratios):.2f} ({len(ratios)})"
-                )
+        of = {name: [p for p in ps if (p.mode, p.length) == (mode, length)] for name, ps in todo.items()}
+        for name, here in of.items():
+            for criterion in CRITERIA:
+                values = passed(here, done, criterion)
+                if values:
+                    line = f"{mode} held, {length:g} s, {name} {criterion}: {_spread(list(values.values()))}"
+                    lines.append(f"{line} N s ({len(values)} of {len(here)} directions)")
+                    lines += _compared(first, name, passed(of[first], done, criterion), values)
+            if (way := travel(here, done)) > 0.0:
+                lines.append(f"  its ball goes {way:.1f} m at most where it recovers")
     return lines
 
 
-def draw(todo: dict[str, list[Point]], done: Table, path: Path) -> None:
-    """One polar panel for each mode: what it stands, by direction; a line for each length and controller."""
+def _spread(values: list[float]) -> str:
+    return f"median {np.median(values):.0f}, least {min(values):.0f}, most {max(values):.0f}"
+
+
+def _compared(first: str, name: str, own: dict[float, float], other: dict[float, float]) -> list[str]:
+    """The first controller's impulses over another's, where the other's are not 0; how often they are."""
+    both = [(own[d], v) for d, v in other.items() if d in own]
+    ratios = [a / b for a, b in both if b > 0.0]
+    if name == first or not both:
+        return []
+    never = f", {len(both) - len(ratios)} where {name} never does" if len(ratios) < len(both) else ""
+    figures = f"median {np.median(ratios):.2f}, least {min(ratios):.2f} " if ratios else ""
+    return [f"  {first} over {name}: {figures}({len(ratios)}){never}"]
+
+
+def draw(todo: dict[str, list[Point]], done: dict[str, Outcomes], path: Path) -> None:
+    """Polar panels by mode (down) and criterion (across): impulses by direction, a line for each length and controller."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -104,26 +130,32 @@ def draw(todo: dict[str, list[Point]], done: Table, path: Path) -> None:
     everything = [p for chosen in todo.values() for p in chosen]
     modes, lengths = list(dict.fromkeys(p.mode for p in everything)), sorted({p.length for p in everything})
     figure, axes = plt.subplots(
-        1, len(modes), figsize=(6 * len(modes), 6.6), layout="constrained", squeeze=False, subplot_kw={"polar": True}
-    )
-    colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(lengths)))
-    for axis, mode in zip(axes[0], modes, strict=True):
-        for (name, points_), style in zip(todo.items(), ("-", "--", ":", "-."), strict=False):
-            for length, colour in zip(lengths, colours, strict=True):
-                asked = [p for p in points_ if (p.mode, p.length) == (mode, length)]
-                chosen = [p for p in asked if p.key in done]
-                if not chosen:
-                    continue
-                ring = [*chosen, chosen[0]] if chosen == asked else chosen  # no line across what is missing
-                stands = [done[p.key][0] or 0.0 for p in ring]
-                axis.plot(
-                    [p.direction for p in ring], stands, style, color=colour, marker=".", label=f"{length:g} s, {name}"
-                )
-        axis.set_title(f"impulse after which it stands [N s], {mode} held", fontsize=11)
-        axis.set_ylim(0.0, None)
+        len(modes), len(CRITERIA), figsize=(6 * len(CRITERIA), 6 * len(modes) + 0.6), layout="constrained", squeeze=False,
+        subplot_kw={"polar": True},
+    )  # fmt: skip
+    colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, max(len(lengths), len(todo))))
+    for mode, row in zip(modes, axes, strict=True):
+        for criterion, axis in zip(CRITERIA, row, strict=True):
+            for j, (name, points_) in enumerate(todo.items()):
+                for k, length in enumerate(lengths):
+                    here = [p for p in points_ if (p.mode, p.length) == (mode, length)]
+                    values = passed(here, done, criterion)
+                    colour = colours[k if len(lengths) > 1 else j]
+                    _ring(axis, values, len(here), f"{length:g} s, {name}", ("-", "--", ":", "-.")[j % 4], colour)
+            axis.set_title(f"impulse at which it {criterion} [N s], {mode} held", fontsize=11)
+            axis.set_ylim(0.0, None)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.savefig(path, dpi=100)
     plt.close(figure)
+
+
+def _ring(axis: Any, values: dict[float, float], asked: int, label: str, style: str, colour: Any) -> None:
+    """Values over directions, as a ring if all that were ``asked`` are there, as points else: no line across what is missing."""
+    directions, whole = list(values), len(values) == asked
+    if directions:
+        ring = [*directions, directions[0]] if whole else directions
+        line = style if whole else "none"
+        axis.plot(ring, [values[d] for d in ring], linestyle=line, color=colour, marker="o", label=label)
 
 
 def main() -> None:
@@ -149,7 +181,7 @@ def main() -> None:
         parser.error("--directions needs at least 1, --lengths and --fine numbers above 0, --seed a number from 0 on")
     if given.gains is not None and not given.gains.is_file():
         parser.error(f"--gains: there is no file '{given.gains}'")
-    file = given.out / "push_map.json"
+    file = given.out / "pushes.json"
     todo = todo_of(given)
     everything = [p for chosen in todo.values() for p in chosen]
     try:
@@ -160,7 +192,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     if not given.draw:
         _run(everything, file, given.processes, given.fine)
-    done = json.loads(file.read_text()) if file.exists() else {}
+    done = read(file)
     print("\n".join(summary(todo, done)))
     try:
         draw(todo, done, given.out / "push-map.png")

@@ -36,7 +36,8 @@ def settings(rate: float, delay: float | None) -> list[str]:
 def limits(kept: Kept, given: list[str], seed: int) -> list[float]:
     """Impulses [N s] that the robot stands, by direction."""
     points = [Point("hand", float(d), 0.2, seed, tuple(given)) for d in DIRECTIONS]
-    return [kept.get(p.key, lambda p=p: {"stands": impulse_at_failure(p, simulated)[0]})["stands"] for p in points]
+    stands = lambda point, impulse: simulated(point, impulse).stands
+    return [kept.get(p.key, lambda p=p: {"stands": impulse_at_failure(p, stands)[0]})["stands"] for p in points]
 
 
 def measured(kept: Kept, rate: float, delay: float | None, seeds: list[int]) -> Figures:

@@ -1,13 +1,12 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
 Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--draws 100] [--best 3] [--seed 0]
-       [--recovers] [--write] [--file FILE]
+       [--standing] [--write] [--file FILE]
 First many sets of gains on the model alone (no noise, slip or perturbed masses; slower drives than believed), then the best of them
-as the push map measures them, on a tuning seed. What is made large is the mean impulse that the robot stands, over four directions
-between the axes and the diagonals, pushes of 0.2 s. With ``--recovers`` only sets count which also bring hand or ball back after
-200 N along x and along y as `rezero-push-hand` and `rezero-push-ball` want it: a regulator that lets the robot roll away for ever
-stands nearly everything. Simulated figures are kept in FILE (JSON lines) and are not measured again. With ``--write`` the best set
-of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
+as the push map measures them, on a tuning seed. What is made large is the mean impulse from which the robot recovers, over four
+directions between the axes and the diagonals, pushes of 0.2 s. With ``--standing`` it only has to stand, and what is found is a
+regulator that lets the robot roll away for ever. Simulated figures are kept in FILE (JSON lines) and are not measured again. With
+``--write`` the best set of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
 """
 
 from __future__ import annotations
@@ -33,8 +32,6 @@ from wbmpc.plant import RezeroMeasurement
 
 #: The model's drives [s]: the slowest that a plant has (20 ms + 30 %). A tilt [rad] from which nothing came back.
 LAG, FALLEN = 0.026, 0.8
-#: Pushes [N] of 0.2 s after which it has to come back, the weakest first.
-RECOVERED = (50.0, 100.0, 150.0, 200.0)
 #: The base among the links of the model: after the ball's two, yaw and pitch.
 BODY = 4
 #: Seconds from the push on in which it has to fall if it does; bisection on the model ends at this [N s].
@@ -79,15 +76,9 @@ class ModelledRobot:
         """Whether it stays up after a push at the base's centre of mass."""
         return self.pushed(agent, direction, impulse, LENGTH + WATCHED) is not None
 
-    def recovered(self, agent: LqrAgent) -> float:
-        """The share of the pushes, up to the first that it fails, after which hand or ball are back when the next would come."""
-        for k, force in enumerate(RECOVERED):
-            if not all(self._returns(agent, direction, force) for direction in (0.0, 0.5 * np.pi)):
-                return k / len(RECOVERED)
-        return 1.0
-
-    def _returns(self, agent: LqrAgent, direction: float, force: float) -> bool:
-        states = self.pushed(agent, direction, force * LENGTH, self.settings.pause)
+    def recovers(self, agent: LqrAgent, direction: float, impulse: float) -> bool:
+        """Whether hand or ball are back in their place when the push experiments would push again."""
+        states = self.pushed(agent, direction, impulse, self.settings.pause)
         if states is None:
             return False
         last = states[-round(LAST / self.period) :]
@@ -115,20 +106,21 @@ class ModelledRobot:
             states.append(x)
         return np.array(states)
 
-    def impulse(self, agent: LqrAgent, least: float) -> float:
-        """Mean impulse [N s] that it stands; 0 when one direction has not even ``least``."""
-        if not all(self.stands(agent, d, max(least, FINE)) for d in DIRECTIONS):
+    def impulse(self, agent: LqrAgent, least: float, standing: bool = False) -> float:
+        """Mean impulse [N s] from which it recovers (``standing``: that it stands); 0 when one direction has not even ``least``."""
+        passes = self.stands if standing else self.recovers
+        if not all(passes(agent, d, max(least, FINE)) for d in DIRECTIONS):
             return 0.0
-        stands = lambda point, impulse: self.stands(agent, point.direction, impulse)
-        return float(np.mean([impulse_at_failure(Point("hand", d, LENGTH, 0), stands, FINE)[0] for d in DIRECTIONS]))
+        at = lambda point, impulse: passes(agent, point.direction, impulse)
+        return float(np.mean([impulse_at_failure(Point("hand", d, LENGTH, 0), at, FINE)[0] for d in DIRECTIONS]))
 
 
 def search(
-    robot: ModelledRobot, controller: str, draws: int, first: int, recovers: bool = False
+    robot: ModelledRobot, controller: str, draws: int, first: int, standing: bool = False
 ) -> list[tuple[float, dict[str, float]]]:
     """Impulses [N s] and gains, the best first: the gains that there are, ``draws`` from the whole space, as many about the best so
-    far. Both controllers get the same draws from the whole space; another ``first`` gives others. ``recovers``: sets with which it
-    does not come back count for less than nothing, the fewer pushes it comes back after the less."""
+    far. Both controllers get the same draws from the whole space; another ``first`` gives others. ``standing``: it
+    only has to stand."""
     space, rng = SPACE[controller], np.random.default_rng(first)
     own = getattr(robot.settings.rival, controller.replace("-", "_"))
     start = {k: float(getattr(own, k)) for k in space} | gains(robot.mode, controller)
@@ -137,8 +129,7 @@ def search(
         tried = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
         least = 0.5 * found[0][0] if found else 0.0
         agent = robot.agent(controller == "scheduled-lqr", tried)
-        back = robot.recovered(agent) if recovers else 1.0
-        impulse = robot.impulse(agent, max(least, 0.0)) if back == 1.0 else back - 1.0
+        impulse = robot.impulse(agent, least, standing)
         found = sorted([*found, (impulse, tried)], key=lambda f: -f[0])
         if found[0][1] is tried:
             print(f"  {k} of {2 * draws}: {impulse:.3g} N s, {tried}", flush=True)
@@ -153,18 +144,19 @@ def main() -> None:
     parser.add_argument("--best", type=int, default=3, help="sets that are simulated")
     parser.add_argument("--first", type=int, default=0, help="of the random numbers: another search has others")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--recovers", action="store_true", help="only gains with which it recovers from 200 N")
+    parser.add_argument("--standing", action="store_true", help="it need not come back")
     parser.add_argument("--write", action="store_true", help="the best gains into push_map_gains.json")
     parser.add_argument("--file", type=Path, default=Path("regulators.jsonl"))
     given = parser.parse_args()
     for mode in given.modes:
+        task = f"standing-{mode}" if given.standing else f"map-{mode}"
         robot = ModelledRobot(mode)
         for controller in given.only:
             print(f"{mode} held, {controller}, on the model:", flush=True)
-            found = search(robot, controller, given.draws, given.first, given.recovers)
+            found = search(robot, controller, given.draws, given.first, given.standing)
             store, best = Store(given.file), []
             for modelled, tried in found[: given.best]:
-                simulated = -loss(store, f"map-{mode}", controller, tried, given.seed)
+                simulated = -loss(store, task, controller, tried, given.seed)
                 print(f"  {tried}: {simulated:.0f} N s simulated, {modelled:.0f} N s on the model", flush=True)
                 best.append((simulated, tried))
             if given.write:

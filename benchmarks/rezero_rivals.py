@@ -1,7 +1,8 @@
 """The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--task pushes | square | map-hand | map-ball] [--draws 3]
-       [--first 0] [--seeds 200-203] [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
+Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--draws 3] [--first 0]
+       [--task pushes | square | map-hand | map-ball | standing-hand | standing-ball] [--seeds 200-203]
+       [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
 """
 
@@ -97,16 +98,17 @@ class Store:
                 file.write(json.dumps(self.done[self._key(row)]) + "\n")
         return self.done[self._key(row)]
 
-    def stands(self, point: Point) -> float:
-        """Impulse [N s] that a robot stands, to ``ROUGH``, from the file if it is there."""
+    def impulse(self, point: Point, criterion: str) -> float:
+        """Impulse [N s] from which a robot ``recovers`` (or that it ``stands``), to ``ROUGH``, from the file if it is there."""
         push = [f"{point.direction:.4f} rad", f"{point.length:g} s", *point.given]
-        row: dict[str, Any] = {"name": f"push-map-{point.mode}", "seed": point.seed, "settings": push}
+        row: dict[str, Any] = {"name": f"push-map-{point.mode}-{criterion}", "seed": point.seed, "settings": push}
         if self._key(row) not in self.done:
-            least = impulse_at_failure(point, simulated, ROUGH)[0]
-            self.done[self._key(row)] = row | {"reason": "", "metrics": {"stands": least}}
+            passes = lambda point, impulse: bool(getattr(simulated(point, impulse), criterion))
+            least = impulse_at_failure(point, passes, ROUGH)[0]
+            self.done[self._key(row)] = row | {"reason": "", "metrics": {criterion: least}}
             with self._file.open("a") as file:
                 file.write(json.dumps(self.done[self._key(row)]) + "\n")
-        return value(self.done[self._key(row)], "stands")
+        return value(self.done[self._key(row)], criterion)
 
 
 def value(row: dict[str, Any], metric: str) -> float:
@@ -134,11 +136,13 @@ def square_loss(store: Store, given: list[str], seed: int) -> float:
     return float(20.0 * value(run, "fell") + sum(min(e / 0.02, 20.0) for e in errors))
 
 
-def map_loss(mode: str) -> Callable[[Store, list[str], int], float]:
-    """Of the push map with hand or ball held: minus the mean impulse [N s] that the robot stands."""
+def map_loss(mode: str, criterion: str = "recovers") -> Callable[[Store, list[str], int], float]:
+    """Of the push map with hand or ball held: minus the mean impulse [N s] from which the robot recovers (or that it stands)."""
 
     def loss(store: Store, given: list[str], seed: int) -> float:
-        return -float(np.mean([store.stands(Point(mode, a, LENGTH, seed, tuple(given))) for a in DIRECTIONS]))
+        return -float(
+            np.mean([store.impulse(Point(mode, a, LENGTH, seed, tuple(given)), criterion) for a in DIRECTIONS])
+        )
 
     return loss
 
@@ -152,6 +156,8 @@ TASKS: dict[str, tuple[Callable[[Store, list[str], int], float], str, tuple[str,
     "square": (square_loss, "rezero-wholebody", NOISY),
     "map-hand": (map_loss("hand"), "rezero-push-hand", ()),
     "map-ball": (map_loss("ball"), "rezero-push-ball", ()),
+    "standing-hand": (map_loss("hand", "stands"), "rezero-push-hand", ()),
+    "standing-ball": (map_loss("ball", "stands"), "rezero-push-ball", ()),
 }
 
 

@@ -48,6 +48,11 @@ class Timing:
         """Check rates [Hz] and delay [s] against the physics step [s]."""
         steps = _whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
         period = steps * timestep
+        if mpc_rate > control_rate:
+            raise InputError(
+                f"mpc.rate: {mpc_rate:g} Hz is faster than the controller (control.rate), {control_rate:g} Hz, which follows the "
+                f"plans; valid: the controller's rate or a whole part of it"
+            )
         every = _whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
         return cls(period, steps, every, _whole("mpc.delay", delay, period, "controller periods", least=0))
 

@@ -36,6 +36,39 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
 
 
 @pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ("controller=lqr brace=0.5", "brace"),
+        ("controller=lqr pushed_speed=1", "pushed_speed"),
+        ("controller=lqr weigh=false", "weigh"),
+        ("controller=lqr tracking.kind=actuators", "tracking.kind"),
+        ("controller=lqr rival.scheduled_lqr.torque=3", "rival.scheduled_lqr"),
+        ("controller=separate drive_dead_time=0.002", "drive_dead_time"),
+        ("tracking.kind=actuators drive_dead_time=0.002", "drive_dead_time"),
+        ("tracking.gains.wheel_damping=0.1", "tracking.gains"),
+        ("rival.lqr.torque=3", "rival.lqr"),
+    ],
+)
+def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> None:
+    """What :func:`make_controller` does not hand to the agent that is named."""
+    with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
+        configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("rezero-push-hand", "controller=scheduled-lqr rival.scheduled_lqr.torque=3 drive_dead_time=0.002"),
+        ("rezero-push-hand", "tracking.kind=actuators tracking.gains.wheel_damping=0.1"),
+        ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.002"),
+        ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.002"),
+    ],
+)
+def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
+    configure(REGISTRY[name].config_type, given.split(), name)
+
+
+@pytest.mark.parametrize(
     ("name", "given", "words"),
     [
         ("rezero-push-hand", ["forces=[]"], "forces"),

@@ -125,3 +125,41 @@ def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, t
     agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     agent._watch(0.0, np.zeros(3), 0.0025)
     assert (agent._accelerates is None) == touching
+
+
+@pytest.mark.parametrize(
+    ("phase", "touching", "force", "ends"),
+    [
+        ("approach", False, 5.4, "pushed by 5.4 N that the force sensor does not feel"),  # a sensor that gives zeros
+        (
+            "push",
+            False,
+            5.4,
+            "pushed by 5.4 N that the force sensor does not feel",
+        ),  # and one that dies while it pushes
+        ("push", True, 5.4, ""),
+        ("approach", False, 1.3, "has found no door"),  # on its way, to the end of its patience
+        ("approach", False, -5.4, "has found no door"),
+    ],
+)
+def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool, force: float, ends: str) -> None:
+    """Forces of the momentum observer, 0.5 s of them from 1 s on; patience until 3 s. 5.4 N were pushed for 3.6 s unnoticed."""
+    agent = control.DoorAgent.__new__(control.DoorAgent)
+    agent.phase, agent.period, agent.door, agent.monitor = phase, 0.0025, np.zeros(2), None
+    agent.push = SimpleNamespace(begin=0.5, give_up=3.0, open=1.0)  # type: ignore[assignment]
+    agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
+    agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([1.0, 0.0, 0.0])))  # type: ignore[assignment]
+    agent.sensorless = SimpleNamespace(force=np.zeros(3))  # type: ignore[assignment]
+    agent._unfelt, agent._found = 0.0, []
+    times = np.arange(0.0, 3.0, agent.period)
+    ended = np.inf
+    for t in times:
+        agent.sensorless.force = np.array([-force if 1.0 <= t < 1.5 else 0.0, 0.0, 0.0])
+        if agent._ends(float(t)):
+            ended = t
+            break
+    if "sensor" in ends:
+        assert ended == pytest.approx(1.0 + control.UNFELT_TIME, abs=0.01)
+    else:
+        assert ended == np.inf and agent._ends(3.0)
+    assert len(agent.faults) == bool(ends) and all(ends in f for f in agent.faults)

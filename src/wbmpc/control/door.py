@@ -2,11 +2,14 @@
 
 Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
-so; there is no wrench without it.
+so; there is no wrench without it. A sensor that says nothing cannot be told from a hand that is free; so the force that the
+momentum observer finds without it is watched: a hand that pushes against what the sensor does not feel lets go, as one does that
+has found no door in time.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,6 +29,7 @@ from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.plant import RezeroMeasurement
 
 Array = np.ndarray
+_LOG = logging.getLogger("wbmpc")
 #: While it has not touched, the hand is planned to touch no earlier than this [s].
 SOON = 0.05
 #: Least and largest impedance that the optimiser is told (inertia, damping, resistance).
@@ -41,6 +45,10 @@ NEVER = 1e6
 MOVING = 0.03
 #: Above this rate [rad/s] it tells its impedance.
 SLIDING = 0.06
+#: A hand is pushed by more than this [N] along the panel's normal, for so long [s], as the momentum observer finds, and the
+#: sensor feels nothing: it does not work. (What it finds of a free hand on its way is 1.3 N at most; the hand's pull at its place
+#: beyond the panel, without a force that is planned, is 5 N.)
+UNFELT, UNFELT_TIME = 3.0, 0.3
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -58,8 +66,8 @@ def modes(door: bool) -> dict[str, Mode]:
 @dataclass(frozen=True)
 class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the hand starts from ``start`` (3) [m] at time
-    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``open`` [rad] or at time ``give_up`` [s] and backs
-    off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
+    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``open`` [rad] or, touch or not, at time ``give_up`` [s]
+    and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
 
     force: Callable[[float], float]
     start: Array
@@ -97,6 +105,8 @@ class DoorAgent(RezeroAgent):
         self._hand = hand_motion(robot)
         self.sensorless = SensorlessForce(robot)
         self._let_go = push.start
+        self._unfelt = 0.0  # [s] for which the sensor has not felt what pushes the hand
+        self._found: list[str] = []
 
     # ------------------------------------------------------------------ state
     def _step(self, x: Array, u: Array, h: float) -> Array:
@@ -138,6 +148,15 @@ class DoorAgent(RezeroAgent):
         touching = self.contact.update(m.time, float(-normal @ force))
         self.force = force if touching else np.zeros(3)
 
+    @property
+    def faults(self) -> list[str]:
+        """As of every ball robot; a force that the sensor does not feel, a door that was not there."""
+        return [*super().faults, *self._found]
+
+    def _tell(self, fault: str, t: float) -> None:
+        self._found.append(f"{fault} ({t:.2f} s)")
+        _LOG.warning("%s", self._found[-1])
+
     def _follow(self, t: float, hand: Array, velocity: Array) -> None:
         """Phase and door."""
         touching = self.contact.touching
@@ -154,8 +173,20 @@ class DoorAgent(RezeroAgent):
         limit = MOVING / 3.0 if self.moving else MOVING
         self.moving = bool(touching and abs(self.door[1]) > limit)
         self._identify(hand)
-        if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up):
+        if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, hand.copy()
+
+    def _ends(self, t: float) -> bool:
+        """Whether the hand lets go, or turns back: the door is open, it took too long, or the sensor feels nothing of a push."""
+        felt = float(-self.geometry.directions(float(self.door[0]))[1] @ self.sensorless.force)
+        pressed = t >= self.push.begin and not self.contact.touching and felt > UNFELT
+        self._unfelt = self._unfelt + self.period if pressed else 0.0
+        if self._unfelt >= UNFELT_TIME - 1e-9:
+            self._tell(f"the hand is pushed by {felt:.1f} N that the force sensor does not feel", t)
+            return True
+        if self.phase == "approach" and t >= self.push.give_up:
+            self._tell("the hand has found no door", t)
+        return bool(t >= self.push.give_up or (self.phase == "push" and self.door[0] >= self.push.open))
 
     def _identify(self, hand: Array) -> None:
         """The door's impedance, while it moves and is pushed."""

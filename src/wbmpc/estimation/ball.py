@@ -52,7 +52,8 @@ class BallNoise:
     centre; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
     ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
     of the wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be
-    believed.
+    believed. ``change``: error of the inertial unit's means over the difference between two in a row: motions that change
+    within an interval (a robot that is hit, an arm at its stops) turn and push otherwise than their mean does.
     """
 
     gyro: float = 2e-4
@@ -75,6 +76,7 @@ class BallNoise:
     accel_bias: float = 0.01 / np.sqrt(3.0)
     scale: float = 0.002 / np.sqrt(3.0)
     scale_time: float = 1.0
+    change: float = 0.05
 
 
 @dataclass
@@ -226,6 +228,10 @@ class BallFilter:
         r, jx, jy, q = self._linearised(self.state, guess, h, wheel, accel)
         if fault:
             q[0:3, 0:3], q[3:6, 3:6] = ((unknown * h) ** 2 * np.eye(3) for unknown in UNKNOWN)
+        elif not self._inertial.jumps(message):
+            # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
+            for rows, new, old in zip((slice(0, 3), slice(3, 6)), message, self._inertial.last, strict=True):
+                q[rows, rows] += (self.noise.change * h) ** 2 * float((new - old) @ (new - old)) * np.eye(3)
         rolling = slice(16, 16 + self._n)
         plain, known = q[rolling, rolling].copy(), np.diag(np.where(self._stalled, ANY, 0.0))
         certain = (

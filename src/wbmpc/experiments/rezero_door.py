@@ -106,12 +106,13 @@ def believed(hand: np.ndarray) -> DoorGeometry:
 
 @dataclass(frozen=True)
 class Trial:
-    """One door pushed with one force [N]: what was recorded, how it ended."""
+    """One door pushed with one force [N]: what was recorded, how it ended, what was found out about the robot."""
 
     force: float
     log: Log
     ending: Ending
     mpc: MPC
+    faults: tuple[str, ...] = ()
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
@@ -135,7 +136,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
 
     duration = settings.settle + settings.patience + settings.rest
     ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
-    return Trial(force, log, ending, mpc)
+    return Trial(force, log, ending, mpc, tuple(agent.faults))
 
 
 def make_agent(
@@ -262,12 +263,14 @@ def run(settings: RezeroDoorSettings, seed: int, progress: Progress | None = Non
     log, figures = merged(trials, names), {}
     for name, trial in zip(names, trials, strict=False):
         figures[name] = trial_metrics(trial, settings.rise)
-    return finished(
+    result = finished(
         NAME, seed, settings, trials[-1].ending, trials[-1].mpc, log,
         metrics=lambda: {**metrics(figures, names), **worst_estimates(trials)},
         plots=lambda: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         idealisations=[*HERE, *IDEALISATIONS],
     )  # fmt: skip
+    result.faults = [f"{fault}, at {trial.force:g} N" for trial in trials for fault in trial.faults]
+    return result
 
 
 def merged(trials: list[Trial], names: Sequence[str]) -> Log:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from dataclasses import dataclass
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,7 +28,9 @@ from wbmpc.result import Metric, Plot, RunResult, Series
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
 IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
-#: Recovered: in the last half second before the next push ball or hand are nearer than this [m] to their place.
+#: Recovered: in the last half second before the next push ball or hand are nearer than this [m] to their place as the robot knows
+#: it, and do not move farther than this in the world. (Wheels that slipped moved the robot's world; one that runs away, or swings
+#: its arm about, has not recovered, wherever it believes to be.)
 NEAR, LAST = 0.05, 0.5
 
 
@@ -64,6 +67,33 @@ class RezeroPushHandSettings(RezeroPushSettings):
     """The hand is held: the weights of the steps."""
 
 
+@dataclass(frozen=True)
+class Rest:
+    """How ball or hand are for the last :data:`LAST` [s] before some time: farthest from their place as the robot knows it
+    (``felt``) and in the ``world``, and how far they move in the world (``moves``) [m]; infinite if the run had ended by then."""
+
+    felt: float = np.inf
+    world: float = np.inf
+    moves: float = np.inf
+
+    @property
+    def recovered(self) -> bool:
+        """Back in its place and at rest, see :data:`NEAR`."""
+        return max(self.felt, self.moves) < NEAR
+
+
+def rest(log: Log, held: str, place: np.ndarray, end: float) -> Rest:
+    """Before ``end`` [s]: of the ball, with ``place`` (2) [m], or of the hand, with ``place`` (3)."""
+    t = log.times("state")
+    window = (t >= end - LAST) & (t < end)
+    if not window.any() or t[-1] < end - 0.1:
+        return Rest()
+    felt = (hand_felt(log) if held == "hand" else ball_felt(log))[window]
+    world = (log.array("hand") if held == "hand" else log.array("state")[:, :2])[window]
+    most = lambda away: float(np.linalg.norm(away, axis=1).max())
+    return Rest(most(felt - place), most(world - place), most(world - world[-1]))
+
+
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     pushes, t = [], settings.settle
     for force in settings.forces:
@@ -79,23 +109,14 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
     hand, ball = robot.pose(robot.home)[0], robot.home[:2]
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
-        t = log.times("state")
-        away = np.linalg.norm(hand_felt(log) - hand if held == "hand" else ball_felt(log) - ball, axis=1)
-        world = np.linalg.norm(log.array("hand") - hand if held == "hand" else log.array("state")[:, :2] - ball, axis=1)
-        back, at_rest, in_world = [], [], []
-        for push in task.pushes:
-            end = push.start + settings.pause
-            window = (t >= end - LAST) & (t < end)
-            there = bool(window.any() and t[-1] >= end - 0.1)
-            at_rest.append(float(away[window].max()) if there else float("inf"))
-            in_world.append(float(world[window].max()) if there else float("inf"))
-            back.append(at_rest[-1] < NEAR)
+        rests = [rest(log, held, hand if held == "hand" else ball, p.start + settings.pause) for p in task.pushes]
+        back = [r.recovered for r in rests]
         travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
         return {
             "not_recovered": Metric(float(len(back) - sum(back)), "1", goal=0.0),
             "recovered": Metric(float(all(back)), "1"),
-            "rest_error_max": Metric(max(at_rest), "m"),
-            "rest_error_world_max": Metric(max(in_world), "m"),
+            "rest_error_max": Metric(max(r.felt for r in rests), "m"),
+            "rest_error_world_max": Metric(max(r.world for r in rests), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
             "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),
@@ -124,13 +145,32 @@ def run_hand(settings: RezeroPushHandSettings, seed: int, progress: Progress | N
     return _run(HAND, "hand", settings, seed, progress)
 
 
-def survives(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> dict[str, Any]:
-    """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s]: whether the robot stays up for 4 s after it."""
-    robot = ball_robot(settings)
-    along = force * np.array([np.cos(direction), np.sin(direction), 0.0])
-    push = Push(1.0, length, tuple(along))
-    task = Task(robot.home[robot.state["arm"]], 1.0 + length + 4.0, pushes=(push,))
-    figures = lambda log, ending: {"tilt_max": Metric(float(log.array("tilt").max()), "rad")}
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one push: whether the robot ``stands`` at the end, whether it ``recovers`` (:data:`NEAR`), how far the ball was
+    from its place at most (``travel`` [m], while it stood)."""
+
+    stands: bool
+    recovers: bool
+    travel: float
+
+
+def push_once(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> Outcome:
+    """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s], watched for ``settings.pause`` from its begin on, as
+    the experiments do."""
+    robot, held = ball_robot(settings), "ball" if isinstance(settings, RezeroPushBallSettings) else "hand"
+    push = Push(1.0, length, tuple(force * np.array([np.cos(direction), np.sin(direction), 0.0])))
+    end = push.start + settings.pause
+    task = Task(robot.home[robot.state["arm"]], end, pushes=(push,))
+    place = robot.pose(robot.home)[0] if held == "hand" else robot.home[:2]
+
+    def figures(log: Log, ending: Ending) -> dict[str, Metric]:
+        travel = np.linalg.norm(log.array("state")[:, :2] - robot.home[:2], axis=1)
+        recovered = not ending.reason and rest(log, held, place, end).recovered
+        return {"recovered": Metric(float(recovered), "1"), "travel": Metric(float(travel.max()), "m")}
+
     result = run_task("rezero-push", settings, seed, task, figures, lambda log: [], IDEALISATIONS)
-    tilt = result.metrics["tilt_max"].value if result.metrics else float("inf")
-    return {"stands": result.completed, "tilt_max": tilt}
+    if not result.metrics:
+        return Outcome(False, False, float("inf"))
+    found = result.metrics
+    return Outcome(result.completed, result.completed and found["recovered"].value > 0.0, found["travel"].value)

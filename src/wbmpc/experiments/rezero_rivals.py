@@ -126,6 +126,15 @@ class TrackingSettings(Settings):
     gains: ActuatorSettings = ActuatorSettings()
 
 
+def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
+    """Names of the ball robot's settings that a controller does not read."""
+    rivals = {f"rival.{name}" for name in RivalsSettings.model_fields if name != controller.replace("-", "_")}
+    if controller == "mpc":
+        return frozenset(rivals | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
+    dead = set() if controller in REGULATORS else {"drive_dead_time"}
+    return frozenset(rivals | dead | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"})
+
+
 @dataclass(frozen=True)
 class Parts:
     """What every controller is built from. ``arm`` (m) [rad]: angles at the start."""
@@ -151,7 +160,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[RezeroAgent, MP
         return _taskspace(settings, p), None
     if name in REGULATORS:
         gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
-        agent = LqrAgent(*own)
+        agent = LqrAgent(*own, dead_time=settings.drive_dead_time)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
         agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
         agent.forecast = _felt(p)

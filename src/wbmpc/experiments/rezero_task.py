@@ -23,6 +23,7 @@ from wbmpc.experiments.rezero_rivals import (
     RivalsSettings,
     TrackingSettings,
     make_controller,
+    unread,
 )
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
@@ -68,10 +69,11 @@ class RezeroSettings(ExperimentSettings):
     ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
     ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
     ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
-    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's does, in the middle of what may be;
+    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's policy and the regulators do, in the
+    middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
-    with its gains (``rival``); ``tracking`` of the MPC's plans."""
+    with its gains (``rival``); ``tracking`` of the MPC's plans. What the chosen controller does not read is refused."""
 
     robot: str = "rezero"
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
@@ -91,13 +93,24 @@ class RezeroSettings(ExperimentSettings):
     #: Settings that the experiment has no use for: to change them is refused.
     unused: ClassVar[tuple[str, ...]] = ("cost.torque.force", "cost.torque.moment")
 
+    def _changed(self, name: str) -> bool:
+        """Whether a setting is not as it is by default."""
+        first, *rest = name.split(".")
+        usual = reduce(getattr, rest, type(self).model_fields[first].default)
+        return bool(reduce(getattr, rest, getattr(self, first)) != usual)
+
+    def controllers(self) -> tuple[Controller, ...]:
+        """Those that run."""
+        return (self.controller,)
+
     @model_validator(mode="after")
     def _used(self) -> Self:
-        for name in self.unused:
-            first, *rest = name.split(".")
-            usual = reduce(getattr, rest, type(self).model_fields[first].default)
-            if reduce(getattr, rest, getattr(self, first)) != usual:
-                raise ValueError(f"{name}: this experiment does not use it")
+        for name in filter(self._changed, self.unused):
+            raise ValueError(f"{name}: this experiment does not use it")
+        idle = frozenset.intersection(*(unread(c, self.tracking) for c in self.controllers()))
+        for name in filter(self._changed, sorted(idle)):
+            with_ = " and tracking.kind=actuators" if self.controller == "mpc" and name == "drive_dead_time" else ""
+            raise ValueError(f"{name}: with controller={self.controller}{with_} nothing uses it")
         return self
 
 

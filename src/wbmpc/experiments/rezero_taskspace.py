@@ -10,7 +10,7 @@ from pydantic import Field
 from wbmpc import lie
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_rivals import Parts, make_controller
+from wbmpc.experiments.rezero_rivals import Controller, Parts, make_controller
 from wbmpc.experiments.rezero_steps import STEPS, target
 from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
@@ -32,7 +32,7 @@ from wbmpc.result import Metric, Plot, RunResult, Series
 
 NAME = "rezero-taskspace"
 SUMMARY = "an instantaneous task-space controller against the MPC on the hand's steps (Minniti et al. 2019, section I)"
-CONTROLLERS = ("mpc", "taskspace")
+CONTROLLERS: tuple[Controller, ...] = ("mpc", "taskspace")
 HERE = ["neither controller sees a step before it comes"]
 
 
@@ -43,6 +43,9 @@ class RezeroTaskspaceSettings(RezeroSettings):
     settle: float = Field(4.0, ge=0.5, le=600.0)
 
     unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "brace", "pushed_speed")
+
+    def controllers(self) -> tuple[Controller, ...]:
+        return CONTROLLERS
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -114,7 +117,8 @@ def figures(log: Log, name: str, end: float) -> dict[str, float]:
 
 def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """Both controllers, one after the other, on the same plant."""
-    log, endings, mpc = Log(), {}, None
+    log, mpc = Log(), None
+    endings: dict[str, Ending] = {}
     for k, name in enumerate(CONTROLLERS):
         endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
         mpc = made if name == "mpc" else mpc
