@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
@@ -91,11 +92,24 @@ def goals_markdown(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def publish(path: Path, mark: str, text: str) -> None:
-    """Put ``text`` between the lines ``<!-- mark -->`` and ``<!-- end of mark -->`` of a document."""
+def publish(path: Path, mark: str, text: str, part: str = "") -> None:
+    """Put ``text`` between the lines ``<!-- mark -->`` and ``<!-- end of mark -->`` of a document.
+
+    ``part``: pattern of the lines with which the text's parts begin. What stands there of other parts stays, so that one experiment
+    can be published anew.
+    """
     first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
     before, _, rest = path.read_text().partition(first)
-    _, end, after = rest.partition(last)
+    old, end, after = rest.partition(last)
     if not end:
         raise InputError(f"{path}: has no lines '{first.strip()}' and '{last}' to put the table between")
-    path.write_text(before + first + text + end + after)
+    path.write_text(before + first + (_renewed(old, text, part) if part else text) + end + after)
+
+
+def _renewed(old: str, new: str, part: str) -> str:
+    """``old`` with the parts of ``new`` in place of those that begin with the same words, or behind all others."""
+    (head, *parts), (_, *others) = (re.split(f"(?m)^(?={part})", text) for text in (new, old))
+    name = lambda text: re.split(r"(?<=`) |\n", text)[0]
+    given = {name(p): p for p in parts}
+    kept = {name(p): p for p in others}
+    return head + "".join((kept | given).values())

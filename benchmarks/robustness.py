@@ -363,9 +363,9 @@ def main() -> None:
         print(f"{job.directory}: {reason}")
     robot = "ball" if given.only[0].startswith("rezero") else "swerve"
     if "goals" in given.publish:
-        publish(DOCS / "experiments.md", f"{robot} goals", goals_markdown(against_goals(cells(found))))
+        publish(DOCS / "experiments.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `")
     if "burdens" in given.publish:
-        publish(DOCS / "robustness.md", f"{robot} burdens", burdens(cells(found)))
+        publish(DOCS / "robustness.md", f"{robot} burdens", burdens(cells(found)), "### ")
     for name in ("goals.md", "table.md"):
         print((given.out / name).read_text())
 

@@ -142,6 +142,14 @@ def test_tables_are_put_between_their_marks(tmp_path: Path) -> None:
         publish(page, "b", "text")
 
 
+def test_what_is_published_leaves_other_experiments_as_they_are(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- a -->\n| head |\n| `one` | 1 |\n|  | 2 |\n| `one, more` | 3 |\n<!-- end of a -->\n")
+    publish(page, "a", "| head |\n| `one` | 7 |\n| `two` | 8 |\n|  | 9 |\n", r"\| `")
+    table = "| head |\n| `one` | 7 |\n| `one, more` | 3 |\n| `two` | 8 |\n|  | 9 |\n"
+    assert page.read_text() == f"<!-- a -->\n{table}<!-- end of a -->\n"
+
+
 def test_docs_have_their_marks() -> None:
     for name, mark in (
         ("experiments.md", "swerve goals"),
