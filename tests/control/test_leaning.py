@@ -73,6 +73,19 @@ def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pyt
     assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
     assert len(caplog.records) == 1
     x[n] = 2.1
+    for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
+        leaning.check(2.0, pushed(force), x)
+        leaning.check(2.25, pushed(force), x)
     with pytest.raises(PushedAway, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
-        leaning.check(2.0, pushed(50.0), x)
-    leaning.check(2.0, pushed(20.0), x)  # who is driven fast by a goal is not pushed away
+        leaning.check(2.31, pushed(50.0), x)
+
+
+def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on() -> None:
+    leaning, x, n = Leaning(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+    for t, speed in ((1.0, -3.0), (1.5, -2.5), (2.0, 2.5), (2.2, 2.5), (2.25, 1.9), (2.4, 2.5), (2.6, 2.5)):
+        x[n] = speed
+        leaning.check(t, pushed(50.0), x)
+    leaning.reset()
+    assert not leaning.told
+    leaning.check(0.1, pushed(50.0), x)
+    assert leaning.told.endswith("(0.10 s)")

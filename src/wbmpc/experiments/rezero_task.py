@@ -335,7 +335,7 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
 
 def fault_metrics(agent: RezeroAgent) -> dict[str, Metric]:
     """How many encoders were found to stand still, and wheels to slip."""
-    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.faults)), "1")}
+    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.monitor.faults)), "1")}
 
 
 def rms(vectors: np.ndarray) -> float:

@@ -157,7 +157,7 @@ class BallPilot:
     """See :class:`wbmpc.ros2.pilot.Pilot`. The agent's model is an MPC of its own: a solver's memory has one owner."""
 
     keeps = needs_imu = True
-    watches = "sensors"
+    watches = "sensors and forces"
     fix: Callable[[], Fix | None] | None = None
 
     def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
@@ -199,12 +199,12 @@ class BallPilot:
         if self._push is not None:
             self._push.reset()
         if self._leaning is not None:
-            self._leaning.told = ""
+            self._leaning.reset()
         return agent
 
     @property
     def faults(self) -> list[str]:
-        """Encoders that stand still, wheels that slip."""
+        """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
         return self.agent.faults
 
     def inspect(self) -> None:
