@@ -146,6 +146,7 @@ def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool,
     """Forces of the momentum observer, 0.5 s of them from 1 s on; patience until 3 s. 5.4 N were pushed for 3.6 s unnoticed."""
     agent = control.DoorAgent.__new__(control.DoorAgent)
     agent.phase, agent.period, agent.door, agent.monitor = phase, 0.0025, np.zeros(2), None
+    agent.leaning = None
     agent.push = SimpleNamespace(begin=0.5, give_up=3.0, open=1.0)  # type: ignore[assignment]
     agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([1.0, 0.0, 0.0])))  # type: ignore[assignment]

@@ -178,7 +178,7 @@ def test_the_solver_is_recorded(track: Path) -> None:
     assert np.median(seconds[1:]) * 1e3 == pytest.approx(saved["solve_ms"]["median"], rel=1e-3)
     assert [m.data for _, m in messages(track, "/mpc/failures")][-1] == saved["failures"]  # type: ignore[attr-defined]
     assert [m.data for _, m in messages(track, "/mpc/period")] == [0.02]  # type: ignore[attr-defined]
-    assert [m.data for _, m in messages(track, "/mode")] == ["default", "ended: completed"]  # type: ignore[attr-defined]
+    assert [m.data for _, m in messages(track, "/mode")] == ["CCCC", "ended: completed"]  # type: ignore[attr-defined]
 
 
 def test_what_ran_is_in_the_file(track: Path) -> None:

@@ -236,8 +236,9 @@ class Runner:
             self.punctuality.begin(due, start)
             if not self._stopped.is_set():
                 try:
-                    check_held_up(start - due, self.settings.watchdog)
+                    check_held_up(start - due, 0.0, self.settings.watchdog)
                     self._tick(due)
+                    check_held_up(0.0, clock.now() - start, self.settings.watchdog)
                 except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:

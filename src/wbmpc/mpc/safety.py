@@ -176,11 +176,11 @@ def check_measurement(measurement: Any, now: float, limit: float) -> None:
         raise SafeStop(f"the measurement is from {-age:.3f} s ahead: its time is not the runner's")
 
 
-def check_held_up(late: float, limit: float) -> None:
+def check_held_up(late: float, took: float, limit: float) -> None:
     """A process that was held up as a whole goes on with all threads at once: the watchdog may look too late to see it. Raises
-    :class:`RunAborted` for a tick that begins later [s] than a limit [s]."""
-    if late > limit:
+    :class:`RunAborted` for a tick that begins later [s] or takes longer [s] than a limit [s]."""
+    if max(late, took) > limit:
+        what = f"began {late:.3f} s late" if late > limit else f"took {took:.3f} s"
         raise RunAborted(
-            f"a tick of the controller began {late:.3f} s late, the limit is {limit:g} s: the machine is too"
-            " busy, or the process was held up"
+            f"a tick of the controller {what}, the limit is {limit:g} s: the machine is too busy, or the process was held up"
         )
