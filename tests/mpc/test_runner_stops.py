@@ -223,6 +223,25 @@ def test_a_tick_that_begins_too_late_commands_nothing() -> None:
     assert not runner.robot.writes
 
 
+def test_a_tick_in_which_the_process_was_held_up_is_the_last() -> None:
+    """By hand: the process is stopped as a whole in the middle of a tick, for 0.1 s, limit 0.09 s."""
+    runner = virtual(control_rate=5.0, watchdog=0.09)
+    control = runner._begin()[0]
+    next(control)
+    measure = runner.agent.measure
+
+    def held_up(measurement: Any) -> None:
+        measure(measurement)
+        runner.clock.wait(runner.clock.now() + 0.1)
+
+    runner.agent.measure = held_up  # type: ignore[method-assign]
+    next(control)
+    next(control)
+    assert re.fullmatch(r"stopped at 0\.\d+ s: a tick .* took 0\.100 s, the limit is 0\.09 s.*", runner.state), (
+        runner.state
+    )
+
+
 def test_an_mpc_that_always_fails_leaves_its_policy_for_the_horizon() -> None:
     runner = virtual(mpc=FaultyMPC(lambda n: False if n > 10 else None))
     # the policy of the tick at 0.18 came into force at 0.1825 and was planned for 1 s
