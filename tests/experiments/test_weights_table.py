@@ -1,4 +1,4 @@
-"""The table of weights in docs/experiments.md. Truth: the defaults of the experiments' settings."""
+"""The table of weights in docs/experiments-swerve.md. Truth: the defaults of the experiments' settings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from wbmpc.experiments import REGISTRY
 
-DOCS = Path(__file__).parents[2] / "docs" / "experiments.md"
+DOCS = Path(__file__).parents[2] / "docs" / "experiments-swerve.md"
 
 
 @pytest.mark.parametrize("name", ["swerve-track", "swerve-plaster", "swerve-unified", "swerve-drive", "swerve-fixed"])
