@@ -16,12 +16,18 @@ _GRAPHICS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swift
 _QUIET = ("quic", "background-networking", "component-update", "sync")
 FLAGS = [*_GRAPHICS, "--no-sandbox", "--no-first-run", *(f"--disable-{name}" for name in _QUIET)]
 WIDTH, HEIGHT = 1000, 700
-#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back.
+#: Pixels drawn for each of the page's: in software a quarter of them takes a quarter of the time, and nothing moves on the page.
+SCALE = 0.5
+#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back; ten pictures a
+#: second are enough.
 PLAIN = """
 const getContext = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, options) {
   return getContext.call(this, kind, options && {...options, antialias: false, preserveDrawingBuffer: true});
 };
+const nextFrame = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = draw => setTimeout(() => nextFrame(draw), 80);
+window.cancelAnimationFrame = clearTimeout;
 """
 #: Its size on the page and what it shows.
 CANVAS = """() => {
@@ -87,7 +93,7 @@ class Page:
         while not true():
             if time.monotonic() > deadline:
                 return False
-            self.wait(0.1)
+            self.wait(0.3)  # looking takes time too: a picture is read, or a whole recording
         return True
 
     def click(self, label: str) -> None:
@@ -129,7 +135,7 @@ def browser() -> Iterator[Page]:
     with playwright.sync_playwright() as p:
         chromium = p.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
         try:
-            yield Page(chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT}))
+            yield Page(chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE))
         finally:
             chromium.close()
 
