@@ -18,16 +18,12 @@ FLAGS = [*_GRAPHICS, "--no-sandbox", "--no-first-run", *(f"--disable-{name}" for
 WIDTH, HEIGHT = 1000, 700
 #: Pixels drawn for each of the page's: in software a quarter of them takes a quarter of the time, and nothing moves on the page.
 SCALE = 0.5
-#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back; ten pictures a
-#: second are enough.
+#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back.
 PLAIN = """
 const getContext = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, options) {
   return getContext.call(this, kind, options && {...options, antialias: false, preserveDrawingBuffer: true});
 };
-const nextFrame = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = draw => setTimeout(() => nextFrame(draw), 80);
-window.cancelAnimationFrame = clearTimeout;
 """
 #: Its size on the page and what it shows.
 CANVAS = """() => {
