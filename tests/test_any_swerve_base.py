@@ -88,6 +88,8 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
         assess(two)
     with pytest.raises(InputError, match=r"stands on 2 wheels.*casters are not simulated"):
         SwervePlant(two.description)
+    with pytest.raises(InputError, match=r"stands on 2 wheels.*3 modules or more"):  # no advice about leg_goal
+        swerve_unified.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
     five = write_base(tmp_path, 5, True)
     with pytest.raises(InputError, match=r"two front and two rear legs, one on each side"):
         leg_angles(load_robot(five), "X")

@@ -81,3 +81,34 @@ def test_a_mission_may_pass_h_but_not_stay_there() -> None:
     with pytest.raises(InputError, match="legs that move on"):
         stays.apply(BrakeControl(SWERVE))
     Mission((), h, (), ()).apply(BrakeControl(SWERVE))  # closed brakes may stay
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (([np.nan] * 4, np.ones(4), OPEN, np.ones(4)), "'leg' needs 4 finite"),
+        ((np.zeros(2), np.ones(4), OPEN, np.ones(4)), "'leg' needs 4 finite"),
+        ((np.zeros(4), np.ones(3), OPEN, np.ones(4)), "'goal' needs 4 finite"),
+        ((np.zeros(4), np.ones(4), np.ones(5), np.ones(4)), "'brake' needs 4 finite"),
+        ((np.zeros(4), np.ones(4), OPEN, np.zeros(4)), "'rate' needs positive"),
+        ((np.zeros(4), np.ones(4), OPEN, [1.0, 1.0, 1.0, np.nan]), "'rate' needs 4 finite"),
+    ],
+)
+def test_a_way_that_is_none_is_refused(given: tuple, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        refuse_floating_way(G, *given)
+    if "leg" in words:
+        with pytest.raises(InputError, match=words):
+            BrakeControl(SWERVE).set(1.0, OPEN, leg=given[0])
+
+
+def test_legs_without_a_limit_of_speed_are_there_at_once() -> None:
+    refuse_floating_way(G, np.zeros(4), leg_angles(SWERVE, "X"), OPEN, np.full(4, np.inf))
+    with pytest.raises(InputError, match="on the way"):  # and stay: all parallel
+        refuse_floating_way(G, leg_angles(SWERVE, "X"), leg_angles(SWERVE, "H"), OPEN, [np.inf, np.inf, np.inf, 0.01])
+
+
+@pytest.mark.parametrize("delay", [-1.0, np.nan, np.inf])
+def test_brakes_take_a_time_that_is_one(delay: float) -> None:
+    with pytest.raises(InputError, match="delay must be finite and not negative"):
+        BrakeControl(SWERVE, delay=delay)

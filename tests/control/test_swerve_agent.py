@@ -8,6 +8,8 @@ from scipy.linalg import expm
 
 from toys import robot
 from wbmpc.control import Plans, SwerveAgent
+from wbmpc.control.swerve import LOOK
+from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault, BrakeMonitor, WheelCalibration
 from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Policy
@@ -453,3 +455,28 @@ def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> No
         agent.measure(message(k * PERIOD))
         agent.command(k * PERIOD, plans)
     assert len(looks) == 10
+
+
+@pytest.mark.parametrize("leg", [np.full(4, np.nan), np.zeros(3)])
+def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> None:
+    """The loop stops the agent after its odometry has refused the message."""
+    agent, plans = SwerveAgent(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), Plans()
+    plans.add(0.0, constant_policy(swerve_input(3)))
+    plans.activate(0.0)
+    agent.measure(message())
+    agent.command(0.0, plans)
+    with pytest.raises(InputError, match="leg"):
+        agent.measure(message(PERIOD, leg=leg))
+    assert not agent.stop().brake.any() and agent.faults == []
+
+
+def test_a_plan_that_is_not_finite_does_not_end_in_the_monitor() -> None:
+    """What is commanded is refused by who commands it; the stop after it still looks at the legs."""
+    agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD)
+    agent.measure(message())
+    agent.watch(0.0, np.zeros(4), np.full(4, 0.1))
+    agent.watch(LOOK, np.zeros(4), np.full(4, np.nan))
+    agent.measure(message(2.0 * LOOK, leg=np.array([0.02, 0.0, 0.0, 0.0])))
+    agent.stop()
+    (fault,) = agent.faults
+    assert "does not hold" in fault

@@ -158,3 +158,30 @@ def test_a_leg_that_drifts_slowly_is_told() -> None:
     """2 mrad/s, as a hinge that no brake holds drifted under a base that drove on: 10 mrad and what creeps meanwhile."""
     (fault,) = watch(lambda t: np.array([2e-3 * t, 0.0, 0.0, 0.0]), lambda t: CLOSED, lambda t: STILL, 8.0).faults
     assert fault.leg == 0 and fault.time == pytest.approx(10.0 / 1.8, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ((1.0, [np.nan, 0.0, 0.0, 0.0], CLOSED, STILL), "'leg' needs 4 finite"),
+        ((1.0, np.zeros(3), CLOSED, STILL), "'leg' needs 4 finite"),
+        ((1.0, STILL, np.full(4, np.nan), STILL), "'brake' needs 4 finite"),
+        ((1.0, STILL, CLOSED, [0.0, np.inf, 0.0, 0.0]), "'rate' needs 4 finite"),
+        ((np.nan, STILL, CLOSED, STILL), "time must be finite"),
+    ],
+)
+def test_a_message_that_says_nothing_does_not_blind_the_monitor(wrong: tuple, words: str) -> None:
+    """The leg slips by 20 mrad after it: as without the message, 10 mrad are told."""
+    monitor = BrakeMonitor(NAMES)
+    monitor.update(0.0, STILL, CLOSED, STILL)
+    with pytest.raises(InputError, match=words):
+        monitor.update(*wrong)
+    (fault,) = monitor.update(1.01, [0.02, 0.0, 0.0, 0.0], CLOSED, STILL)
+    assert (fault.leg, fault.kind) == (0, "does not hold")
+
+
+def test_the_first_message_may_be_bad() -> None:
+    monitor = BrakeMonitor(NAMES)
+    with pytest.raises(InputError, match="'leg'"):
+        monitor.update(0.0, np.full(4, np.nan), CLOSED, STILL)
+    assert monitor.update(0.0, STILL, CLOSED, STILL) == []

@@ -324,3 +324,29 @@ def test_weights_that_show_no_motion_are_refused(weights: np.ndarray) -> None:
     with pytest.raises(InputError, match="weights"):
         odometry.update(1.01, np.zeros(4), np.zeros(4), np.ones(4), weights=np.array(weights))
     assert np.isfinite(odometry.pose).all()
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((3, 3)), np.diag([1e-4, 0.0, 1e-4]), np.diag([1e-4, 1e-4, 0.0])])
+def test_a_certain_pose_against_a_certain_filter_loses_nothing(covariance: np.ndarray) -> None:
+    """Truth: a second filter that was never asked, exact, too, so long as the base stands (no noise without way)."""
+    odometry, other = FusedOdometry(FOUR), FusedOdometry(FOUR)
+    for filter in (odometry, other):
+        for k in range(5):
+            filter.update(0.01 * k, *np.zeros((3, 4)))
+    with pytest.raises(InputError, match=r"both 0 in a direction.*place\(\)"):
+        odometry.correct(0.005, [0.01, 0.01, 0.01], covariance)
+    assert len(odometry._past) == len(other._past) == 4
+    for filter in (odometry, other):
+        assert filter.correct(0.005, [0.0, 0.0, 0.0], 1e-4 * np.eye(3)) and len(filter._past) == 4
+        filter.update(0.05, *np.full((3, 4), 0.1))
+    np.testing.assert_array_equal(odometry.pose, other.pose)
+    np.testing.assert_array_equal(odometry.covariance, other.covariance)
+    assert (odometry.taken, odometry.refused) == (1, 0)
+
+
+def test_a_place_that_is_well_known_and_a_yaw_that_is_not_are_no_certain_pose() -> None:
+    """Variances of 1e-14 m² and 1e9 rad²: numbers of different units."""
+    odometry = FusedOdometry(FOUR, pose_std=(1e-7, 1e-7, 0.1))
+    odometry.update(0.0, *np.zeros((3, 4)))
+    assert odometry.correct(0.0, [5e-8, 0.0, 1.0], np.diag([1e-20, 1e-20, 1e9]))
+    np.testing.assert_allclose(odometry.pose, [5e-8, 0.0, 0.0], atol=1e-9)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault
 from wbmpc.experiments import (
@@ -73,19 +72,16 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
 def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """The goal is for the monitor beside the MPC."""
     counted: list[int] = []
-    planned = lambda self, name, *_, **__: (Ending(), no_mpc(), [], None)
+
+    def planned(run: Any, name: str, *_: Any, **__: Any) -> Any:
+        run.log.add(f"{name}.base", 0.0, np.zeros(3))
+        return Ending(), no_mpc(), [], None
+
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
-    monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, knocked: counted.append(len(faults)) or {})
+    monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, *_: counted.append(len(faults)) or {})
     monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
-
-    @contextmanager
-    def watched(plant: Any, period: float, duration: float, progress: Any, agent: Any) -> Iterator[Any]:
-        agent.monitor.real.append(FAULT)
-        yield lambda *_: None
-
-    whole = swerve_drive.tour
-    monkeypatch.setattr(swerve_drive, "tour", lambda robot, delay: (whole(robot, delay)[0], 0.005))  # two ticks
-    monkeypatch.setattr(swerve_drive, "watched", watched)
+    lockstep = lambda plant, agent, *_: agent.monitor.real.append(FAULT) or Ending()
+    monkeypatch.setattr(swerve_drive, "run_lockstep", lockstep)
     result = swerve_drive.run(swerve_drive.SwerveDriveSettings(rest=0.0), 0)
     assert result.faults == [f"rival: {FAULT}"] and counted == [0]
 
@@ -121,3 +117,12 @@ def test_swerve_brakes_tells_what_nobody_made_fail_and_was_not_taken_back(monkey
 def test_a_ball_robot_has_no_brakes() -> None:
     with pytest.raises(InputError, match=r"plant\.brake_fault: is for swerve robots only"):
         RezeroPlant(load_description("rezero"), perturbation=Perturbation(brake_fault="open"))
+
+
+@pytest.mark.parametrize("name", ["brake_fault_leg=2", "brake_fault_time=5"])
+def test_a_fault_that_no_brake_has_is_refused(name: str) -> None:
+    """Nothing would come of it."""
+    settings = swerve_track.SwerveTrackSettings
+    with pytest.raises(InputError, match=rf"plant: {name[:-2]}: nothing uses it without brake_fault=open"):
+        configure(settings, [f"plant.{name}"], "swerve-track")
+    assert configure(settings, [f"plant.{name}", "plant.brake_fault=open"], "swerve-track").plant.brake_fault == "open"

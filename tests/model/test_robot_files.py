@@ -176,3 +176,58 @@ def test_a_base_that_floats_in_its_own_file(tmp_path: Path) -> None:
     )
     robot = load_robot(path)
     assert SwervePlant(robot.description).model.nv == 6 + 3 * 2 + 2
+
+
+# ---------------------------------------------------------------------- swerve bases
+WHEEL = '<joint name="m0_wheel" axis="0 1 0"'
+
+
+def ring(folder: Path, *replace: tuple[str, str], hinged: bool = True, **limits: object) -> Path:
+    """A base of three modules with pieces of its MJCF replaced, and its limits."""
+    path = write_base(folder, 3, hinged)
+    xml = (folder / "base.xml").read_text()
+    for old, new in replace:
+        assert old in xml
+        xml = xml.replace(old, new, 1)
+    (folder / "base.xml").write_text(xml)
+    data = yaml.safe_load(path.read_text())
+    path.write_text(yaml.safe_dump({**data, "limits": {**data["limits"], **limits}}))
+    return path
+
+
+def test_a_wheel_that_stops_at_the_end_of_a_range(tmp_path: Path) -> None:
+    """Beyond it, it would be dragged."""
+    text = refusal(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3"')))
+    assert all(w in text for w in ("base.xml: joint 'm0_wheel'", "-3 to 3 rad", "type continuous")), text
+    text = refusal(ring(tmp_path, position={"m0_wheel": [-3.0, 3.0]}))
+    assert "ring.yaml: key 'limits.position.m0_wheel'" in text
+    assert load_robot(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3" limited="false"'))).base.geometry.modules == 3
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.004])
+def test_a_hinge_on_the_steering_axis(reach: float, tmp_path: Path) -> None:
+    fork = '<body name="m0_fork" pos="{:g} 0 -0.1">'
+    text = refusal(ring(tmp_path, (fork.format(0.3), fork.format(reach))))
+    assert all(w in text for w in ("ring.yaml", "'m0_steer'", "'m0_leg'", f"{1e3 * reach:.3g} mm")), text
+    load_robot(ring(tmp_path, (fork.format(0.3), fork.format(0.01))))
+    load_robot(ring(tmp_path, (fork.format(0.3), fork.format(0.0)), hinged=False))  # it swings nothing there
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('mass="40" diaginertia="2 2 3"', 'mass="0" diaginertia="2 2 3"', ("mass and inertia", "'hull'")),
+        ('<geom type="cylinder"', '<geom name="floor" type="cylinder"', ("repeated name 'floor'",)),
+    ],
+)
+def test_what_only_the_simulator_cannot_take_names_the_file(
+    old: str, new: str, words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A base without mass compiles as long as it does not float, a geom of the floor's name as long as there is no floor."""
+    path = ring(tmp_path, (old, new))
+    with pytest.raises(InputError) as error:
+        SwervePlant(load_robot(path).description)
+    assert all(w in str(error.value) for w in ("base.xml: cannot be", *words)), error.value
+    arguments = ["run", "swerve-calibrate", "--set", f"robot={path}", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    assert words[0] in capsys.readouterr().err

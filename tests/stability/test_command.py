@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+from toys import robot
 from wbmpc.cli import main
 from wbmpc.experiments import REGISTRY
+from wbmpc.stability import assess, slope_gravity
+
+SWERVE = robot("swerve-ur10")
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
@@ -21,7 +26,7 @@ def test_json_has_the_papers_areas(capsys: pytest.CaptureFixture[str]) -> None:
     for name, areas in {"H": (1.16, 0.29), "X": (1.81, 0.45), "a": (1.17, 0.76)}.items():
         data = told(capsys, "swerve-ur10", "--configuration", name)
         assert (round(data["support_polygon_area"], 2), round(data["double_support_area"], 2)) == areas
-        assert data["stands"] and len(data["triangle_margins"]) == 4 and len(data["regions"]) == 4
+        assert data["stays_upright"] and len(data["triangle_margins"]) == 4 and len(data["regions"]) == 4
         assert data["zero_moment_point"] == pytest.approx(data["centre_of_mass"][:2])
 
 
@@ -33,8 +38,19 @@ def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: 
     sloped = told(capsys, "swerve-ur10", "--slope", "0.1")
     moved = sloped["zero_moment_point"][0] - rest["zero_moment_point"][0]
     assert moved == pytest.approx(-0.10033 * rest["centre_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
-    assert not told(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stands"]
+    assert not told(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stays_upright"]
     assert told(capsys, "swerve-ur10", "--wrench", "0,0,2000")["zero_moment_point"] is None
+
+
+def test_how_rough_the_ground_has_to_be(capsys: pytest.CaptureFixture[str]) -> None:
+    """On a slope its tangent; on level ground a push over the weight. It need not tip over to slide."""
+    steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).figures()
+    assert steep["stays_upright"] and steep["friction_needed"] == pytest.approx(math.tan(0.9))
+    pushed = assess(SWERVE, wrench=(30.0, 40.0, 0.0, 0.0, 0.0, 0.0)).figures()
+    assert pushed["friction_needed"] == pytest.approx(50.0 / (9.81 * pushed["mass"]))
+    assert assess(SWERVE, wrench=(0.0, 0.0, 2000.0, 0.0, 0.0, 0.0)).figures()["friction_needed"] is None
+    assert main(["stability", "swerve-ur10", "--slope", "0.9"]) == 0
+    assert "friction needed not to slide 1.26" in capsys.readouterr().out
 
 
 def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -60,6 +76,7 @@ def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         (["swerve-ur10", "--arm", "100,0,0,0,0,0"], "shoulder_pan_joint at 100 rad is outside its limits"),
         (["swerve-ur10", "--configuration", "nan,0,0,0"], "finite, one per leg, got 'nan,0,0,0'"),
         (["swerve-ur10", "--slope", "2"], "--slope"),
+        (["swerve-ur10", "--wrench", "1e300,0,0"], "wrench: numbers of 1e+09 at most"),
         (["swerve-ur10", "--plot", "a.bmp"], ".svg"),
         (["swerve-fixed-ur10", "--configuration", "H"], "fixed"),
     ],

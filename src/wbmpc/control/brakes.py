@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 FLOATING, PASS = 0.05, 1.0
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
+#: Rate [rad/s] of legs whose speed has no limit.
+_AT_ONCE = 1e3
 
 
 def floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> tuple[float, Array]:
@@ -45,12 +47,22 @@ def described(motion: Array) -> str:
     return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
+def _numbers(geometry: SwerveGeometry, name: str, values: ArrayLike) -> Array:
+    """One finite number for each module, or :class:`InputError`."""
+    array = np.asarray(values, float)
+    if array.shape != (geometry.modules,) or not np.isfinite(array).all():
+        raise InputError(f"brakes: '{name}' needs {geometry.modules} finite numbers, got {array}")
+    return array
+
+
 def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
-    """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing."""
+    """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing,
+    or for what is not finite or of another length."""
+    leg, brake = _numbers(geometry, "leg", leg), _numbers(geometry, "brake", brake)
     held, motion = floating(geometry, leg, brake)
     if held < FLOATING:
         raise InputError(
-            f"brakes: with these legs {np.round(np.asarray(leg, float), 2)} rad nothing would hold the base against "
+            f"brakes: with these legs {np.round(leg, 2)} rad nothing would hold the base against "
             f"{described(motion)} once they are open; valid: a closed brake, or other leg angles at once"
         )
 
@@ -59,17 +71,22 @@ def refuse_floating_way(
     geometry: SwerveGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
 ) -> None:
     """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
-    against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel.
+    against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;
+    also for numbers that are not finite, of another length, or rates that are not positive.
     """
-    start, way = np.asarray(leg, float), np.asarray(goal, float) - np.asarray(leg, float)
+    start, goal = _numbers(geometry, "leg", leg), _numbers(geometry, "goal", goal)
+    brake, way = _numbers(geometry, "brake", brake), goal - start
+    rate = _numbers(geometry, "rate", np.minimum(np.asarray(rate, float), _AT_ONCE))
+    if not (rate > 0.0).all():
+        raise InputError(f"brakes: 'rate' needs positive numbers [rad/s], got {rate}")
     step, since = 0.05, np.inf
     for t in np.arange(0.0, float(np.max(np.abs(way) / rate)) + step, step):
-        at = start + np.sign(way) * np.minimum(np.abs(way), t * np.asarray(rate, float))
+        at = start + np.sign(way) * np.minimum(np.abs(way), t * rate)
         held, motion = floating(geometry, at, brake)
         since = min(since, t) if held < FLOATING else np.inf
         if t - since > PASS:
             raise InputError(
-                f"brakes: on the way to {np.round(np.asarray(goal, float), 2)} rad nothing would hold the base against "
+                f"brakes: on the way to {np.round(goal, 2)} rad nothing would hold the base against "
                 f"{described(motion)} for more than {PASS:g} s; valid: one leg after the other, or other leg angles"
             )
 
@@ -91,6 +108,8 @@ class BrakeControl:
     ) -> None:
         if "brake" not in robot.mode:
             raise InputError(f"{robot.description.name}: its legs have no brakes")
+        if not 0.0 <= delay < np.inf:
+            raise InputError(f"brakes: the delay must be finite and not negative, got {delay} s")
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
         self.geometry = robot.base.geometry
         closed = np.zeros(len(self.legs))

@@ -376,6 +376,8 @@ class SwerveAgent:
         """A tick at t [s] of hinged legs: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s]. Their brakes
         are judged by the last measurement, if the last look is :data:`LOOK` ago (within half a period)."""
         assert self.measured is not None
+        if not np.isfinite(rate).all():
+            return  # such a command is refused, by the name of its drives, before it goes to them
         self._watched = t, self.measured.leg, brake, rate
         if abs(t - self._looked) >= LOOK - 0.5 * self.period:  # a new run's clock may be behind
             self._look(self._watched)
@@ -385,7 +387,9 @@ class SwerveAgent:
         watched, self._watched = self._watched, None
         if watched is None or self.measured is None:
             return
-        t, _, brake, rate = watched
+        t, before, brake, rate = watched
+        if self.measured.leg.shape != before.shape or not np.isfinite(self.measured.leg).all():
+            return  # the odometry has refused this message, and the robot stops for it
         if brake.any() or rate.any():  # else the stop changes nothing for them
             self._look((t + self.period, self.measured.leg, brake, rate))
 

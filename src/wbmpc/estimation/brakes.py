@@ -96,9 +96,10 @@ class BrakeMonitor:
     def update(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> list[BrakeFault]:
         """What is new after measured angles ``leg`` (n) [rad] at t [s], brakes (n, 1 = open) and planned ``rate`` (n) [rad/s].
 
-        A fault is told once per command of its brake, or again after it was taken back.
+        A fault is told once per command of its brake, or again after it was taken back. Raises :class:`InputError` for what is
+        not finite or of another length; it does not count, and the next one does.
         """
-        angle, is_open, planned = np.asarray(leg, float), np.asarray(brake, float) > 0.5, np.asarray(rate, float)
+        angle, is_open, planned = self._checked(t, leg, brake, rate)
         if self._open is None:
             self._open, self._anchor, self.time = is_open, angle.copy(), t
             self._since[:] = t - self.settle
@@ -129,6 +130,18 @@ class BrakeMonitor:
         self.faults += new
         self.real += new
         return withdrawn + new
+
+    def _checked(
+        self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike
+    ) -> tuple[Array, NDArray[np.bool_], Array]:
+        """What :meth:`update` was given, as arrays (n)."""
+        if not np.isfinite(t):
+            raise InputError(f"brake monitor: the time must be finite, got {t}")
+        n, arrays = len(self.names), [np.asarray(values, float) for values in (leg, brake, rate)]
+        for name, values in zip(("leg", "brake", "rate"), arrays, strict=True):
+            if values.shape != (n,) or not np.isfinite(values).all():
+                raise InputError(f"brake monitor: '{name}' needs {n} finite numbers, got {values}")
+        return arrays[0], arrays[1] > 0.5, arrays[2]
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
         """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""

@@ -91,6 +91,8 @@ class _State:
     p: Array
 
 
+#: Smallest eigenvalue of a matrix of correlations that has an inverse.
+_CERTAIN = 1e-12
 #: Contradictions of the wheels are added up over pieces of way [m] of this length.
 PIECE = 0.05
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
@@ -357,7 +359,8 @@ class FusedOdometry:
 
         The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
         history, of a future that no message has come from (see ``AHEAD``), or does not fit (see ``GATE`` and ``PATIENCE``).
-        Raises :class:`InputError` for what is not finite and for a covariance that is none.
+        Raises :class:`InputError` for what is not finite, for a covariance that is none, and where pose and filter are both
+        certain: which one is right cannot be told. Nothing is lost then.
         """
         z, r = _three("global pose", pose), _checked_covariance("global pose", covariance)
         if not np.isfinite(t):
@@ -366,14 +369,16 @@ class FusedOdometry:
         if t < oldest or -np.inf < self._state.t < t - AHEAD:
             return False
         later: list[_Step] = []
-        state = self._state
+        state, past = self._state, reversed(self._past)
         while state.t > t:
-            state, step = self._past.pop()
+            state, step = next(past)
             later.append(step)
         corrected = self._corrected(state, later[-1] if later else None, t, z, r)
         self.refused += corrected is None
         self.taken += corrected is not None
         state = corrected or state
+        for _ in later:
+            self._past.pop()
         for step in reversed(later):
             self._past.append((state, step))
             state = self._advanced(state, step)
@@ -387,6 +392,7 @@ class FusedOdometry:
         error = z - there
         error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
         s = state.p[:3, :3] + r
+        _refuse_certain(s)
         self._refusals += 1
         misfit = float(error @ np.linalg.solve(s, error))
         if misfit > GATE:
@@ -414,6 +420,17 @@ def _given_way(mean: Array, p: Array, shown: _Shown, fitted: Array) -> tuple[Arr
     s = rows @ cross[WHEELS:] + shown.variance * np.eye(len(rows))
     gain = np.linalg.solve(s, cross.T).T
     return mean - gain @ apart, p - gain @ cross.T
+
+
+def _refuse_certain(covariance: Array) -> None:
+    """Raise :class:`InputError` for the covariance (3, 3) of a difference that is certain in some direction. Units do not count:
+    a yaw that is not known at all (1e9 rad²) is none."""
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not spread.all() or np.linalg.eigvalsh(covariance / np.outer(spread, spread))[0] < _CERTAIN:
+        raise InputError(
+            "global pose: its covariance and the filter's own are both 0 in a direction, so that nothing can be weighed; valid: a "
+            "covariance of full rank, or place() for where the base is exactly"
+        )
 
 
 def is_covariance(matrix: ArrayLike) -> bool:

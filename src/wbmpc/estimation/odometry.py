@@ -176,11 +176,12 @@ class WheelOdometry:
         n = self._n
         parts = {"steer": np.asarray(steer, float), "wheel": np.asarray(wheel, float)}
         # fixed legs have no angle; their heading is part of the geometry
-        parts["leg"] = np.asarray(leg, float) - self._leg_zero if self.geometry.has_hinge else np.zeros(n)
+        parts["leg"] = np.asarray(leg, float) if self.geometry.has_hinge else np.zeros(n)
         for name, values in parts.items():
             if values.shape != (n,) or not np.isfinite(values).all():
                 raise InputError(f"odometry: '{name}' needs {n} finite numbers, got {values}")
-        return parts["leg"], parts["steer"] - self._steer_zero, parts["wheel"].copy()
+        angle = parts["leg"] - self._leg_zero if self.geometry.has_hinge else parts["leg"]
+        return angle, parts["steer"] - self._steer_zero, parts["wheel"].copy()
 
 
 class ReleaseOdometry:

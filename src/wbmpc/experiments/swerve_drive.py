@@ -21,11 +21,12 @@ from wbmpc.experiments.swerve_drive_figures import metrics, plots
 from wbmpc.experiments.swerve_problem import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.experiments.swerve_track import stand_still
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep, watched
+from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, SteeringGuess
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
+from wbmpc.plant.swerve import refuse_two_wheels
 from wbmpc.result import RunResult
 from wbmpc.stability import CONFIGURATIONS, corners, leg_angles
 
@@ -190,8 +191,11 @@ class _Run:
         ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
         return ending, mpc, [f"{name}: {fault}" for fault in agent.faults], hit
 
-    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> list[str]:
-        """The rolling inverse kinematics on the same way: same plant, odometry and brakes. The faults that it found."""
+    def rival(
+        self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
+    ) -> tuple[Ending, list[str]]:
+        """The rolling inverse kinematics on the same way: same plant, odometry and brakes. How it ended, and the faults that
+        it found."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
@@ -208,27 +212,23 @@ class _Run:
             odd_wheels=s.odd_wheels,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
-        with watched(plant, timing.period, duration, progress, agent) as tick:
-            for k in range(round(duration / timing.period)):
-                t = k * timing.period
-                agent.measure(plant.measure())
-                command = agent.drive(t)
-                if k % 4 == 0:
-                    self.record(name, t, plant, agent, mission, command)
-                tick(t, command)
-                plant.step(command, timing.steps)
-                if plant.fell:
-                    break
-        return [f"{name}: {fault}" for fault in agent.faults]
+
+        def record(now: float, command: Any, plans: Any) -> None:
+            if round(now / timing.period) % 4 == 0:
+                self.record(name, now, plant, agent, mission, command)
+
+        ending = run_lockstep(plant, agent, None, timing, duration, record, progress)
+        return ending, [f"{name}: {fault}" for fault in agent.faults]
 
 
 def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell."""
+    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell or
+    ended early for another reason."""
     robot, log = swerve_robot(settings.robot), Log()
     mission, duration = tour(robot, settings.plant.brake_delay)
-    _Run(settings, robot, seed, log).rival(mission, duration, terrain)
+    ending, _ = _Run(settings, robot, seed, log).rival(mission, duration, terrain)
     error = log.array("rival.base_odometry") - log.array("rival.base_reference")
-    return error if log.times("rival.base")[-1] > duration - 0.1 else np.full_like(error, np.inf)
+    return np.full_like(error, np.inf) if ending.reason else error
 
 
 def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = None) -> RunResult:
@@ -236,13 +236,18 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
+    refuse_two_wheels(robot.description)
     bench = _Run(settings, robot, seed, Log())
     mission, duration = tour(robot, settings.plant.brake_delay)
     names = ("tour", "rival", "knock", *(f"closed_{name}" for name in CONFIGURATIONS))
     own = lambda name: part(progress, names.index(name), len(names), name)
     ending, mpc, faults, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
-    rivals = [] if ending.reason else bench.rival(mission, duration, terrain, own("rival"))
-    knock = None
+    rival, rivals, knock = None, list[str](), None
+    if not ending.reason:
+        rival, rivals = bench.rival(mission, duration, terrain, own("rival"))
+        if rival.reason:  # the rival's failure, not the run's
+            rivals.append(f"rival: {rival.reason}; nothing is compared with it")
+        ending = rival if rival.interrupted else ending
     if not ending.reason:
         way, length = straight(robot, "X", True)
         ending, _, more, knock = bench.planned("knock", way, length, knock=4.0, progress=own("knock"))
@@ -254,7 +259,7 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
             faults += more
     return finished(
         NAME, seed, settings, ending, mpc, bench.log,
-        metrics=lambda: metrics(bench.log, robot, faults, None if knock is None else knock.done),
+        metrics=lambda: metrics(bench.log, robot, faults, None if knock is None else knock.done, rival),
         plots=lambda: plots(bench.log, robot),
         idealisations=IDEALISATIONS, faults=[*faults, *rivals],
     )  # fmt: skip

@@ -7,6 +7,7 @@ import numpy as np
 from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
 from wbmpc.experiments.swerve_drive_course import BODY, BUMP_RADIUS, BUMPS, CABLES, DOOR, DOOR_WIDTH, POST, clearance
 from wbmpc.log import Log
+from wbmpc.loop import Ending
 from wbmpc.model import RobotModel
 from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
 from wbmpc.result import Drawing, Metric, Plot, Series
@@ -63,8 +64,11 @@ def recovery(t: np.ndarray, error: np.ndarray, end: float) -> float:
     return float(max(t[late[-1] + 1] - end, 0.0)) if late.size else 0.0
 
 
-def metrics(log: Log, robot: RobotModel, faults: list[str], knocked: float | None) -> dict[str, Metric]:
-    """All of them; ``knocked``: when [s] the knock was over, None if there was none."""
+def metrics(
+    log: Log, robot: RobotModel, faults: list[str], knocked: float | None, rival: Ending | None
+) -> dict[str, Metric]:
+    """All of them; ``knocked``: when [s] the knock was over, None if there was none; ``rival``: how it ended, None if it did not
+    run. The errors of one that did not get to the end are infinite, and there is no ratio to them: the part before says nothing."""
     position, yaw = _error(log, "tour")
     found = {
         "base_position_error_rms": Metric(position, "m", goal=0.008),
@@ -78,12 +82,14 @@ def metrics(log: Log, robot: RobotModel, faults: list[str], knocked: float | Non
         "joint_speed_ratio_max": Metric(_speed_ratio(log), "1", goal=1.0, goal_note=SPEED_NOTE),
         "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
     }
-    if "rival.base" in log.channels:
-        rival = _error(log, "rival")
-        found["baseline_position_error_rms"] = Metric(rival[0], "m")
-        found["baseline_yaw_error_rms"] = Metric(rival[1], "rad")
-        found["baseline_leg_angle_error_rms"] = Metric(_leg_error(log, "rival"), "rad")
-        found["baseline_ratio"] = Metric(position / rival[0], "1", goal=0.5)
+    if rival is not None and not rival.interrupted:
+        whole = not rival.reason
+        away, turned, legs = (*_error(log, "rival"), _leg_error(log, "rival")) if whole else (np.inf,) * 3
+        found["baseline_position_error_rms"] = Metric(away, "m")
+        found["baseline_yaw_error_rms"] = Metric(turned, "rad")
+        found["baseline_leg_angle_error_rms"] = Metric(legs, "rad")
+        if whole:
+            found["baseline_ratio"] = Metric(position / away, "1", goal=0.5)
     if knocked is not None and "knock.leg" in log.channels:
         error = (log.array("knock.leg") - log.array("knock.leg_reference"))[:, corners(robot)["LF"]]
         found["leg_knock"] = Metric(float(np.abs(error).max()), "rad")

@@ -5,8 +5,8 @@ Pankert et al. 2022, section V: the authors' reason for an MPC on an ordinary fo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -160,17 +160,20 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=turns)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
-    log, ending, faults = Log(), Ending(), list[str]()
+    log, ending, faults, whole = Log(), Ending(), list[str](), list[str]()
     for k, name in enumerate(CONTROLLERS):
         own = part(progress, k, len(CONTROLLERS), name)
         ended, found = drive(name, settings, seed, robot, reference, mpc if name == "mpc" else None, log, own)
         faults += [f"{name}: {fault}" for fault in found]
-        ending = ended if ended.interrupted or not ending.reason else ending
+        if not ended.reason:
+            whole.append(name)
+        elif ended.interrupted or not ending.reason:
+            ending = replace(ended, reason=f"{name}: {ended.reason}")
         if ended.interrupted:
             break
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, reference), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
+        metrics=lambda: _metrics(log, reference, whole), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
         faults=faults,
     )  # fmt: skip
 
@@ -234,11 +237,12 @@ def standstill(log: Log, name: str, reference: Motion) -> float:
     return longest
 
 
-def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
-    done = [n for n in CONTROLLERS if f"odometry_{n}" in log.channels]
+def _metrics(log: Log, reference: Motion, whole: Sequence[str]) -> dict[str, Metric]:
+    """Of the MPC, and of rivals that got to the end of the ``whole`` run: the part before a fall says nothing to compare with."""
+    done = [n for n in CONTROLLERS if (n == "mpc" or n in whole) and f"odometry_{n}" in log.channels]
     rms = {n: _rms(errors(log, n, reference)[1]) for n in done}
     out = {f"tracking_error_rms_{n}": Metric(v, "m") for n, v in rms.items()}
-    if "ik" in rms:
+    if {"mpc", "ik"} <= set(whole):
         out["tracking_error_ratio"] = Metric(rms["mpc"] / rms["ik"], "1", goal=0.5)
     for n in done:
         t, position, yaw = errors(log, n, reference)
@@ -249,7 +253,8 @@ def _metrics(log: Log, reference: Motion) -> dict[str, Metric]:
             if use.any():
                 out[f"tracking_error_rms_{n}_{segment}"] = Metric(_rms(position[use]), "m")
         out[f"wheel_slip_max_{n}"] = Metric(float(log.array(f"slip_{n}").max()), "m/s")
-    out["longest_standstill"] = Metric(standstill(log, "mpc", reference), "s", goal=1.0)
+    if "mpc" in done:
+        out["longest_standstill"] = Metric(standstill(log, "mpc", reference), "s", goal=1.0)
     return out
 
 

@@ -26,6 +26,7 @@ from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, SteeringGuess
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.plant import SwervePlant
+from wbmpc.plant.swerve import refuse_two_wheels
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
 from wbmpc.stability import StanceOf, draw, leg_angles, region_margin, support_triangles
 from wbmpc.stability.assessment import Assessment
@@ -115,6 +116,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
+    refuse_two_wheels(robot.description)  # before advice about their legs
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
     begin = approach.duration + 1.0
     home, free = _start(robot, settings), settings.legs == "support"

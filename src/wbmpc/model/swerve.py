@@ -21,8 +21,9 @@ from wbmpc.robots import ModuleDescription, RobotDescription, SwerveBaseDescript
 Array = NDArray[np.float64]
 
 
-# A wheel whose contact lies farther from the steer axis is a caster, which these equations do not describe.
-_LARGEST_OFFSET = 0.005
+# A wheel whose contact lies farther [m] from the steer axis is a caster, which these equations do not describe; a hinged leg that
+# is shorter [m] is moved by no wheel.
+_LARGEST_OFFSET, _SHORTEST_LEG = 0.005, 0.005
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,14 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[SwerveGeom
         along = (poses[steer][0] - start)[:2]
         axle = poses[rolling][1] @ tree.links[rolling].axis
         _check_module(description, tree, module, poses)
+        _check_wheel_turns(description, tree, module.wheel)
         hinge.append(start[:2])
         length.append(float(np.hypot(*along)))
+        if module.hinge and length[-1] < _SHORTEST_LEG:
+            raise InputError(
+                f"{description.source}: the steering axis '{module.steer}' must be away from the hinge '{module.hinge}': no wheel "
+                f"swings a leg of {1e3 * length[-1]:.3g} mm; a module without a leg has no 'hinge'"
+            )
         leg.append(float(np.arctan2(along[1], along[0])))
         wheel.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
         height.append(base.wheel_radius - float(poses[rolling][0][2]))
@@ -105,6 +112,19 @@ def _check_module(
         raise InputError(f"{description.source}: joint '{module.wheel}' must have a horizontal axis")
     if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > _LARGEST_OFFSET:
         raise InputError(f"{description.source}: wheel '{module.wheel}' must stand under the axis of '{module.steer}'")
+
+
+def _check_wheel_turns(description: RobotDescription, tree: Tree, wheel: str) -> None:
+    """A wheel that stops at the end of a range would be dragged from there on."""
+    key = "limits.position"
+    in_key, (low, high) = description.limits.position.get(wheel), tree.links[tree.joint(wheel)].range
+    if in_key is not None:
+        raise InputError(f"{description.source}: key '{key}.{wheel}': a wheel turns on and on, it can have no range")
+    if np.isfinite([low, high]).any():
+        raise InputError(
+            f"{description.model}: joint '{wheel}' has a range, {low:g} to {high:g} rad; it is a wheel (base.modules of "
+            f"{description.source}), which turns on and on: take the range away (in a URDF: type continuous)"
+        )
 
 
 def wheel_velocities(geometry: SwerveGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:

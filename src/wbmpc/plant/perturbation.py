@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,14 @@ class Perturbation(BaseModel):
         if not 0.0 <= value[0] <= value[1]:
             raise ValueError("one number, or two with 0 ≤ lower ≤ upper, are needed")
         return value
+
+    @model_validator(mode="after")
+    def _fault_of_a_brake(self) -> Self:
+        if self.brake_fault == "none":
+            for name in ("brake_fault_leg", "brake_fault_time"):
+                if getattr(self, name):
+                    raise ValueError(f"{name}: nothing uses it without brake_fault=open or brake_fault=closed")
+        return self
 
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:

@@ -35,6 +35,7 @@ from wbmpc.plant.world import (
     unwrap,
 )
 from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
+from wbmpc.robots.checks import named
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
@@ -103,8 +104,9 @@ class RezeroPlant(InWorld):
         self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
-        self._build(spec, payload, edit)
-        self.world = World(spec, self.base.body, description.arm.tool, arm)
+        with named(description.model):
+            self._build(spec, payload, edit)
+        self.world = World(spec, description.model, self.base.body, description.arm.tool, arm)
         self.model, self.data = self.world.model, self.world.data
         self._arm_q = np.array([self.model.joint(n).qposadr[0] for n in arm])
         self._arm_v = np.array([self.model.joint(n).dofadr[0] for n in arm])

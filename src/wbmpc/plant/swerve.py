@@ -35,6 +35,7 @@ from wbmpc.plant.world import (
     set_options,
 )
 from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
+from wbmpc.robots.checks import named
 
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
@@ -49,6 +50,16 @@ _VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
+
+
+def refuse_two_wheels(description: RobotDescription) -> None:
+    """Raise :class:`InputError` for a swerve base that cannot stand by itself."""
+    assert isinstance(description.base, SwerveBaseDescription)
+    if len(description.base.modules) < 3:
+        raise InputError(
+            f"{description.name}: it stands on 2 wheels, and would tip over: casters are not simulated; valid: 3 modules or "
+            "more (odometry and 'wbmpc calibrate' take 2)"
+        )
 
 
 class SwervePlant(InWorld):
@@ -76,11 +87,7 @@ class SwervePlant(InWorld):
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
-        if len(description.base.modules) < 3:
-            raise InputError(
-                f"{description.name}: it stands on 2 wheels, and would tip over: casters are not simulated; valid: 3 modules or "
-                "more (odometry and 'wbmpc calibrate' take 2)"
-            )
+        refuse_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         if self.perturbation.cables > 0.0:
@@ -102,8 +109,11 @@ class SwervePlant(InWorld):
         spec = load_spec(description)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
-        self._build(spec, edit)
-        self.world = World(spec, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g])
+        with named(description.model):
+            self._build(spec, edit)
+        self.world = World(
+            spec, description.model, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g]
+        )
         self.model, self.data = self.world.model, self.world.data
         self._index()
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots.checks import compiled
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
@@ -100,10 +101,11 @@ class World:
     ``refresh`` does the first half when it has not been done, so that what is read never belongs to the step before.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, body: str, tool: str, joints: list[str]) -> None:
+    def __init__(self, spec: mujoco.MjSpec, source: object, body: str, tool: str, joints: list[str]) -> None:
+        """``source``: the robot's file, for :class:`InputError` where it cannot be simulated: a base without mass."""
         # MuJoCo's warnings go to the log, not into a file in the working directory
         mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
-        self.model: mujoco.MjModel = spec.compile()
+        self.model: mujoco.MjModel = compiled(spec, source)
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
         self.external: Hook | None = None

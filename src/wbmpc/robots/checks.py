@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -24,6 +26,18 @@ def compiled(spec: mujoco.MjSpec, path: object) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:
         raise InputError(f"{path}: cannot be compiled: {' '.join(str(error).split())}") from error
+
+
+@contextmanager
+def named(path: object) -> Iterator[None]:
+    """While a plant adds what is its own: what MuJoCo does not take, as two elements of a name, is an :class:`InputError` with the
+    robot's file."""
+    try:
+        yield
+    except ValueError as error:
+        if not str(error).startswith("Error:"):  # MuJoCo's own begin so
+            raise
+        raise InputError(f"{path}: cannot be simulated: {' '.join(str(error).split())}") from error
 
 
 def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:

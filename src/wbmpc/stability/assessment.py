@@ -51,7 +51,8 @@ class Assessment:
         return float(region_margin(self.stance.feet, self.stance.zmp))
 
     def figures(self) -> dict[str, Any]:
-        """Everything as plain numbers and lists (SI units); what is not a number is None."""
+        """Everything as plain numbers and lists (SI units); what is not a number is None. ``stays_upright``: it does not tip over;
+        whether it slides, ``friction_needed`` tells."""
         s = self.stance
         legs = self.x[self.robot.state["leg"]] if "leg" in self.robot.state else np.zeros(0)
         return {
@@ -71,7 +72,8 @@ class Assessment:
                 {"triangle": self._named(t), "margin": _plain(m)} for t, m in s.triangle_margins.items()
             ],
             "region_margin": _plain(self.region_margin),
-            "stands": s.polygon_margin > 0.0,
+            "stays_upright": s.polygon_margin > 0.0,
+            "friction_needed": _plain(s.friction_needed),
         }
 
     def text(self) -> str:
@@ -89,6 +91,7 @@ class Assessment:
         rows.append(f"  margin to the polygon        {1e3 * s.polygon_margin:.1f} mm")
         for triangle, m in s.triangle_margins.items():
             rows.append(f"  margin to {', '.join(self._named(triangle))}: {1e3 * m:.1f} mm")
+        rows.append(f"  friction needed not to slide {s.friction_needed:.2f}")
         if s.polygon_margin <= 0.0:
             rows.append("  the robot tips over")
         else:

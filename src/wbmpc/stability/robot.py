@@ -22,6 +22,8 @@ from wbmpc.stability.geometry import margin as margin_to
 from wbmpc.stability.zmp import GRAVITY
 
 Feet = Sequence[int]
+#: Largest number that is taken, of any unit: nothing real is larger, and squares of far larger ones overflow.
+LARGEST = 1e9
 
 
 def standing(robot: RobotModel) -> SwerveBase:
@@ -171,6 +173,13 @@ class Stance:
         return float(margin_to(support_polygon(self.feet), self.zmp))
 
     @property
+    def friction_needed(self) -> float:
+        """Coefficient of friction at which the load would begin to slide: the tangent of its force's angle to the ground's normal
+        (a moment about the normal needs more); not a number without load."""
+        down = -self.force[2] if self.force[2] < 0.0 else np.nan
+        return float(np.hypot(*self.force[:2]) / down)
+
+    @property
     def triangle_margins(self) -> dict[Triangle, float]:
         """The same to every support triangle."""
         return {t: float(m) for t, m in triangle_margins(self.feet, self.zmp).items()}
@@ -220,4 +229,8 @@ def _numbers(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     array = np.asarray(values, float)
     if array.shape != (size,) or not np.isfinite(array).all():
         raise InputError(f"{name}: {size} finite numbers are needed, got {np.array2string(array, threshold=8)}")
+    if np.abs(array).max(initial=0.0) > LARGEST:
+        raise InputError(
+            f"{name}: numbers of {LARGEST:g} at most are needed, got {np.array2string(array, threshold=8)}"
+        )
     return array

@@ -1,0 +1,97 @@
+"""A rival that does not get to the end is told, and nothing is compared with the part before. Truth: endings and logs by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.experiments import swerve_drive, swerve_fixed
+from wbmpc.experiments.swerve_drive_figures import metrics
+from wbmpc.log import Log
+from wbmpc.loop import Ending
+from wbmpc.plant import SwervePlant
+
+SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
+FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
+BASELINE = ("baseline_position_error_rms", "baseline_yaw_error_rms", "baseline_leg_angle_error_rms")
+
+
+def no_mpc(*_: Any, **__: Any) -> Any:
+    """What a run needs of an MPC that is never asked."""
+    figures = SimpleNamespace(solve_times=[], solves=0, failures=0, no_step=0)
+    return SimpleNamespace(rate=50.0, statistics=figures, reference={}, reset=lambda *_: None)
+
+
+def driven() -> Log:
+    """Two seconds in which the MPC's base is off by 3 mm and the rival's by 4 mm."""
+    log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4, "base": 3}
+    for name, off in (("tour", 3e-3), ("rival", 4e-3)):
+        for t in (0.0, 1.0, 2.0):
+            for channel, size in {**sizes, "base_reference": 3, "joint_speed": 12, "wanted": SWERVE.input.size}.items():
+                log.add(f"{name}.{channel}", t, np.zeros(size))
+            log.add(f"{name}.base_odometry", t, np.array([off, 0.0, 0.0]))
+    return log
+
+
+def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -> None:
+    found = {how: metrics(driven(), SWERVE, [], None, how) for how in (Ending(), FELL, ENDED, None)}
+    assert found[Ending()]["baseline_ratio"].value == pytest.approx(0.75)
+    assert found[Ending()][BASELINE[0]].value == pytest.approx(4e-3)
+    assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3 and "baseline_ratio" not in found[FELL]
+    for how in (ENDED, None):  # what the user ended says nothing about the rival
+        assert not [name for name in found[how] if name.startswith("baseline")]
+    assert all(m["base_position_error_rms"].value == pytest.approx(3e-3) for m in found.values())
+
+
+@pytest.mark.parametrize(("how", "goes_on"), [(FELL, True), (ENDED, False)])
+def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts: list[str] = []
+    planned = lambda self, name, *_, **__: parts.append(name) or (Ending(), no_mpc(), [], None)
+    monkeypatch.setattr(swerve_drive._Run, "planned", planned)
+    monkeypatch.setattr(swerve_drive, "run_lockstep", lambda *_: how)
+    for part in ("metrics", "plots"):
+        monkeypatch.setattr(swerve_drive, part, lambda *_: {})
+    result = swerve_drive.run(swerve_drive.SwerveDriveSettings(rest=0.0), 0)
+    assert result.faults == [f"rival: {how.reason}; nothing is compared with it"]
+    assert (result.completed, result.interrupted, "knock" in parts) == (goes_on, not goes_on, goes_on)
+
+
+def test_a_real_fall_of_the_rival_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plant that counts as fallen from its 20 ms on. The search of gains takes such a rival for infinitely bad."""
+    monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
+    settings = swerve_drive.SwerveDriveSettings(rest=0.0)
+    mission, _ = swerve_drive.tour(SWERVE, 0.1)
+    bench = swerve_drive._Run(settings, SWERVE, 0, Log())
+    ending, _ = bench.rival(mission, 1.0)
+    assert ending.fell and bench.log.times("rival.base")[-1] < 0.03
+    assert np.isinf(swerve_drive.rival_on_tour(settings, 0)).all()
+
+
+@pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
+def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others are 1, 2 and 4 mm off."""
+    off = dict(zip(swerve_fixed.CONTROLLERS, (1e-3, 2e-3, 4e-3), strict=True))
+
+    def drive(name: str, settings: Any, seed: int, robot: Any, motion: Any, mpc: Any, log: Log, *_: Any) -> Any:
+        for t in np.arange(0.0, 0.3 if name == who else float(motion.path.times[-1]), 0.1):
+            for channel in ("odometry", "base"):
+                log.add(f"{channel}_{name}", t, motion.path.pose(t) + [off[name], 0.0, 0.0])
+            log.add(f"slip_{name}", t, 0.0)
+        return (FELL if name == who else Ending()), []
+
+    monkeypatch.setattr(swerve_fixed, "drive", drive)
+    monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
+    monkeypatch.setattr(swerve_fixed, "_plots", lambda *_: [])
+    result = swerve_fixed.run(swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    value = {name: metric.value for name, metric in result.metrics.items()}
+    assert not result.completed and result.reason == f"{who}: the robot fell at 3.50 s"
+    assert ("tracking_error_ratio" in value) == (who == "four_wheel")
+    for name, away in off.items():
+        if name == who and who != "mpc":
+            assert not [key for key in value if key.endswith(f"_{name}") or f"_{name}_" in key]
+        else:  # the MPC's own part is kept, as in every run that ended early
+            assert value[f"tracking_error_rms_{name}"] == pytest.approx(away)
