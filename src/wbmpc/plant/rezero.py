@@ -186,6 +186,7 @@ class RezeroPlant(InWorld):
         return ElasticDrives(
             each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
             p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
+            each(limits.wheel_effort, np.inf),  # the wheels' limit is their traction on the ball, the arm's its motors'
         )  # fmt: skip
 
     def _mount(self) -> Array:
