@@ -182,6 +182,14 @@ def test_dead_time() -> None:
     np.testing.assert_allclose(plant.torque, TORQUE + 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("time", [0.0003, 0.00275])
+def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
+    with pytest.raises(
+        InputError, match=r"plant\.dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
+    ):
+        RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(dead_time=time))
+
+
 def test_bad_drives() -> None:
     with pytest.raises(InputError, match=r"plant\.wheel_rotor"):
         RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
