@@ -16,7 +16,7 @@ from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.paths import SinePath
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, set_home_references
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, leaning_of, set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_problem
 from wbmpc.loop import Timing
@@ -94,7 +94,7 @@ def direction(rng: np.random.Generator, size: int = 2) -> Array:
 
 # ---------------------------------------------------------------------- ball robot
 def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cost: RezeroCost = BALL_COST) -> Rig:
-    settings = RezeroStepsSettings()
+    settings = RezeroStepsSettings(cost=cost)
     planner = settings.mpc.model_copy(update={"barrier_mu": BALL_MU, "rate": BALL_RATE})
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
@@ -103,6 +103,7 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.delay)
     estimator = RezeroEstimator(robot, home)
     agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, estimator=estimator)
+    agent.leaning = leaning_of(settings, robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     rig = Rig(robot, mpc, plant, agent, timing, duration)
     _hold_goals(rig, [(0.0, np.zeros(3))])

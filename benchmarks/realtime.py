@@ -24,7 +24,7 @@ from wbmpc.control import RezeroAgent, SwerveAgent
 from wbmpc.experiments.paths import SinePath
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
 from wbmpc.experiments.rezero_steps import STEPS, target
-from wbmpc.experiments.rezero_task import set_home_references
+from wbmpc.experiments.rezero_task import RezeroSettings, leaning_of, set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
 from wbmpc.model import load_robot
@@ -34,6 +34,7 @@ from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
+BALL = RezeroSettings(cost=RezeroCost())
 PATH = SinePath(0.498, 15.96, 6, 0.255, start=0.5, ramp=2.0)
 HAND_ORIENTATION = lie.rotation_to_quaternion(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
 
@@ -66,7 +67,7 @@ def make_rezero_mpc(rate: float) -> MPC:
     """N = 26 over 1.3 s; the references of the steps."""
     robot = load_robot("rezero")
     settings = MpcSettings(rate=rate, horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-2)
-    mpc = rezero_mpc(robot, settings, RezeroCost())
+    mpc = rezero_mpc(robot, settings, BALL.cost)
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses(*rezero_poses(), hold=True)
@@ -81,11 +82,13 @@ def make_rezero_plant() -> RezeroPlant:
 
 
 def make_rezero_agent(own: MPC, plant: RezeroPlant, rate: float) -> RezeroAgent:
-    """The experiments' controller with an MPC of its own as its model."""
+    """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
-    torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+    arm = robot.home[robot.state["arm"]]
     robot.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    return RezeroAgent(robot, own, torque, 1.0 / rate, 0.020)
+    agent = RezeroAgent(robot, own, robot.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
+    agent.leaning = leaning_of(BALL, robot, arm)
+    return agent
 
 
 def rezero_case() -> Case:

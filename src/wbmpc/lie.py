@@ -26,8 +26,11 @@ def _symbolic(*values: Any) -> Any:
 
 def quaternion_multiply(a: Any, b: Any) -> Any:
     """Hamilton product a ∘ b: the rotation b followed by a."""
+    like = _symbolic(a, b)
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.ndim == b.ndim == 1:
+        a, b = a.tolist(), b.tolist()  # one by one, Python's own numbers are several times as fast
     return _stack(
-        _symbolic(a, b),
+        like,
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
         a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
@@ -52,6 +55,8 @@ def quaternion_about(axis: ArrayLike, angle: Any) -> Any:
 
 def quaternion_to_rotation(q: Any) -> Any:
     """Rotation matrix (3, 3) of a unit quaternion."""
+    if isinstance(q, np.ndarray) and q.ndim == 1:
+        q = q.tolist()  # one by one, Python's own numbers are several times as fast
     w, x, y, z = q[0], q[1], q[2], q[3]
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from toys import robot
 from wbmpc.control import Plans, SwerveAgent
-from wbmpc.estimation import WheelCalibration
+from wbmpc.estimation import BrakeFault, BrakeMonitor, WheelCalibration
 from wbmpc.model import RobotModel, aligned_steering
 from wbmpc.mpc import Policy
 from wbmpc.plant import GlobalPose, SwerveMeasurement
@@ -392,3 +392,64 @@ def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
     agent.command(11.0, plans)
     assert agent.monitor is not None and not agent.monitor._open.any()  # type: ignore[union-attr]
     agent.command(2.0, plans)
+
+
+def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A closed leg moves by 0.1 rad/s: told when it has gone by 10 mrad more than creeps, and at most a look later."""
+    agent, plans, looks = SwerveAgent(SWERVE, np.zeros(3), PERIOD), Plans(), []
+    plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
+    assert agent.monitor is not None
+    update = agent.monitor.update
+    monkeypatch.setattr(agent.monitor, "update", lambda t, *more: looks.append(t) or update(t, *more))
+    for k in range(60):
+        agent.measure(message(k * PERIOD, leg=np.array([0.0, 0.0, 0.1 * k * PERIOD, 0.0])))
+        agent.command(k * PERIOD, plans)
+    assert looks == pytest.approx(0.01 * np.arange(15))
+    (fault,) = agent.monitor.faults
+    assert 0.0 <= fault.time - 0.01 / (0.1 - agent.monitor.creep) < 0.01 + PERIOD
+
+
+def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
+    """What an agent tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
+    at once one that is closed, just before the end one that is open. ``how`` the run ends then: with "no plan" or a "stop".
+    """
+    monitor = BrakeMonitor(SWERVE.state.groups["leg"], expected=0.02, patience=0.1)
+    told: list[BrakeFault] = []
+    brakes = lambda t: np.full(4, float(is_open))
+    agent = SwerveAgent(
+        SWERVE, np.zeros(3), PERIOD, brakes, planned_steering=False, monitor=monitor, faulty=told.append
+    )
+    u, plans = np.zeros(SWERVE.input.size), Plans()
+    u[SWERVE.input["leg"].start] = 0.2
+    plans.add(0.0, constant_policy(u, start=end - 10.001 if how == "no plan" else 0.0))
+    last = round(end / PERIOD)
+    for k in range(last + 1):
+        share = np.clip((k * PERIOD - (end - 0.05 if is_open else 0.0)) / 0.05, 0.0, 1.0)
+        agent.measure(message(k * PERIOD, leg=np.array([leg * share, 0.0, 0.0, 0.0])))
+        if k == last and how == "stop":
+            agent.stop()
+        else:
+            agent.command(k * PERIOD, plans)
+    return told
+
+
+@pytest.mark.parametrize("how", ["no plan", "stop"])
+def test_a_brake_is_taken_back_although_a_stop_comes_first(how: str) -> None:
+    """In the tick in which the message would come. Truth: the same run without the stop, and 0.02 rad at 0.2 - 0.08 rad/s."""
+    slips, holds = brakes_told(0.1, False, 0.3)
+    assert (slips.kind, holds.kind) == ("does not hold", "holds after all")
+    assert holds.time == pytest.approx(0.05 + 0.02 / 0.12, abs=0.02)  # two looks
+    assert [f.kind for f in brakes_told(0.1, False, holds.time, how)] == ["does not hold", "holds after all"]
+    # the stop closes an open brake, but the leg has moved under the command before: 10.1 mrad at the last tick
+    assert [f.kind for f in brakes_told(0.0101, True, 0.2525, how)] == ["does not open", "opens after all"]
+
+
+def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent, plans, looks = SwerveAgent(SWERVE, np.zeros(3), PERIOD), Plans(), []
+    plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), start=-10.1))
+    assert agent.monitor is not None
+    monkeypatch.setattr(agent.monitor, "update", lambda t, *more: looks.append(t) or [])
+    for k in range(40):
+        agent.measure(message(k * PERIOD))
+        agent.command(k * PERIOD, plans)
+    assert len(looks) == 10

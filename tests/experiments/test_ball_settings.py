@@ -55,6 +55,12 @@ def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> N
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
 
 
+def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt() -> None:
+    with pytest.raises(InputError, match="rezero-push-hand: --set pushed_speed: with observer=false nothing uses it"):
+        configure(RezeroPushHandSettings, ["observer=false", "pushed_speed=1"], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["observer=true", "pushed_speed=1"], "rezero-push-hand")
+
+
 @pytest.mark.parametrize(
     ("name", "given"),
     [

@@ -22,9 +22,9 @@ def values(result) -> dict[str, float]:  # type: ignore[no-untyped-def]
     return {name: m.value for name, m in result.metrics.items()}
 
 
-@pytest.mark.parametrize("held", ["ball", "hand"])
-def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
-    short = {"forces": (60.0,), "settle": 1.5, "pause": 6.0}
+@pytest.mark.parametrize(("held", "settle", "pause"), [("ball", 1.5, 6.0), ("hand", 0.5, 4.5)])
+def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, pause: float) -> None:
+    short = {"forces": (60.0,), "settle": settle, "pause": pause}
     kind = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}[held]
     result = REGISTRY[f"rezero-push-{held}"].run(kind(**short), 0, None)
     m, log = values(result), result.log
@@ -33,13 +33,13 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str) -> None:
     assert m["ball_travel_max"] == pytest.approx(np.hypot(state[:, 0], state[:, 1]).max())
     assert m["tilt_max"] == log.array("tilt").max()
     place = state[:, :2] if held == "ball" else log.array("hand") - log.array("hand")[0]
-    at_rest = [(t >= end - 0.5) & (t < end) for end in (7.5, 13.5)]
+    at_rest = [(t >= end - 0.5) & (t < end) for end in (settle + pause, settle + 2.0 * pause)]
     away = max(float(np.linalg.norm(place[window], axis=1).max()) for window in at_rest)
     assert m["rest_error_world_max"] == pytest.approx(away, abs=0.015) and 0.0 < m["rest_error_max"] < 0.05
     # 60 N for 0.2 s give 12 N s: about 0.5 m/s for 25 kg, along x first and then along y
     speed = BALL.state["base_velocity"].start
     for k, axis in enumerate((0, 1)):
-        now = np.argmin(np.abs(t - (1.5 + 6.0 * k + 0.2)))
+        now = np.argmin(np.abs(t - (settle + pause * k + 0.2)))
         assert 0.1 < state[now, speed + axis] < 0.9
         assert abs(state[now, speed + 1 - axis]) < 0.1
     (shown,) = (p for p in result.plots if p.title.startswith("Pushes"))

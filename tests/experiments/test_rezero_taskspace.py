@@ -16,6 +16,7 @@ from wbmpc.experiments import rezero_taskspace
 from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
 from wbmpc.experiments.rezero_task import mpc_settings
 from wbmpc.experiments.rezero_taskspace import RezeroTaskspaceSettings
+from wbmpc.experiments.settings import ControlSettings
 
 ROBOT = robot("rezero")
 HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -82,7 +83,10 @@ def test_ctrl_c_in_the_second_part_is_told() -> None:
         if note.startswith("taskspace") and fraction > 0.2:
             signal.raise_signal(signal.SIGINT)
 
-    result = rezero_taskspace.run(RezeroTaskspaceSettings(settle=0.5, hold=1.0), 1, pressed)
+    # the first part is only there to be over
+    slow = RezeroTaskspaceSettings().mpc.model_copy(update={"rate": 40.0})
+    settings = RezeroTaskspaceSettings(settle=0.5, hold=1.0, mpc=slow, control=ControlSettings(rate=200.0))
+    result = rezero_taskspace.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error
     hand, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")

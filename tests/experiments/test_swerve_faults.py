@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from toys import robot
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault
-from wbmpc.experiments import REGISTRY, swerve_drive, swerve_fixed, swerve_plaster, swerve_track, swerve_unified
+from wbmpc.experiments import (
+    REGISTRY,
+    swerve_brakes,
+    swerve_drive,
+    swerve_fixed,
+    swerve_plaster,
+    swerve_track,
+    swerve_unified,
+)
+from wbmpc.log import Log
 from wbmpc.loop import Ending
 from wbmpc.plant import Perturbation, RezeroPlant
 from wbmpc.robots import load_description
@@ -56,6 +68,54 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (EARLY, [str(FAULT)] if name == "ik" else []))
     settings = swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0)
     assert swerve_fixed.run(settings, 0).faults == [f"ik: {FAULT}"]
+
+
+def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The goal is for the monitor beside the MPC."""
+    counted: list[int] = []
+    planned = lambda self, name, *_, **__: (Ending(), no_mpc(), [], None)
+    monkeypatch.setattr(swerve_drive._Run, "planned", planned)
+    monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, knocked: counted.append(len(faults)) or {})
+    monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
+
+    @contextmanager
+    def watched(plant: Any, period: float, duration: float, progress: Any, agent: Any) -> Iterator[Any]:
+        agent.monitor.real.append(FAULT)
+        yield lambda *_: None
+
+    whole = swerve_drive.tour
+    monkeypatch.setattr(swerve_drive, "tour", lambda robot, delay: (whole(robot, delay)[0], 0.005))  # two ticks
+    monkeypatch.setattr(swerve_drive, "watched", watched)
+    result = swerve_drive.run(swerve_drive.SwerveDriveSettings(rest=0.0), 0)
+    assert result.faults == [f"rival: {FAULT}"] and counted == [0]
+
+
+@pytest.mark.parametrize("name", ["ik", "four_wheel"])
+def test_what_the_rivals_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        swerve_fixed, "run_lockstep", lambda plant, agent, *_: agent.monitor.real.append(FAULT) or EARLY
+    )
+    settings = swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0, rest=0.0)
+    motion = swerve_fixed.Motion.of(settings, 0)
+    assert swerve_fixed.drive(name, settings, 0, SWERVE, motion, None, Log()) == (EARLY, [str(FAULT)])
+
+
+def test_swerve_brakes_tells_what_nobody_made_fail_and_was_not_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leg 2 is made to fail; of leg 0 one fault was taken back, of leg 1 none. An alarm that was taken back is still one."""
+    fault = lambda leg, t: BrakeFault(t, leg, f"leg {leg}", "does not open", 0.2)
+    back, own, wrong, sound = fault(2, 1.0), fault(2, 2.5), fault(0, 1.5), fault(1, 3.0)
+    monitor: Any = SimpleNamespace(faults=[back, wrong, own, sound], real=[own, sound])
+    found = swerve_brakes._Found.of(monitor, 2, 0.5)
+    assert found == swerve_brakes._Found(2.0, [wrong, sound], [sound])
+    assert swerve_brakes._Found.of(monitor, None, 0.5).time == np.inf
+    for part in ("_push", "_slip_torque", "_slide_force"):
+        monkeypatch.setattr(swerve_brakes, part, lambda *_: 0.0)
+    monkeypatch.setattr(swerve_brakes, "_fault", lambda bench, kind: found)
+    monkeypatch.setattr(swerve_brakes, "_plots", lambda *_: [])
+    result = swerve_brakes.run(swerve_brakes.SwerveBrakesSettings(), 0)
+    assert result.metrics["false_alarms"].value == 6.0 and result.metrics["fault_detection_time_open"].value == 2.0
+    kinds = ("sound", "stuck closed", "stuck open")
+    assert result.faults == [f"a brake that is {kind}: {sound}" for kind in kinds]
 
 
 def test_a_ball_robot_has_no_brakes() -> None:

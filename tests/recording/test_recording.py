@@ -37,7 +37,7 @@ from wbmpc.robots import load_description
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
-BALL = ["--set", "hold=1.5", "--set", "settle=0.5", "--set", "rest=0", "--set", "preview=false"]
+BALL = ["--set", "forces=[20]", "--set", "settle=0.5", "--set", "pause=2"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -51,7 +51,7 @@ def track(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ball")
-    assert main(["run", "rezero-steps", "--seed", "3", *BALL, "--out", str(out), "--json"]) == 0
+    assert main(["run", "rezero-push-ball", "--seed", "3", *BALL, "--out", str(out), "--json"]) == 0
     return out
 
 

@@ -100,6 +100,14 @@ def test_faults_are_one_sentence_with_the_file(tmp_path: Path, text: str, says: 
         load_settings(path, ROBOT)
 
 
+def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(tmp_path: Path) -> None:
+    path, ball = write(tmp_path, "{observer: false, pushed_speed: 1}"), load_robot("rezero")
+    with pytest.raises(InputError, match="pushed_speed: with observer=false nothing uses it"):
+        load_settings(path, ball)
+    settings = load_settings(write(tmp_path, "{observer: true, pushed_speed: 1}"), ball)
+    assert settings.pushed_speed == 1.0  # type: ignore[attr-defined]
+
+
 def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
     assert load_settings(write(tmp_path, "# nothing yet"), ROBOT) == RosSettings()
 

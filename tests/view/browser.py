@@ -16,6 +16,8 @@ _GRAPHICS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swift
 _QUIET = ("quic", "background-networking", "component-update", "sync")
 FLAGS = [*_GRAPHICS, "--no-sandbox", "--no-first-run", *(f"--disable-{name}" for name in _QUIET)]
 WIDTH, HEIGHT = 1000, 700
+#: Pixels drawn for each of the page's: in software a quarter of them takes a quarter of the time, and nothing moves on the page.
+SCALE = 0.5
 #: A picture of several samples in every pixel takes four times as long in software, and canvases are read back.
 PLAIN = """
 const getContext = HTMLCanvasElement.prototype.getContext;
@@ -87,7 +89,7 @@ class Page:
         while not true():
             if time.monotonic() > deadline:
                 return False
-            self.wait(0.1)
+            self.wait(0.3)  # looking takes time too: a picture is read, or a whole recording
         return True
 
     def click(self, label: str) -> None:
@@ -129,7 +131,7 @@ def browser() -> Iterator[Page]:
     with playwright.sync_playwright() as p:
         chromium = p.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
         try:
-            yield Page(chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT}))
+            yield Page(chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=SCALE))
         finally:
             chromium.close()
 

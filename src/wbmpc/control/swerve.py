@@ -38,6 +38,11 @@ SAG_TIME, SAG_MOST = 1.0, 0.15
 #: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag), and its weight in
 #: the odometry meanwhile.
 SCRUBS, SCRUBBING, SCRUB_WEIGHT = 0.02, 0.1, 1e-3
+#: Brakes are looked at about every so often [s]: legs do not move far meanwhile, and a look takes nearly as long as the rest of
+#: a command.
+LOOK = 0.01
+#: What the monitor of brakes sees: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
+Tick = tuple[float, np.ndarray, np.ndarray, np.ndarray]
 #: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
 #: wheel has to make, for how long [s] it is not believed after that, fewest wheels that can tell which one it is.
 CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
@@ -60,8 +65,9 @@ class SwerveAgent:
     slowed down to their limits; ``aligning``: wheels point elsewhere than planned (turned by hand, or knocked), so that the
     base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
     load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; left out, one with
-    the usual tolerances (None for fixed legs). ``faulty`` is called with each fault that it finds. ``scrubbing``: plans let
-    wheels slip sideways while they turn about, and the odometry hardly listens to those.
+    the usual tolerances (None for fixed legs); it looks every :data:`LOOK`, and before a stop. ``faulty`` is called with each
+    fault that it finds. ``scrubbing``: plans let wheels slip sideways while they turn about, and the odometry hardly listens to
+    those.
     ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict,
     as of one that hangs in the air.
     ``friction``: whether what dry friction takes from wheels and steering is learned and given back. ``smoothing`` [s] of base
@@ -108,6 +114,8 @@ class SwerveAgent:
         steer = robot.state["steer"]
         self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
         self.monitor, self.faulty, self.scrubbing = monitor or brake_monitor(robot), faulty, scrubbing
+        self._watched: Tick | None = None  # the newest tick since the last stop, and when the monitor looked last
+        self._looked = -np.inf
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)
         self._turning = np.zeros(robot.base.geometry.modules)
@@ -259,6 +267,7 @@ class SwerveAgent:
 
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
+        self._look_before_stop()
         self._drive_arm(np.zeros(self.sag.size))
         self.wanted, self.sent = np.zeros((2, self.robot.input.size))
         self.clamped = self.aligning = False
@@ -364,10 +373,30 @@ class SwerveAgent:
         return [] if self.monitor is None else [str(fault) for fault in self.monitor.real]
 
     def watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
-        """Judge the brakes of hinged legs at t [s] by the last measurement: commanded ``brake`` (n, 1 = open), planned leg
-        rates ``rate`` (n) [rad/s]."""
-        assert self.monitor is not None and self.measured is not None
-        for fault in self.monitor.update(t, self.measured.leg, brake, rate):
+        """A tick at t [s] of hinged legs: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s]. Their brakes
+        are judged by the last measurement, if the last look is :data:`LOOK` ago (within half a period)."""
+        assert self.measured is not None
+        self._watched = t, self.measured.leg, brake, rate
+        if abs(t - self._looked) >= LOOK - 0.5 * self.period:  # a new run's clock may be behind
+            self._look(self._watched)
+
+    def _look_before_stop(self) -> None:
+        """A stop closes the brakes and ends the plan: what legs have done until now is judged by the commands until now."""
+        watched, self._watched = self._watched, None
+        if watched is None or self.measured is None:
+            return
+        t, _, brake, rate = watched
+        if brake.any() or rate.any():  # else the stop changes nothing for them
+            self._look((t + self.period, self.measured.leg, brake, rate))
+
+    def _look(self, tick: Tick) -> None:
+        self._looked = tick[0]
+        self.judge(tick)
+
+    def judge(self, tick: Tick) -> None:
+        """Judge the brakes by a tick, and tell what is found."""
+        assert self.monitor is not None
+        for fault in self.monitor.update(*tick):
             _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
             if self.faulty is not None:
                 self.faulty(fault)

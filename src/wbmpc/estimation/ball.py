@@ -379,13 +379,20 @@ class BallFilter:
     def ball_velocity(self) -> Array:
         """Velocity (3) [m/s] of the ball's centre, world axes."""
         x = self.state
-        velocity: Array = x.velocity - x.rotation @ np.cross(self.rate, self.geometry.mount)
+        velocity: Array = x.velocity - x.rotation @ cross(self.rate, self.geometry.mount)
         return velocity
 
 
 def skew(a: Array) -> Array:
     """The matrix of a ×."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+    x, y, z = a.tolist()  # one by one, Python's own numbers are several times as fast
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (np.cross is slow for single ones)."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def rotation_of(vector: Array) -> Array:

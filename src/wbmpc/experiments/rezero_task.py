@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -64,6 +64,12 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
+def refuse_unlearnt(observer: bool, changed: bool) -> None:
+    """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
+    if changed and not observer:
+        raise ValueError("pushed_speed: with observer=false nothing uses it")
+
+
 class RezeroSettings(ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
@@ -111,6 +117,7 @@ class RezeroSettings(ExperimentSettings):
         for name in filter(self._changed, sorted(idle)):
             with_ = " and tracking.kind=actuators" if self.controller == "mpc" and name == "drive_dead_time" else ""
             raise ValueError(f"{name}: with controller={self.controller}{with_} nothing uses it")
+        refuse_unlearnt(self.observer, self._changed("pushed_speed"))
         return self
 
 
@@ -217,6 +224,22 @@ def robot_of(settings: RezeroSettings) -> RobotModel:
     return ball_robot(settings, settings.weigh and settings.observer and settings.controller == "mpc")
 
 
+class Leans(Protocol):
+    """Settings of whatever controls a ball robot with the MPC."""
+
+    @property
+    def observer(self) -> bool: ...
+    @property
+    def cost(self) -> RezeroCost: ...
+    @property
+    def pushed_speed(self) -> float: ...
+
+
+def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> Leaning | None:
+    """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
+    return Leaning(robot, arm, settings.cost.lean, settings.pushed_speed) if settings.observer else None
+
+
 def count_wheels(state: np.ndarray, torque: np.ndarray) -> int:
     """How many of recorded torques (n, drives) are the wheels', by the states (n, nx): the others are the arm's joints."""
     return int(torque.shape[1] - (state.shape[1] // 2 - 5))
@@ -249,8 +272,8 @@ def run_task(
     if settings.brace > 0.0 and settings.controller == "mpc" and estimator is not None:
         # (states from the simulator with noise are all pushes)
         agent.shoves = PushEstimator(robot, task.arm, settings.brace)
-    if settings.controller == "mpc" and settings.observer:
-        agent.leaning = Leaning(robot, task.arm, settings.cost.lean, settings.pushed_speed)
+    if settings.controller == "mpc":
+        agent.leaning = leaning_of(settings, robot, task.arm)
     mpc.reset(home, torque)
     log = Log()
 

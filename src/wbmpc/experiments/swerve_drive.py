@@ -190,8 +190,8 @@ class _Run:
         ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
         return ending, mpc, [f"{name}: {fault}" for fault in agent.faults], hit
 
-    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> None:
-        """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
+    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> list[str]:
+        """The rolling inverse kinematics on the same way: same plant, odometry and brakes. The faults that it found."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
@@ -219,6 +219,7 @@ class _Run:
                 plant.step(command, timing.steps)
                 if plant.fell:
                     break
+        return [f"{name}: {fault}" for fault in agent.faults]
 
 
 def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
@@ -240,8 +241,7 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     names = ("tour", "rival", "knock", *(f"closed_{name}" for name in CONFIGURATIONS))
     own = lambda name: part(progress, names.index(name), len(names), name)
     ending, mpc, faults, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
-    if not ending.reason:
-        bench.rival(mission, duration, terrain, own("rival"))
+    rivals = [] if ending.reason else bench.rival(mission, duration, terrain, own("rival"))
     knock = None
     if not ending.reason:
         way, length = straight(robot, "X", True)
@@ -256,5 +256,5 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
         NAME, seed, settings, ending, mpc, bench.log,
         metrics=lambda: metrics(bench.log, robot, faults, None if knock is None else knock.done),
         plots=lambda: plots(bench.log, robot),
-        idealisations=IDEALISATIONS, faults=faults,
+        idealisations=IDEALISATIONS, faults=[*faults, *rivals],
     )  # fmt: skip

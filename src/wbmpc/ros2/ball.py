@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.control import BrakeControl, Leaning, RezeroAgent
+from wbmpc.control import BrakeControl, RezeroAgent
 from wbmpc.estimation import BallNoise, PushEstimator, RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_task import resting
+from wbmpc.experiments.rezero_task import leaning_of, resting
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Plans, Policy
 from wbmpc.ocp import Reference
@@ -187,7 +187,7 @@ class BallPilot:
             PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
         )
         home = robot.home[robot.state["arm"]]
-        self._leaning = Leaning(robot, home, settings.cost.lean, settings.pushed_speed) if settings.observer else None
+        self._leaning = leaning_of(settings, robot, home)
         self.agent: BusBallAgent = self._new_agent(robot.home)
 
     def _new_agent(self, x: Array) -> BusBallAgent:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 import yaml
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from wbmpc.configuration import describe, keys, parse_yaml
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, refuse_unlearnt
 from wbmpc.experiments.settings import MpcSettings, Settings
 from wbmpc.experiments.swerve_problem import SwerveCost
 from wbmpc.model import RobotModel
@@ -288,6 +288,11 @@ class BallSettings(RosSettings):
     observer: bool = True
     brace: float = Field(RezeroStepsSettings().brace, ge=0, le=1.0)
     pushed_speed: float = Field(RezeroStepsSettings().pushed_speed, gt=0)
+
+    @model_validator(mode="after")
+    def _used(self) -> Self:
+        refuse_unlearnt(self.observer, self.pushed_speed != type(self).model_fields["pushed_speed"].default)
+        return self
 
 
 def settings_of(robot: RobotModel) -> type[RosSettings]:

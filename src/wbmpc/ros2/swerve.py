@@ -12,6 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.control import BrakeControl, SwerveAgent
+from wbmpc.control.swerve import Tick
 from wbmpc.estimation import BrakeMonitor
 from wbmpc.experiments.swerve_problem import swerve_mpc
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
@@ -27,10 +28,8 @@ from wbmpc.solver import Solver
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
-#: A tick as the monitor of brakes wants it: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
-Tick = tuple[float, Array, Array, Array]
-#: The monitor looks at ticks that are this far apart [s], and at most at so many at once.
-LOOK, BACKLOG = 0.01, 4000
+#: The monitor of brakes looks at so many ticks at once at most: 10 s of them.
+BACKLOG = 1000
 #: A brake is open this long [s] after its command.
 BRAKE_DELAY = 0.1
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
@@ -52,10 +51,9 @@ class BusAgent(SwerveAgent):
         super().__init__(*given, **named)
         self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
 
-    def watch(self, t: float, brake: Array, rate: Array) -> None:
+    def judge(self, tick: Tick) -> None:
         """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
-        assert self.measured is not None
-        self.ticks.append((t, self.measured.leg, brake, rate))
+        self.ticks.append(tick)
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
@@ -139,10 +137,7 @@ class SwervePilot:
         if monitor is None or self.brakes is None:
             return
         while ticks:
-            tick = ticks.popleft()
-            if tick[0] - monitor.time < LOOK - 0.5 * self.period:
-                continue
-            for fault in monitor.update(*tick):
+            for fault in monitor.update(*ticks.popleft()):
                 _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
                 self.brakes.accept(fault)
 

@@ -247,9 +247,10 @@ class Solver:
 
     def _bind(self) -> None:
         """Addresses of what every solve passes on: a call then costs microseconds."""
-        from wbmpc.solver.receding import receding_solve
+        from wbmpc.solver.receding import receding_solve, simulate
 
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
+        self._simulate, self._nothing = simulate.pointer, ctypes.addressof(self._out)
         self.x0 = np.zeros(self.problem.nx)
         arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
@@ -258,10 +259,9 @@ class Solver:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
         if self.settings.backend == "interpreted":
             return self.twin.simulate(x, u, h)
-        from wbmpc.solver.receding import simulate
-
-        out = np.empty(self.problem.nx)
-        simulate(self.ws.memory, self.ws.table, np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), h, out)
+        # dozens of times in a controller's tick: the addresses that do not change are not asked for again
+        x, u, out = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), np.empty(self.problem.nx)
+        self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
         return out
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.control import RezeroAgent, SwerveAgent
-from wbmpc.control.leaning import Leaning
 from wbmpc.errors import InputError
 from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings, set_home_references
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings, leaning_of, set_home_references
 from wbmpc.experiments.settings import MpcSettings
 from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
 from wbmpc.loop import Ending, Timing, Watch, Watcher, run_lockstep
@@ -131,6 +130,6 @@ def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
     agent = RezeroAgent(robot, mpc, torque, timing.period, _LAG)
-    agent.leaning = Leaning(robot, robot.home[robot.state["arm"]], STEPS_AND_PUSHES.lean, RezeroSettings().pushed_speed)
+    agent.leaning = leaning_of(RezeroSettings(), robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     return plant, agent, mpc, timing

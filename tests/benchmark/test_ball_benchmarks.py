@@ -1,0 +1,51 @@
+"""The ball robot of the benchmarks. Truth: shares of the reach that docstrings promise."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+import limit_scenarios
+import realtime
+
+from wbmpc.control import RezeroAgent
+from wbmpc.experiments.rezero_problem import RezeroCost
+from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings
+from wbmpc.model import load_robot
+
+ROBOT = load_robot("rezero")
+NO_MPC: Any = SimpleNamespace(reference={}, reset=lambda *_: None)  # compiling one takes a second
+STRONG = np.array([400.0, -100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def in_real_time() -> RezeroAgent:
+    return realtime.make_rezero_agent(NO_MPC, None, 400.0)  # type: ignore[arg-type]
+
+
+def at_its_limits(cost: RezeroCost) -> RezeroAgent:
+    variant: Any = SimpleNamespace(mpc=lambda *_: NO_MPC)
+    agent: RezeroAgent = limit_scenarios._rezero(ROBOT, variant, 0, 5.0, cost).agent
+    return agent
+
+
+@pytest.mark.parametrize(
+    ("make", "share"),
+    [
+        (in_real_time, 0.0),
+        (lambda: at_its_limits(limit_scenarios.BALL_COST), STEPS_AND_PUSHES.lean),
+        (lambda: at_its_limits(RezeroCost()), 0.0),
+    ],
+)
+def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) -> None:
+    """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
+    leaning = make().leaning
+    assert leaning is not None and leaning.speed == RezeroSettings().pushed_speed
+    lean = leaning.shift(STRONG, 0.3) - leaning.centre(STRONG, 0.3)
+    assert np.hypot(*lean) == pytest.approx((0.9 - share) * leaning.reach)
