@@ -146,7 +146,7 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
         agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
     given = agent.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
     assert given is agent.disturbance and given[0] > 0.0
-    with pytest.raises(NotFinite, match="disturbance is not finite"):
+    with pytest.raises(NotFinite, match="disturbance observer: 'state'"):
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
 

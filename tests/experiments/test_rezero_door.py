@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from wbmpc.control import door as control
+from wbmpc.estimation import ForceMonitor
+from wbmpc.estimation.force import UNFELT_TIME
 from wbmpc.experiments import rezero_door
 from wbmpc.experiments.rezero_door import RezeroDoorSettings
 
@@ -151,16 +153,18 @@ def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool,
     agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([1.0, 0.0, 0.0])))  # type: ignore[assignment]
     agent.sensorless = SimpleNamespace(force=np.zeros(3))  # type: ignore[assignment]
-    agent._unfelt, agent._found = 0.0, []
+    agent.sensor, agent._found = ForceMonitor(), []
     times = np.arange(0.0, 3.0, agent.period)
     ended = np.inf
     for t in times:
         agent.sensorless.force = np.array([-force if 1.0 <= t < 1.5 else 0.0, 0.0, 0.0])
+        agent.force = agent.sensorless.force if touching else np.zeros(3)
+        agent._compare(float(t))
         if agent._ends(float(t)):
             ended = t
             break
     if "sensor" in ends:
-        assert ended == pytest.approx(1.0 + control.UNFELT_TIME, abs=0.01)
+        assert ended == pytest.approx(1.0 + UNFELT_TIME, abs=0.01)
     else:
         assert ended == np.inf and agent._ends(3.0)
     assert len(agent.faults) == bool(ends) and all(ends in f for f in agent.faults)

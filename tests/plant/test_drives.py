@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import scipy.signal
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
-from wbmpc.plant.drives import ElasticDrives
+from wbmpc.plant.drives import HEAD_ROOM, ElasticDrives
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
@@ -90,6 +92,64 @@ def test_limits_and_lag() -> None:
     assert drive.torque[0] == pytest.approx(3.0, rel=1e-6)
 
 
+def slipping(traction: float, command: Callable[[float], float], seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds of a load [rad/s] behind rotor, spring and a light wheel on dry friction, each on a hinge of its own (MuJoCo, a tenth
+    of the step), and behind our drive."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = STEP / 10, [0, 0, 0]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    body, d = spec.worldbody, 2 * ZETA * np.sqrt(K * J)
+    for name, inertia, stiffness, damping, friction in (
+        ("rotor", J, 0.0, 0.0, 0.0), ("wheel", 2e-5, K, d, 0.0), ("load", 0.04, 0.0, 0.0, traction),
+    ):  # fmt: skip
+        body = body.add_body(name=name, explicitinertial=True, mass=1.0, ipos=[0, 0, 0], inertia=[inertia] * 3)
+        body.add_joint(
+            name=name, axis=[0, 0, 1], stiffness=[stiffness, 0, 0], damping=[damping, 0, 0], frictionloss=friction,
+            solref_friction=[2e-4, 1.0], solimp_friction=[0.9999, 0.9999, 1e-3, 0.5, 2],
+        )  # fmt: skip
+    spec.add_actuator(name="motor", target="rotor", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
+    model = spec.compile()
+    data, loop, limit = mujoco.MjData(model), 2.0 * LOOP * np.sqrt(K * (1.0 + GAIN) * J), 4.0
+    ours, truth, speed, each = [], [], 0.0, np.ones(1)
+    drive = ElasticDrives(K * each, J * each, ZETA, GAIN, LOOP, limit * each, 0.0 * each, STEP, traction)
+    for i in range(round(seconds / STEP)):
+        wanted = float(np.clip(command(STEP * i), -limit, limit))
+        for _ in range(10):
+            asked = wanted + GAIN * (wanted + K * data.qpos[1]) + loop * (data.qvel[1] + data.qvel[2])
+            data.ctrl[0] = np.clip(asked, -HEAD_ROOM * limit, HEAD_ROOM * limit)
+            mujoco.mj_step(model, data)
+        truth.append(data.qvel.sum())
+        speed += STEP * drive.step([wanted], [speed])[0] / 0.04
+        ours.append(speed)
+        assert abs(drive.torque[0]) <= traction
+    return np.array(ours), np.array(truth)
+
+
+def test_a_wheel_slips_beyond_its_traction() -> None:
+    """Jumps from limit to limit, which the spring answers with more than the traction: the load goes as on dry friction in MuJoCo,
+    within half a percent of its fastest. One that always grips would be far off."""
+    jumps = lambda t: 8.0 * np.sign(np.sin(14.0 * t))
+    ours, truth = slipping(4.0, jumps, 0.5)
+    grips, _ = slipping(1e3, jumps, 0.5)
+    fastest = np.abs(truth).max()
+    assert np.abs(ours - truth).max() < 0.005 * fastest
+    assert np.abs(grips - truth).max() > 0.05 * fastest
+
+
+def test_balls_get_no_more_than_the_traction() -> None:
+    """Commands that jump from limit to limit: all springs overshoot, but what acts on the ball is held by the wheels' traction."""
+    elastic = Perturbation.none(
+        drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, arm_spring=300.0, arm_rotor=0.05, torque_gain=1.0
+    )
+    plant, seen = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic), []
+    for k in range(240):
+        plant.step(RezeroCommand(np.where(k // 80 % 2, -1.0, 1.0) * np.array([4.0] * 3 + [20.0] * 3)), 1)
+        seen.append(np.abs(plant.torque))
+    most = np.max(seen, axis=0)
+    assert most[:3].max() == pytest.approx(4.0, abs=1e-12)
+    assert most[3:].max() > 20.0
+
+
 def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
     """Statics: at the equilibrium's torques the springs are wound up from the start, and the arm stays."""
     elastic = Perturbation.none(
@@ -120,6 +180,14 @@ def test_dead_time() -> None:
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-12)
     plant.step(RezeroCommand(TORQUE + 1.0), 1)
     np.testing.assert_allclose(plant.torque, TORQUE + 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("time", [0.0003, 0.00275])
+def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
+    with pytest.raises(
+        InputError, match=r"plant\.dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
+    ):
+        RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(dead_time=time))
 
 
 def test_bad_drives() -> None:

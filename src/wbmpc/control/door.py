@@ -2,9 +2,9 @@
 
 Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
-so; there is no wrench without it. A sensor that says nothing cannot be told from a hand that is free; so the force that the
-momentum observer finds without it is watched: a hand that pushes against what the sensor does not feel lets go, as one does that
-has found no door in time.
+so; there is no wrench without it. A sensor that says nothing cannot be told from a hand that is free, nor one that says the same
+for ever from a hand that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds
+without it. A hand whose sensor is not believed lets go, as one does that has found no door in time; the force is zero from then on.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from wbmpc import lie
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.door import DoorFilter
+from wbmpc.estimation.force import ForceMonitor
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model import DoorGeometry, RobotModel
 from wbmpc.model.door import FADE_TIME, place_of
@@ -45,10 +46,6 @@ NEVER = 1e6
 MOVING = 0.03
 #: Above this rate [rad/s] it tells its impedance.
 SLIDING = 0.06
-#: A hand is pushed by more than this [N] along the panel's normal, for so long [s], as the momentum observer finds, and the
-#: sensor feels nothing: it does not work. (What it finds of a free hand on its way is 1.3 N at most; the hand's pull at its place
-#: beyond the panel, without a force that is planned, is 5 N.)
-UNFELT, UNFELT_TIME = 3.0, 0.3
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -95,7 +92,7 @@ class DoorAgent(RezeroAgent):
         self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
-        self.contact = ContactMonitor()
+        self.contact, self.sensor = ContactMonitor(), ForceMonitor()
         self.phase = "approach"
         self.force = np.zeros(3)  # of the world on the hand, world axes [N]
         self.door = np.zeros(2)
@@ -105,7 +102,6 @@ class DoorAgent(RezeroAgent):
         self._hand = hand_motion(robot)
         self.sensorless = SensorlessForce(robot)
         self._let_go = push.start
-        self._unfelt = 0.0  # [s] for which the sensor has not felt what pushes the hand
         self._found: list[str] = []
 
     # ------------------------------------------------------------------ state
@@ -127,6 +123,7 @@ class DoorAgent(RezeroAgent):
         self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
+        self._compare(measurement.time)
         self._follow(measurement.time, hand, velocity)
 
     def _pushed(self) -> Array:
@@ -140,17 +137,36 @@ class DoorAgent(RezeroAgent):
             self._accelerates = None
 
     def _feel(self, m: RezeroMeasurement) -> None:
-        """The contact force in world axes, with the last known attitude of the hand."""
+        """The contact force in world axes, with the last known attitude of the hand; zero if the sensor is not believed."""
+        known, reading = self.sensor.fault, self.sensor.judge(self.period, m.force)
+        if self.sensor.fault:
+            if not known:
+                self._distrust(m.time)
+            return
         state = self.measured.state if self.measured is not None else self.robot.home
         rotation = lie.quaternion_to_rotation(self.robot.pose(state)[1])
-        force = rotation @ m.force + np.array([0.0, 0.0, self.push.tip_weight])
+        force = rotation @ reading + np.array([0.0, 0.0, self.push.tip_weight])
         normal = self.geometry.directions(float(self.door[0]))[1]
         touching = self.contact.update(m.time, float(-normal @ force))
         self.force = force if touching else np.zeros(3)
 
+    def _compare(self, t: float) -> None:
+        """The sensor's force against the one that the motion says, along the panel's normal."""
+        touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
+        felt, found = float(-normal @ self.force), float(-normal @ self.sensorless.force)
+        watched = t >= self.push.begin and (touching or self.phase != "release")
+        known = self.sensor.fault
+        if self.sensor.compare(self.period, touching, felt, found if watched else felt) and not known:
+            self._distrust(t)
+
+    def _distrust(self, t: float) -> None:
+        """The sensor has a fault: there is neither force nor contact any more."""
+        self._tell(self.sensor.fault, t)
+        self.force, self.contact.touching = np.zeros(3), False
+
     @property
     def faults(self) -> list[str]:
-        """As of every ball robot; a force that the sensor does not feel, a door that was not there."""
+        """As of every ball robot; a force sensor that is not believed, a door that was not there."""
         return [*super().faults, *self._found]
 
     def _tell(self, fault: str, t: float) -> None:
@@ -177,12 +193,8 @@ class DoorAgent(RezeroAgent):
             self.phase, self.released, self._let_go = "release", t, hand.copy()
 
     def _ends(self, t: float) -> bool:
-        """Whether the hand lets go, or turns back: the door is open, it took too long, or the sensor feels nothing of a push."""
-        felt = float(-self.geometry.directions(float(self.door[0]))[1] @ self.sensorless.force)
-        pressed = t >= self.push.begin and not self.contact.touching and felt > UNFELT
-        self._unfelt = self._unfelt + self.period if pressed else 0.0
-        if self._unfelt >= UNFELT_TIME - 1e-9:
-            self._tell(f"the hand is pushed by {felt:.1f} N that the force sensor does not feel", t)
+        """Whether the hand lets go, or turns back: the door is open, it took too long, or its force sensor is not believed."""
+        if self.sensor.fault:
             return True
         if self.phase == "approach" and t >= self.push.give_up:
             self._tell("the hand has found no door", t)

@@ -8,6 +8,7 @@ from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
+from wbmpc.estimation.force import ForceMonitor
 from wbmpc.estimation.fused import FusedOdometry, OdometryNoise, is_covariance
 from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.estimation.momentum import MomentumObserver
@@ -33,6 +34,7 @@ __all__ = [
     "DriftObserver",
     "EncoderFault",
     "EncoderMonitor",
+    "ForceMonitor",
     "FusedOdometry",
     "JointTracker",
     "MassOffset",

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 
 from wbmpc import lie
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation.checks import finite, numbers
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
 from wbmpc.robots import InertialDescription
 
@@ -166,11 +167,13 @@ class BallFilter:
         self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
     ) -> BallState:
         """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s];
-        ``turning`` [N m]: torque of the wheels on the ball about the vertical.
+        ``turning`` [N m]: torque of the wheels on the ball about the vertical. A message that is not newer than the last one
+        (``interval`` ≤ 0) is ignored.
 
         Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
+        finite("ball filter", interval=interval, turning=turning)
         w, *message = (
-            self._checked(name, value, size)
+            numbers("ball filter", name, value, size)
             for name, value, size in (("wheel", wheel, self._n), ("gyro", gyro, 3), ("accel", accel, 3))
         )
         if self._first:
@@ -190,16 +193,6 @@ class BallFilter:
         self.rate = self._inertial.last[0] - self.state.gyro_bias
         self._look_for_stalled(w, turned)
         return self.state
-
-    @staticmethod
-    def _checked(name: str, given: ArrayLike, size: int) -> Array:
-        """A reading (size) of finite numbers."""
-        value = np.asarray(given, float)
-        if value.shape != (size,):
-            raise InputError(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
-        if not np.isfinite(value).all():
-            raise NotFinite(f"ball filter: '{name}' needs {size} finite numbers, got {value}")
-        return value
 
     def _weighed(self, h: float, wheel: Array, message: Array) -> _Explained:
         """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.

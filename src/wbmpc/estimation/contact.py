@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wbmpc.errors import InputError
+from wbmpc.estimation.checks import finite
 
 
 @dataclass
@@ -25,7 +26,8 @@ class ContactMonitor:
         self._candidate: float | None = None
 
     def update(self, t: float, force: float) -> bool:
-        """Whether there is contact, after a force [N] at time t [s]."""
+        """Whether there is contact, after a force [N] at time t [s]; :class:`NotFinite` for what is no number."""
+        finite("contact", t=t, force=force)
         other = force <= self.off if self.touching else force >= self.on
         if not other:
             self._candidate = None

@@ -22,6 +22,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wbmpc.estimation.checks import finite, numbers, positive_time
+
 #: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
 STEADY = 0.35
 
@@ -49,8 +51,14 @@ class DisturbanceObserver:
         self.learning = 1.0  # how much of a constant disturbance the last update can have learnt
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s]."""
+        """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s].
+
+        Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
         n = self.size
+        finite("disturbance observer", t=t)
+        positive_time("disturbance observer", h)
+        x = numbers("disturbance observer", "state", x, 2 * n)
+        u = numbers("disturbance observer", "input", u, np.size(u))
         q, v = x[:n], x[n:]
         if self._speed is None:
             self._speed = v.copy()

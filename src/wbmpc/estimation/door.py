@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
+from wbmpc.estimation.checks import finite, positive_time
 
 Array = NDArray[np.float64]
 
@@ -67,12 +68,17 @@ class DoorFilter:
 
     def rest(self, angle: float, rate: float = 0.0) -> None:
         """The door rests or creeps at ``angle`` [rad], ``rate`` [rad/s]: what is known of its impedance stays as it is."""
+        finite("door filter", angle=angle, rate=rate)
         self.state[:2] = angle, rate
         self.covariance[:2, :], self.covariance[:, :2] = 0.0, 0.0
         self.covariance[0, 0], self.covariance[1, 1] = self.noise.angle**2, self.noise.rate**2
 
     def update(self, interval: float, torque: float, angle: float, rate: float) -> None:
-        """``torque`` [N m] that acted over the last ``interval`` [s]; measured ``angle`` [rad] and ``rate`` [rad/s] now."""
+        """``torque`` [N m] that acted over the last ``interval`` [s]; measured ``angle`` [rad] and ``rate`` [rad/s] now.
+
+        Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        positive_time("door filter", interval)
+        finite("door filter", torque=torque, angle=angle, rate=rate)
         self._predict(interval, torque)
         n = self.noise
         for place, value, spread in ((0, angle, n.angle), (1, rate, n.rate)):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
+from wbmpc.estimation.checks import numbers, positive_time
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,10 @@ class MomentumObserver:
 
     def update(self, q: ArrayLike, v: ArrayLike, force: ArrayLike, interval: float) -> Array:
         """The residual (n) at positions q (n) and speeds v (n), with the known generalised ``force`` (n) that acted over the
-        ``interval`` [s] before."""
-        q, v, force = (np.asarray(a, float) for a in (q, v, force))
+        ``interval`` [s] before. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        positive_time("momentum observer", interval)
+        n = np.size(v)
+        q, v, force = (numbers("momentum observer", name, a, n) for name, a in (("q", q), ("v", v), ("force", force)))
         mass = self.mass(q)
         if self._before is None:
             self.residual = np.zeros(v.size)

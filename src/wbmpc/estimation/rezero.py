@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.errors import InputError, NotFinite
+from wbmpc.errors import InputError
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
+from wbmpc.estimation.checks import finite, numbers, positive_time
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
 
@@ -54,7 +55,9 @@ class JointTracker:
         self._fastest = SPEED_FACTOR * np.asarray(speed, float)
 
     def update(self, interval: float, reading: Array) -> None:
-        """``interval`` [s] since the reading before."""
+        """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
+        positive_time("joint tracker", interval)
+        reading = numbers("joint tracker", "reading", reading, self.angle.size)
         h, s = interval, self._density**2
         aa = self._aa + 2.0 * h * self._ar + h * h * self._rr + s * h**3 / 3.0
         ar, rr = self._ar + h * self._rr + s * h * h / 2.0, self._rr + s * h
@@ -106,13 +109,16 @@ class RezeroEstimator:
 
     def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
         """The state (2 nq) at ``time`` [s], at which the sensors were read; ``turning`` [N m]: what the wheels turned the ball
-        with about the vertical."""
-        interval = 0.0 if self._time is None else time - self._time
-        self._time = time
-        angles = np.asarray(arm, float)
-        if not np.isfinite(angles).all():
-            raise NotFinite(f"ball robot's estimator: 'arm' needs finite numbers, got {angles}")
+        with about the vertical. Messages that are not newer than the last one are ignored.
+
+        Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; such a message counts as not given."""
+        finite("ball robot's estimator", time=time)
+        angles = numbers("ball robot's estimator", "arm", arm, self.arm.angle.size)
+        interval = 0.0 if self._time is None else max(time - self._time, 0.0)
         self.filter.update(interval, wheel, gyro, accel, turning)
+        if self._time is not None and interval == 0.0:
+            return self.state
+        self._time = time
         if interval > 0.0:
             self.arm.update(interval, angles)
             self._look_for_balance(interval)
@@ -123,6 +129,7 @@ class RezeroEstimator:
     def correct(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Take in another source's pose (x, y, yaw) of the base at ``time`` [s], one of the last :data:`HISTORY` updates, with
         its covariance (3, 3); returns the state (2 nq) now."""
+        finite("ball robot's estimator", time=time)
         if not self._places:
             return self.state
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]

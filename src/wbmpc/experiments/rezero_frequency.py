@@ -39,6 +39,8 @@ LEAST_STEP = 0.01
 HERE = [
     "springs, rotors and torque loops are assumed (not published), and the model of the controller does not know them; rotors "
     "do not react on the housing (1 / gear ratio of the torque); encoders sit at the joints' side of the springs",
+    "a wheel whose spring pulls more than its traction slips without inertia of its own, and its encoder reads the ball's turning",
+    "the computation takes a constant 10 ms",
 ]
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
 ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, drive_lag=0.0)
@@ -178,7 +180,7 @@ def run(settings: RezeroFrequencySettings, seed: int, progress: Progress | None 
     assert mpc is not None
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS[:2]],
+        metrics=lambda: metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS[:3]],
     )  # fmt: skip
 
 

@@ -8,6 +8,10 @@ twist δ = θ − ψ:
 τ_s acts on the joint. The same as two collinear hinges, rotor and spring, in MuJoCo; here without their joints, so that it also
 fits drives that act on a ball joint. As in MuJoCo's ``armature`` the rotor's reaction on the housing is left out: with a gear
 of ratio n it is 1 / n of the reflected torque.
+
+A wheel passes no more than its traction T to what it drives. Where τ_s would be more it slips: τ_s = ± T, and what is left of the
+twist goes with the wheel, which has no inertia of its own: k δ + d δ̇ = ± T. (The wheel is then faster than the joint by
+(τ_s that it would need − T) / d: slip takes energy, it never gives any.)
 """
 
 from __future__ import annotations
@@ -29,7 +33,8 @@ class ElasticDrives:
     ``stiffness`` k [N m/rad], ``rotor`` J [kg m²]. With the joint held, ``spring_damping`` is the damping ratio of the rotor on
     its spring without a loop, which gives d; ``gain`` g and ``loop_damping`` (ratio that the loop adds to that of the spring,
     which gives c) are the torque loop's. ``limit`` [N m] cuts the wanted torques, ``lag`` [s] is their first-order lag,
-    ``timestep`` [s] that of the physics: the loop runs once a step. Raises :class:`InputError` for a spring without a rotor.
+    ``timestep`` [s] that of the physics: the loop runs once a step. ``traction`` [N m]: what reaches the joint at most (left out:
+    everything). Raises :class:`InputError` for a spring without a rotor.
     """
 
     def __init__(
@@ -42,6 +47,7 @@ class ElasticDrives:
         limit: ArrayLike,
         lag: ArrayLike,
         timestep: float,
+        traction: ArrayLike = np.inf,
     ) -> None:
         self.stiffness, self.rotor = np.asarray(stiffness, float), np.asarray(rotor, float)
         if not ((self.stiffness > 0.0).all() and (self.rotor > 0.0).all()):
@@ -51,6 +57,10 @@ class ElasticDrives:
         self.gain, self.limit, self._h = gain, np.asarray(limit, float), timestep
         self.damping = 2.0 * spring_damping * np.sqrt(self.stiffness * self.rotor)
         self.loop_damping = 2.0 * loop_damping * np.sqrt(self.stiffness * (1.0 + gain) * self.rotor)
+        self.traction = np.broadcast_to(np.asarray(traction, float), self.stiffness.shape)
+        # share of the twist's distance to its rest that is left after a step of slip
+        with np.errstate(divide="ignore"):
+            self._left = np.exp(-timestep * self.stiffness / self.damping)
         lags = np.asarray(lag, float)
         self._blend = np.where(lags > 0.0, 1.0 - np.exp(-timestep / np.where(lags > 0.0, lags, 1.0)), 1.0)
         steps = [self._exact(k, j, d) for k, j, d in zip(self.stiffness, self.rotor, self.damping, strict=True)]
@@ -77,8 +87,20 @@ class ElasticDrives:
         relative = self.speed - joint
         motor = self.wanted + self.gain * (self.wanted - before) - self.loop_damping * relative
         motor = np.clip(motor, -HEAD_ROOM * self.limit, HEAD_ROOM * self.limit)
-        self.twist, self.speed = np.einsum("nij,jn->in", self._step, np.array([self.twist, self.speed, motor, joint]))
+        twist, rotor = self.twist, self.speed
+        self.twist, self.speed = np.einsum("nij,jn->in", self._step, np.array([twist, rotor, motor, joint]))
         # the mean over the step: what acts is not half a step old
         spring = 0.5 * (before + self.stiffness * self.twist)
         self.torque = spring + 0.5 * self.damping * (relative + self.speed - joint)
+        slips = np.abs(self.torque) > self.traction
+        if slips.any():
+            self._slip(slips, twist, rotor, motor)
         return self.torque
+
+    def _slip(self, slips: Array, twist: Array, speed: Array, motor: Array) -> None:
+        """Another step from ``twist`` and rotor ``speed`` under the ``motor`` torque for the drives that slip (n)."""
+        passed = np.copysign(np.where(slips, self.traction, 0.0), self.torque)
+        rest = passed / self.stiffness
+        self.torque = np.where(slips, passed, self.torque)
+        self.speed = np.where(slips, speed + self._h * (motor - passed) / self.rotor, self.speed)
+        self.twist = np.where(slips, rest + self._left * (twist - rest), self.twist)

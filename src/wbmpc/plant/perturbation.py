@@ -29,9 +29,10 @@ class Perturbation(BaseModel):
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
     [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
 
-    Ball robots only, and not spreads: ``dead_time`` [s] of the drives (whole physics steps); series elastic drives
-    (:mod:`wbmpc.plant.drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of ``wheel_rotor`` and
-    ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and ``torque_damping``.
+    Ball robots only, and not spreads: ``dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
+    elastic drives (:mod:`wbmpc.plant.drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
+    ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
+    ``torque_damping``.
     Their figures are assumed: none are published for this robot.
 
     Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,

@@ -66,6 +66,18 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
     )
 
 
+def whole_steps(key: str, time: float, timestep: float) -> int:
+    """How many physics steps [s] a ``time`` [s] is; :class:`InputError` for what is no whole number of them."""
+    count = round(time / timestep)
+    if abs(time - count * timestep) > 1e-9:
+        below = int(time / timestep) * timestep
+        raise InputError(
+            f"{key}: {time:g} s is not a whole number of physics steps of {timestep * 1e3:g} ms; valid: e.g. {below:g} or "
+            f"{below + timestep:g} s"
+        )
+    return count
+
+
 class RezeroPlant(InWorld):
     """Physics and drives of a ball robot.
 
@@ -127,7 +139,7 @@ class RezeroPlant(InWorld):
         self._last: RezeroMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        self._commands: deque[Array] = deque(maxlen=1 + round(p.dead_time / timestep))
+        self._commands: deque[Array] = deque(maxlen=1 + whole_steps("plant.dead_time", p.dead_time, timestep))
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
         self._place(finite("state", home if state is None else state, 10 + 2 * n), torque)
@@ -188,6 +200,7 @@ class RezeroPlant(InWorld):
         return ElasticDrives(
             each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
             p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
+            each(limits.wheel_effort, np.inf),  # the wheels' limit is their traction on the ball, the arm's its motors'
         )  # fmt: skip
 
     def _mount(self) -> Array:

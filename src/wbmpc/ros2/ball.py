@@ -64,9 +64,9 @@ class BusBallAgent(RezeroAgent):
             assert self.seen is not None
             self.measured = self.seen = RezeroMeasurement(message.now, self.seen.state, age)
             return
-        self._sampled = message.time
         m = message
         state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
+        self._sampled = message.time  # a message that was refused has not moved the estimator
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             state = self.estimator.correct(*fix)
