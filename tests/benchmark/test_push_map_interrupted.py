@@ -44,9 +44,11 @@ def test_ctrl_c_ends_the_map_with_a_sentence_and_keeps_what_is_done(
 
     thread = threading.Thread(target=interrupt)
     thread.start()
+    started = time.monotonic()
     with pytest.raises(SystemExit) as ended:
         push_map.run([point], file, workers, 1, 5.0, ["recovers"])
     thread.join()
+    assert time.monotonic() - started < 30.0
     assert ended.value.code == status
     told = capsys.readouterr()
     assert told.err == f"interrupted: what is done is in {file}; the same command goes on from there\n"
