@@ -83,7 +83,7 @@ def test_the_race_is_won_by_the_strongest_and_leaves_the_others_early() -> None:
         1.0: (31, 35, 32, 39),
         2.0: (31, 29, 99, 99),
         3.0: (44, 58, 52, 57),
-        4.0: (99, 41, 99, 99),
+        4.0: (99, 99, 99, 41),
         5.0: (45, 45, 99, 99),
     }
     runs: list[tuple[float, float, int]] = []
@@ -94,7 +94,7 @@ def test_the_race_is_won_by_the_strongest_and_leaves_the_others_early() -> None:
 
     assert race([{"hand": k} for k in strength], 30.0, recovers, 4) == (50.0, 3, {"hand": 3.0})
     assert [r for r in runs if r[0] == 2.0] == [(2.0, 40.0, k) for k in range(4)]  # the first does none there
-    assert [r for r in runs if r[0] == 4.0] == [(4.0, 50.0, 0), (4.0, 50.0, 1)]
+    assert [r for r in runs if r[0] == 4.0] == [(4.0, 50.0, k) for k in range(4)]  # as many: the first of them stays
     assert [r for r in runs if r[0] == 5.0] == [(5.0, 50.0, 0)]
 
 
