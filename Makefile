@@ -89,7 +89,7 @@ ball: $(VENV)/.installed
 	  rezero-frequency $(BALL_ARGS)
 
 # gains of the ball robot's rivals by one search on tuning seeds, then all controllers on reporting seeds (hours; goes on);
-# `make regulators`: those of the regulators of the push map, most of it on the model alone
+# `make regulators`: those of the regulators of the push map, on the model and then in simulation
 regulators: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/regulator_search.py --file runs/regulators.jsonl $(REGULATORS_ARGS)
 
@@ -114,7 +114,7 @@ rivals: $(VENV)/.installed
 door: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/door_table.py $(DOOR_ARGS)
 
-# the ball robot's push map: impulse at which it falls, 16 directions, 4 lengths (half an hour on all cores; goes on where it stopped)
+# the ball robot's push map: impulses from which it recovers, 16 directions, 4 lengths (hours; goes on where it stopped)
 push-map: $(VENV)/.installed
 	$(ENVIRONMENT) nice $(BIN)/python benchmarks/push_map.py $(PUSH_MAP_ARGS)
 

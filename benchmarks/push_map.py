@@ -1,8 +1,9 @@
-"""The push map of the ball robot: impulses from which it recovers, and after which it still stands, over directions and lengths.
+"""The push map of the ball robot: impulses from which it recovers, or after which it still stands, over directions and lengths.
 
 Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
-[--controllers mpc lqr scheduled-lqr …] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER]; ``--draw`` only draws what
-FOLDER has. Goes on where it was interrupted. To recover, it has to be back and at rest 7 s after the push begins (``--set
+[--controllers mpc lqr scheduled-lqr …] [--criteria recovers stands] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER];
+``--draw`` only draws what FOLDER has. Every push is kept when it is done: Ctrl-C, and the same command goes on. Without
+``--criteria`` only recovering is looked for. To recover, it has to be back and at rest 7 s after the push begins (``--set
 pause=``). Rivals have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
 regulator that only has to stand, and rolls away). Of several controllers the first is compared with each of the others,
 direction by direction.
@@ -12,17 +13,34 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
+import os
+import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from workers import Workers
 
+from wbmpc.cli.terminal import INTERRUPTED, TERMINATED, terminable
 from wbmpc.configuration import configure
 from wbmpc.errors import WbmpcError
-from wbmpc.experiments.push_map import CRITERIA, FINE, MODES, Outcomes, Point, bracket, measure, points, push_map, read
+from wbmpc.experiments.push_map import (
+    CRITERIA,
+    FINE,
+    MODES,
+    Outcome,
+    Outcomes,
+    Point,
+    bracket,
+    points,
+    push_map,
+    read,
+    simulated,
+    wanted,
+)
 from wbmpc.experiments.rezero_rivals import Controller
 
 #: Gains of rivals by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
@@ -42,12 +60,15 @@ def write_gains(mode: str, controller: str, found: dict[str, float]) -> None:
     GAINS.write_text(json.dumps(everything, indent=1) + "\n")
 
 
+def settings_with(controller: str, found: dict[str, float]) -> tuple[str, ...]:
+    """Settings of a run with that rival and these gains."""
+    key = controller.replace("-", "_")
+    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in found.items())
+
+
 def settings_of(mode: str, controller: str, file: Path | None = None) -> tuple[str, ...]:
     """Settings of a run with that controller and its gains; none for the MPC."""
-    if controller == "mpc":
-        return ()
-    key = controller.replace("-", "_")
-    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in gains(mode, controller, file).items())
+    return () if controller == "mpc" else settings_with(controller, gains(mode, controller, file))
 
 
 def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
@@ -60,25 +81,44 @@ def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
     }
 
 
-def _run(todo: list[Point], file: Path, processes: int | None, fine: float) -> None:
-    started = time.time()
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        results = push_map(todo, file, lambda left: pool.imap_unordered(partial(measure, fine=fine), left), fine)
-        for k, (key, found) in enumerate(results, start=1):
-            said = ", ".join(f"{c} {told(found, c)}" for c in CRITERIA)
-            print(f"{k} of {len(todo)}, {time.time() - started:.0f} s: {key}: {said}", flush=True)
+def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: float, criteria: Sequence[str]) -> None:
+    """All pushes, each written and told when it is done. Ctrl-C (or SIGTERM) ends the program with a sentence."""
+    started, done = time.time(), read(file)
+    left = {p.key for p in todo if wanted(done.get(p.key, {}), fine, criteria) is not None}
+    push = partial(workers.submit, simulated)
+    with terminable() as termination:
+        try:
+            with workers:
+                for point, impulse, outcome in push_map(todo, file, push, processes, fine, criteria):
+                    found = done.setdefault(point.key, {})
+                    found[impulse] = outcome
+                    if wanted(found, fine, criteria) is None:
+                        left.discard(point.key)
+                    said = f"{impulse:g} N s: {told(outcome)} ({', '.join(limits(found, c) for c in criteria)})"
+                    print(
+                        f"{len(left)} of {len(todo)} left, {time.time() - started:.0f} s: {point.key}: {said}",
+                        flush=True,
+                    )
+        except KeyboardInterrupt:
+            print(f"interrupted: what is done is in {file}; the same command goes on from there", file=sys.stderr)
+            raise SystemExit(TERMINATED if termination.came else INTERRUPTED) from None
 
 
-def told(found: Outcomes, criterion: str) -> str:
+def told(outcome: Outcome) -> str:
+    """An outcome in a word or two."""
+    return "recovers" if outcome.recovers else "stands" if outcome.stands else "no"
+
+
+def limits(found: Outcomes, criterion: str) -> str:
     """A criterion's impulses in words."""
     low, high = bracket(found, criterion) or (0.0, np.inf)
-    return f"{low:.1f} N s, always" if np.isinf(high) else f"{low:.1f} N s, not {high:.1f}"
+    return f"{criterion} {low:.1f} N s" + ("" if np.isinf(high) else f", not {high:.1f}")
 
 
-def passed(chosen: list[Point], done: dict[str, Outcomes], criterion: str) -> dict[float, float]:
-    """The largest impulse [N s] that passes, by direction, of the pushes that were measured."""
-    found = {p.direction: bracket(done.get(p.key, {}), criterion) for p in chosen}
-    return {direction: b[0] for direction, b in found.items() if b is not None}
+def passed(chosen: list[Point], done: dict[str, Outcomes], criterion: str, fine: float = FINE) -> dict[float, float]:
+    """The largest impulse [N s] that passes, by direction, of the pushes that were measured to ``fine`` [N s]."""
+    ready = [p for p in chosen if wanted(done.get(p.key, {}), fine, (criterion,)) is None]
+    return {p.direction: (bracket(done[p.key], criterion) or (0.0, np.inf))[0] for p in ready}
 
 
 def travel(chosen: list[Point], done: dict[str, Outcomes]) -> float:
@@ -87,19 +127,24 @@ def travel(chosen: list[Point], done: dict[str, Outcomes]) -> float:
     return max((o.travel for o in outcomes if o.recovers), default=0.0)
 
 
-def summary(todo: dict[str, list[Point]], done: dict[str, Outcomes]) -> list[str]:
-    """For each mode, length and controller the impulses [N s] from which the robot recovers and after which it stands, the first
-    controller's over the others' in the directions that both have, and the farthest way of the ball."""
+def summary(
+    todo: dict[str, list[Point]],
+    done: dict[str, Outcomes],
+    fine: float = FINE,
+    criteria: Sequence[str] = CRITERIA,
+) -> list[str]:
+    """For each mode, length, controller and criterion the impulses [N s] that were found to ``fine``, the first controller's over
+    the others' in the directions that both have, and the farthest way of the ball."""
     lines, first = [], next(iter(todo))
     for mode, length in dict.fromkeys((p.mode, p.length) for p in todo[first]):
         of = {name: [p for p in ps if (p.mode, p.length) == (mode, length)] for name, ps in todo.items()}
         for name, here in of.items():
-            for criterion in CRITERIA:
-                values = passed(here, done, criterion)
+            for criterion in criteria:
+                values = passed(here, done, criterion, fine)
                 if values:
                     line = f"{mode} held, {length:g} s, {name} {criterion}: {_spread(list(values.values()))}"
                     lines.append(f"{line} N s ({len(values)} of {len(here)} directions)")
-                    lines += _compared(first, name, passed(of[first], done, criterion), values)
+                    lines += _compared(first, name, passed(of[first], done, criterion, fine), values)
             if (way := travel(here, done)) > 0.0:
                 lines.append(f"  its ball goes {way:.1f} m at most where it recovers")
     return lines
@@ -120,7 +165,9 @@ def _compared(first: str, name: str, own: dict[float, float], other: dict[float,
     return [f"  {first} over {name}: {figures}({len(ratios)}){never}"]
 
 
-def draw(todo: dict[str, list[Point]], done: dict[str, Outcomes], path: Path) -> None:
+def draw(
+    todo: dict[str, list[Point]], done: dict[str, Outcomes], path: Path, fine: float, criteria: Sequence[str]
+) -> None:
     """Polar panels by mode (down) and criterion (across): impulses by direction, a line for each length and controller."""
     import matplotlib
 
@@ -130,16 +177,16 @@ def draw(todo: dict[str, list[Point]], done: dict[str, Outcomes], path: Path) ->
     everything = [p for chosen in todo.values() for p in chosen]
     modes, lengths = list(dict.fromkeys(p.mode for p in everything)), sorted({p.length for p in everything})
     figure, axes = plt.subplots(
-        len(modes), len(CRITERIA), figsize=(6 * len(CRITERIA), 6 * len(modes) + 0.6), layout="constrained", squeeze=False,
+        len(modes), len(criteria), figsize=(6 * len(criteria), 6 * len(modes) + 0.6), layout="constrained", squeeze=False,
         subplot_kw={"polar": True},
     )  # fmt: skip
     colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, max(len(lengths), len(todo))))
     for mode, row in zip(modes, axes, strict=True):
-        for criterion, axis in zip(CRITERIA, row, strict=True):
+        for criterion, axis in zip(criteria, row, strict=True):
             for j, (name, points_) in enumerate(todo.items()):
                 for k, length in enumerate(lengths):
                     here = [p for p in points_ if (p.mode, p.length) == (mode, length)]
-                    values = passed(here, done, criterion)
+                    values = passed(here, done, criterion, fine)
                     colour = colours[k if len(lengths) > 1 else j]
                     _ring(axis, values, len(here), f"{length:g} s, {name}", ("-", "--", ":", "-.")[j % 4], colour)
             axis.set_title(f"impulse at which it {criterion} [N s], {mode} held", fontsize=11)
@@ -168,6 +215,13 @@ def main() -> None:
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=["mpc"])
     parser.add_argument("--gains", type=Path, help="of rivals")
     parser.add_argument(
+        "--criteria",
+        nargs="+",
+        choices=CRITERIA,
+        default=["recovers"],
+        help="a bisection for each; standing takes longest",
+    )
+    parser.add_argument(
         "--fine",
         type=float,
         default=FINE,
@@ -179,6 +233,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.directions < 1 or given.fine <= 0.0 or min(given.lengths) <= 0.0 or given.seed < 0:
         parser.error("--directions needs at least 1, --lengths and --fine numbers above 0, --seed a number from 0 on")
+    if given.processes is not None and given.processes < 1:
+        parser.error("--processes needs at least 1")
     if given.gains is not None and not given.gains.is_file():
         parser.error(f"--gains: there is no file '{given.gains}'")
     file = given.out / "pushes.json"
@@ -191,11 +247,12 @@ def main() -> None:
         parser.error(str(error))
     given.out.mkdir(parents=True, exist_ok=True)
     if not given.draw:
-        _run(everything, file, given.processes, given.fine)
+        processes = given.processes or os.cpu_count() or 1
+        run(everything, file, Workers(processes), processes, given.fine, given.criteria)
     done = read(file)
-    print("\n".join(summary(todo, done)))
+    print("\n".join(summary(todo, done, given.fine, given.criteria)))
     try:
-        draw(todo, done, given.out / "push-map.png")
+        draw(todo, done, given.out / "push-map.png", given.fine, given.criteria)
     except ImportError:
         print("matplotlib is not installed: no figure")
 

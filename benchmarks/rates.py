@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from study import Figures, Kept, drawing
 
-from wbmpc.experiments.push_map import Point, impulse_at_failure, simulated
+from wbmpc.experiments.push_map import Point, bracket, measure
 from wbmpc.reproduce import parse_seeds
 
 RATES = (80.0, 200.0, 400.0, 1000.0)
@@ -36,8 +36,8 @@ def settings(rate: float, delay: float | None) -> list[str]:
 def limits(kept: Kept, given: list[str], seed: int) -> list[float]:
     """Impulses [N s] that the robot stands, by direction."""
     points = [Point("hand", float(d), 0.2, seed, tuple(given)) for d in DIRECTIONS]
-    stands = lambda point, impulse: simulated(point, impulse).stands
-    return [kept.get(p.key, lambda p=p: {"stands": impulse_at_failure(p, stands)[0]})["stands"] for p in points]
+    limit = lambda point: (bracket(measure(point, criteria=("stands",)), "stands") or (0.0, np.inf))[0]
+    return [kept.get(p.key, lambda p=p: {"stands": limit(p)})["stands"] for p in points]
 
 
 def measured(kept: Kept, rate: float, delay: float | None, seeds: list[int]) -> Figures:

@@ -1,41 +1,50 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
-Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--draws 100] [--best 3] [--seed 0]
-       [--standing] [--write] [--file FILE]
-First many sets of gains on the model alone (no noise, slip or perturbed masses; slower drives than believed), then the best of them
-as the push map measures them, on a tuning seed. What is made large is the mean impulse from which the robot recovers, over four
-directions between the axes and the diagonals, pushes of 0.2 s. With ``--standing`` it only has to stand, and what is found is a
-regulator that lets the robot roll away for ever. Simulated figures are kept in FILE (JSON lines) and are not measured again. With
-``--write`` the best set of each goes to benchmarks/push_map_gains.json, where the push map takes its rivals from.
+Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--walks 3] [--sets 50] [--best 3]
+       [--first 0] [--seeds 0 3] [--write] [--file FILE]
+First random walks on the model alone (no noise, slip or perturbed masses; slower drives than believed): about the best set of
+gains so far, made small is how far hand or ball are from their place when the next push would come, or how early the robot falls,
+over five directions; the push (0.2 s) gets harder whenever all five are recovered from. Then a race of the walks' best sets, and
+of those that there are, as the push map measures them, in four other directions on tuning seeds. Simulated pushes are kept in
+FILE (JSON lines) and are not simulated again. With ``--write`` the winner goes to benchmarks/push_map_gains.json, where the push
+map takes its rivals from.
 """
 
 from __future__ import annotations
 
 import argparse
 import copy
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from push_map import gains, write_gains
-from rezero_rivals import DIRECTIONS, LENGTH, SPACE, Store, candidate, loss
+from push_map import gains, settings_with, write_gains
+from rezero_rivals import SPACE, Store, candidate
 
 from wbmpc.control import LqrAgent, RegulatorGains
-from wbmpc.experiments.push_map import MODES, Point, impulse_at_failure
+from wbmpc.experiments.push_map import MODES, Point
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_push import LAST, NEAR
 from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
 from wbmpc.experiments.rezero_task import set_home_references
 from wbmpc.model import load_robot
-from wbmpc.mpc import Plans
-from wbmpc.plant import RezeroMeasurement
+
+Gains = dict[str, float]
+CONTROLLERS = ("lqr", "scheduled-lqr")
 
 #: The model's drives [s]: the slowest that a plant has (20 ms + 30 %). A tilt [rad] from which nothing came back.
 LAG, FALLEN = 0.026, 0.8
 #: The base among the links of the model: after the ball's two, yaw and pitch.
 BODY = 4
-#: Seconds from the push on in which it has to fall if it does; bisection on the model ends at this [N s].
-WATCHED, FINE = 4.0, 10.0
+#: Length [s] of all pushes; their directions [rad] on the model, which is symmetric, and, between those, in simulation.
+LENGTH = 0.2
+MODELLED = tuple(np.deg2rad([90.0, 0.0, 180.0, 45.0, 135.0]).tolist())
+SIMULATED = tuple(np.deg2rad([22.5, 112.5, 202.5, 292.5]).tolist())
+#: The first impulse [N s] of a walk, and what it is raised by; what a race raises it by.
+GENTLE, RAISE, HARDER = 10.0, 4.0, 10.0
+#: How near [m] hand or ball have to be on the model, where nothing disturbs them: half of what is asked in simulation.
+NEARER = 0.5 * NEAR
 
 
 class ModelledRobot:
@@ -59,12 +68,12 @@ class ModelledRobot:
         place = pose.position + pose.rotation @ ca.DM(base.tree.links[BODY].com)
         self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(place[:2], q))])
 
-    def agent(self, scheduled: bool, gains: dict[str, float]) -> LqrAgent:
+    def agent(self, scheduled: bool, gains: Gains) -> LqrAgent:
         """With these factors of the weights."""
         given, own = RegulatorSettings(**gains), copy.copy(self._gains)
         own.weights = regulator_weights(self.robot, self.settings, given)
         agent = LqrAgent(self.robot, self.mpc, self.torque, self.period, self.settings.drive_lag, observer=False)
-        agent.regulate(own, self.mpc.reference["body"].at, scheduled, given.most)
+        agent.regulate(own, lambda t: self.home, scheduled, given.most)
         return agent
 
     def generalised(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -72,95 +81,154 @@ class ModelledRobot:
         out: np.ndarray = np.array(self._slope(q)).T @ force
         return out
 
-    def stands(self, agent: LqrAgent, direction: float, impulse: float) -> bool:
-        """Whether it stays up after a push at the base's centre of mass."""
-        return self.pushed(agent, direction, impulse, LENGTH + WATCHED) is not None
-
-    def recovers(self, agent: LqrAgent, direction: float, impulse: float) -> bool:
-        """Whether hand or ball are back in their place when the push experiments would push again."""
+    def loss(self, agent: LqrAgent, direction: float, impulse: float) -> float:
+        """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of hand or
+        ball, 1 to 2 for a fall, more the earlier."""
         states = self.pushed(agent, direction, impulse, self.settings.pause)
-        if states is None:
-            return False
+        steps = round(self.settings.pause / self.period)
+        if len(states) < steps:
+            return 2.0 - len(states) / steps
         last = states[-round(LAST / self.period) :]
         place = self.robot.poses(last)[:, :3] if self.mode == "hand" else last[:, :2]
         wanted = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
-        return bool(np.linalg.norm(place - wanted, axis=1).max() < NEAR)
+        error = float(np.linalg.norm(place - wanted, axis=1).max())
+        return error / (1.0 + error)
 
-    def pushed(self, agent: LqrAgent, direction: float, impulse: float, seconds: float) -> np.ndarray | None:
-        """States (n, nx) from a push on, every period; None if it fell."""
+    def losses(self, agent: LqrAgent, impulse: float, most: float = np.inf) -> list[float]:
+        """Over the directions, until their sum is beyond ``most``."""
+        found: list[float] = []
+        for direction in MODELLED:
+            found.append(self.loss(agent, direction, impulse))
+            if sum(found) > most:
+                break
+        return found
+
+    def pushed(self, agent: LqrAgent, direction: float, impulse: float, seconds: float) -> np.ndarray:
+        """States (n, nx) from a push on, every period, until it falls."""
         x, torque, n = self.home.copy(), self.torque.copy(), self.robot.base.nq
-        blend, push = (
-            1.0 - np.exp(-self.period / LAG),
-            impulse / LENGTH * np.array([np.cos(direction), np.sin(direction)]),
-        )
+        blend = 1.0 - np.exp(-self.period / LAG)
+        push = impulse / LENGTH * np.array([np.cos(direction), np.sin(direction)])
         states = []
         for k in range(round(seconds / self.period)):
             t = k * self.period
-            force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
-            self.mpc.solver.set_parameters({"disturbance": force})
-            agent.measure(RezeroMeasurement(t, x, 0.0))
-            torque = torque + blend * (agent.command(t, Plans()).torque - torque)
+            if t < LENGTH + self.period:
+                force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
+                self.mpc.solver.set_parameters({"disturbance": force})
+            wanted = agent._possible(agent._law(t, x, None)[1])
+            torque = torque + blend * (wanted - torque)
             x = agent._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:
-                return None
+                break
             states.append(x)
         return np.array(states)
 
-    def impulse(self, agent: LqrAgent, least: float, standing: bool = False) -> float:
-        """Mean impulse [N s] from which it recovers (``standing``: that it stands); 0 when one direction has not even ``least``."""
-        passes = self.stands if standing else self.recovers
-        if not all(passes(agent, d, max(least, FINE)) for d in DIRECTIONS):
-            return 0.0
-        at = lambda point, impulse: passes(agent, point.direction, impulse)
-        return float(np.mean([impulse_at_failure(Point("hand", d, LENGTH, 0), at, FINE)[0] for d in DIRECTIONS]))
+
+def back(losses: list[float]) -> bool:
+    """Whether it recovered in all directions, with some margin."""
+    return len(losses) == len(MODELLED) and max(losses) < NEARER / (1.0 + NEARER)
 
 
-def search(
-    robot: ModelledRobot, controller: str, draws: int, first: int, standing: bool = False
-) -> list[tuple[float, dict[str, float]]]:
-    """Impulses [N s] and gains, the best first: the gains that there are, ``draws`` from the whole space, as many about the best so
-    far. Both controllers get the same draws from the whole space; another ``first`` gives others. ``standing``: it
-    only has to stand."""
-    space, rng = SPACE[controller], np.random.default_rng(first)
+def walk(
+    robot: ModelledRobot, controller: str, start: Gains, sets: int, rng: np.random.Generator
+) -> tuple[float, Gains]:
+    """The impulse [N s] that ``sets`` of gains are at in the end (the best recovers from ``RAISE`` less), and the best. Steps are
+    longer after a better set and shorter after a worse one: some of five are better (Rechenberg's rule)."""
+    best, impulse, step = start, GENTLE, 0.5
+    losses = lambda tried, *more: robot.losses(robot.agent(controller == "scheduled-lqr", tried), impulse, *more)
+    found = losses(best)
+    for _ in range(1, sets):
+        while back(found):
+            impulse += RAISE
+            found = losses(best)
+        tried = candidate(SPACE[controller], rng, best, step)
+        other = losses(tried, sum(found))
+        step *= 0.9
+        if sum(other) < sum(found):
+            best, found, step = tried, other, min(1.0, 1.5 * step / 0.9)
+    return impulse, best
+
+
+def search(robot: ModelledRobot, controller: str, walks: int, sets: int, first: int) -> list[tuple[float, Gains]]:
+    """What ``walks`` ended with, the best first: the first two are from the gains that there are for this controller and for the
+    other, the rest from anywhere, the same places for both; another ``first`` gives others."""
+    space, found = SPACE[controller], []
+    for k in range(walks):
+        rng = np.random.default_rng([first, k])
+        start = candidate(space, rng, None)
+        if k < 2:
+            start = present(robot, CONTROLLERS[CONTROLLERS.index(controller) - k])
+        found.append(walk(robot, controller, start, sets, rng))
+        print(f"  walk {k + 1}, {sets} sets: at {found[-1][0]:g} N s, {found[-1][1]}", flush=True)
+    return sorted(found, key=lambda f: -f[0])
+
+
+def present(robot: ModelledRobot, controller: str) -> Gains:
+    """The gains that there are."""
     own = getattr(robot.settings.rival, controller.replace("-", "_"))
-    start = {k: float(getattr(own, k)) for k in space} | gains(robot.mode, controller)
-    found: list[tuple[float, dict[str, float]]] = [(0.0, start)]
-    for k in range(1 + 2 * draws):
-        tried = candidate(space, rng, found[0][1] if k > draws else None) if k else found.pop()[1]
-        least = 0.5 * found[0][0] if found else 0.0
-        agent = robot.agent(controller == "scheduled-lqr", tried)
-        impulse = robot.impulse(agent, least, standing)
-        found = sorted([*found, (impulse, tried)], key=lambda f: -f[0])
-        if found[0][1] is tried:
-            print(f"  {k} of {2 * draws}: {impulse:.3g} N s, {tried}", flush=True)
-    return found
+    return {k: float(getattr(own, k)) for k in SPACE[controller]} | gains(robot.mode, controller)
+
+
+def race(
+    sets: list[Gains], first: float, recovers: Callable[[Gains, float, int], bool], tasks: int
+) -> tuple[float, int, Gains]:
+    """The impulse [N s] after which one of the ``sets`` recovers in most of the ``tasks`` and none in all, in how many, and which.
+
+    ``recovers``: from an impulse, in a task. From ``first`` on the impulse is raised whenever one set has done all tasks; a set
+    that cannot do more than the best is left."""
+    impulse, most, best = first, -1, sets[0]
+    for tried in sets:
+        while True:
+            done = failed = 0
+            while done + failed < tasks and tasks - failed > most:
+                passed = recovers(tried, impulse, done + failed)
+                done, failed = done + passed, failed + (not passed)
+            if done <= most:
+                break
+            most, best = done, tried
+            if done < tasks:
+                break
+            impulse, most = impulse + HARDER, -1
+    return impulse, most, best
+
+
+def simulated(store: Store, mode: str, controller: str, seeds: list[int]) -> Callable[[Gains, float, int], bool]:
+    """Whether the robot recovers in simulation, as the push map asks: tasks are seeds and directions."""
+
+    def recovers(tried: Gains, impulse: float, task: int) -> bool:
+        direction, seed = SIMULATED[task // len(seeds)], seeds[task % len(seeds)]
+        passed = store.recovers(Point(mode, direction, LENGTH, seed, settings_with(controller, tried)), impulse)
+        told = f"{np.rad2deg(direction):g} deg, seed {seed}, {impulse:g} N s"
+        print(f"  {tried}, {told}: {'recovers' if passed else 'no'}", flush=True)
+        return passed
+
+    return recovers
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--modes", nargs="+", choices=list(MODES), default=["hand", "ball"])
-    parser.add_argument("--only", nargs="+", choices=["lqr", "scheduled-lqr"], default=["lqr", "scheduled-lqr"])
-    parser.add_argument("--draws", type=int, default=100, help="from the whole space, and as many about the best")
-    parser.add_argument("--best", type=int, default=3, help="sets that are simulated")
+    parser.add_argument("--only", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
+    parser.add_argument("--walks", type=int, default=3, help="on the model")
+    parser.add_argument("--sets", type=int, default=50, help="of each walk")
+    parser.add_argument("--best", type=int, default=3, help="walks whose sets are simulated")
     parser.add_argument("--first", type=int, default=0, help="of the random numbers: another search has others")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--standing", action="store_true", help="it need not come back")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 3])
     parser.add_argument("--write", action="store_true", help="the best gains into push_map_gains.json")
     parser.add_argument("--file", type=Path, default=Path("regulators.jsonl"))
     given = parser.parse_args()
     for mode in given.modes:
-        task = f"standing-{mode}" if given.standing else f"map-{mode}"
         robot = ModelledRobot(mode)
         for controller in given.only:
             print(f"{mode} held, {controller}, on the model:", flush=True)
-            found = search(robot, controller, given.draws, given.first, given.standing)
-            store, best = Store(given.file), []
-            for modelled, tried in found[: given.best]:
-                simulated = -loss(store, task, controller, tried, given.seed)
-                print(f"  {tried}: {simulated:.0f} N s simulated, {modelled:.0f} N s on the model", flush=True)
-                best.append((simulated, tried))
+            found = search(robot, controller, given.walks, given.sets, given.first)[: given.best]
+            least = max(HARDER, HARDER * (found[0][0] // HARDER - 1.0))  # in simulation it is less than on the model
+            recovers = simulated(Store(given.file), mode, controller, given.seeds)
+            tasks = len(SIMULATED) * len(given.seeds)
+            sets = [*(f[1] for f in found), *(present(robot, name) for name in CONTROLLERS)]
+            impulse, done, best = race(sets, least, recovers, tasks)
+            print(f"{mode} held, {controller}: {done} of {tasks} from {impulse:g} N s with {best}", flush=True)
             if given.write:
-                write_gains(mode, controller, max(best or found, key=lambda f: f[0])[1])
+                write_gains(mode, controller, best)
 
 
 if __name__ == "__main__":

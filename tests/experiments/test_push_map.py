@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -12,30 +13,18 @@ from wbmpc.experiments.push_map import (
     FINE,
     MOST,
     Outcome,
-    Outcomes,
     Point,
     bracket,
-    impulse_at_failure,
     measure,
     points,
     push_map,
+    read,
+    wanted,
 )
 from wbmpc.experiments.rezero_push import LAST, NEAR, rest
 from wbmpc.log import Log
 
-
-@pytest.mark.parametrize("strength", [3.0, 22.0, 161.3])
-def test_bisection_brackets_the_strength(strength: float) -> None:
-    tried: list[float] = []
-
-    def stands(point: Point, impulse: float) -> bool:
-        tried.append(impulse)
-        return impulse < strength
-
-    low, high = impulse_at_failure(Point("hand", 0.0, 0.2, 0), stands)
-    assert low < strength <= high <= low + FINE
-    assert len(tried) < 9
-    assert impulse_at_failure(Point("hand", 0.0, 0.2, 0), lambda p, i: True) == (MOST, np.inf)
+AHEAD = Point("hand", 0.0, 0.2, 0)
 
 
 class Known:
@@ -48,12 +37,36 @@ class Known:
         self.tried.append(impulse)
         return Outcome(impulse < 161.3, impulse < 77.0, 0.01 * impulse)
 
+    def start(self, point: Point, impulse: float) -> Future[Outcome]:
+        """As an executor does it, at once."""
+        done: Future[Outcome] = Future()
+        done.set_result(self.push(point, impulse))
+        return done
+
+
+@pytest.mark.parametrize("strength", [3.0, 22.0, 161.3])
+def test_bisection_brackets_the_strength(strength: float) -> None:
+    found = measure(AHEAD, criteria=("stands",), run=lambda p, i: Outcome(i < strength, False, 0.0))
+    low, high = bracket(found, "stands") or (0.0, 0.0)
+    assert low < strength <= high <= low + FINE
+    assert len(found) < 9
+    always = measure(AHEAD, criteria=("stands",), run=lambda p, i: Outcome(True, False, 0.0))
+    assert list(always) == [MOST] and bracket(always, "stands") == (MOST, np.inf)
+
+
+def test_only_recovering_is_looked_for_when_only_that_is_asked() -> None:
+    known = Known()
+    found = measure(AHEAD, criteria=("recovers",), run=known.push)
+    low, high = bracket(found, "recovers") or (0.0, 0.0)
+    assert low < 77.0 <= high <= low + FINE and len(known.tried) == 7  # 320, 160, 80, 40, 60, 70, 75
+    assert wanted(found, criteria=("recovers",)) is None
+    assert wanted(found, criteria=("stands",)) == 240.0  # stood at 160 N s and fell at 320 on the way
+
 
 def test_a_run_counts_for_both_criteria() -> None:
     """Each is bracketed by its own strength, and no impulse is tried twice: two bisections of their own would take 14 runs."""
     known = Known()
-    key, found = measure((Point("hand", 0.0, 0.2, 0), {}), run=known.push)
-    assert key == Point("hand", 0.0, 0.2, 0).key
+    found = measure(AHEAD, run=known.push)
     for criterion, strength in (("recovers", 77.0), ("stands", 161.3)):
         low, high = bracket(found, criterion) or (0.0, 0.0)
         assert low < strength <= high <= low + FINE
@@ -77,26 +90,33 @@ def test_a_map_has_all_pushes_once() -> None:
 
 
 def test_an_interrupted_map_goes_on_and_is_made_finer(tmp_path: Path) -> None:
-    """What the file has is not run again; the rest is, and is written at once; bisections go on inside of what was known."""
+    """What the file has is not run again; every push is written at once; bisections go on inside of what was known."""
     known, file = Known(), tmp_path / "map.json"
     todo = points("hand", 2, (0.2,), 0)
 
-    def at(fine: float, count: int) -> list[tuple[str, Outcomes]]:
-        work = lambda left: (measure(w, fine, known.push) for w in left)
-        return [found for _, found in zip(range(count), push_map(todo, file, work, fine), strict=False)]
+    def at(fine: float, count: int) -> list[tuple[str, float]]:
+        pushes = push_map(todo, file, known.start, fine=fine)
+        return [(point.key, impulse) for _, (point, impulse, _) in zip(range(count), pushes, strict=False)]
 
-    assert [key for key, _ in at(80.0, 1)] == [todo[0].key]
-    assert set(json.loads(file.read_text())) == {todo[0].key}
-    first = len(known.tried)
-    assert {key for key, _ in at(80.0, 2)} == {p.key for p in todo}
-    assert len(known.tried) == 2 * first
-    known.tried.clear()
-    for _, found in at(FINE, 2):
-        low, high = bracket(found, "stands") or (0.0, 0.0)
-        assert low < 161.3 <= high <= low + FINE
-    assert min(known.tried) > 0.0 and max(known.tried) < 240.0 and MOST not in known.tried
-    known.tried.clear()
-    assert len(at(FINE, 2)) == 2 and not known.tried
+    whole = [(p.key, i) for p in todo for i in (320.0, 160.0, 80.0, 240.0)]  # to 80 N s
+    assert at(80.0, 3) == whole[:3]
+    assert {k: list(v) for k, v in json.loads(file.read_text()).items()} == {todo[0].key: ["80.0", "160.0", "320.0"]}
+    assert at(80.0, 99) == whole[3:]
+    assert not at(80.0, 99)
+    assert not set(at(FINE, 99)) & set(whole)
+    for found in read(file).values():
+        for criterion, strength in (("recovers", 77.0), ("stands", 161.3)):
+            low, high = bracket(found, criterion) or (0.0, 0.0)
+            assert low < strength <= high <= low + FINE
+
+
+def test_as_many_pushes_at_once_as_there_are_processes(tmp_path: Path) -> None:
+    """Two directions are worked on in turn, and the third is begun when one of them is done."""
+    todo = points("hand", 3, (0.2,), 0)
+    pushes = list(push_map(todo, tmp_path / "map.json", Known().start, 2))
+    directions, each = [point.direction for point, _, _ in pushes], len(pushes) // 3
+    assert sorted(directions[: 2 * each]) == [todo[0].direction] * each + [todo[1].direction] * each
+    assert directions[2 * each :] == [todo[2].direction] * each and directions[0] != directions[1]
 
 
 # ---------------------------------------------------------------------- recovered or not

@@ -2,14 +2,15 @@
 
 To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
 its place, and rests there, when the push experiments would push it again (:data:`wbmpc.experiments.rezero_push.NEAR`). A bisection
-for each direction, length and criterion; what was run is written after each, so that a map that was interrupted goes on, and one
-that was coarse is made finer.
+for each direction, length and criterion; what came of a push is written at once, so that a map that was interrupted goes on, and
+one that was coarse is made finer.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -60,23 +61,6 @@ def points(
     return [Point(mode, float(a), length, seed, given) for length in lengths for a in angles]
 
 
-def impulse_at_failure(
-    point: Point, passes: Callable[[Point, float], bool], fine: float = FINE, known: Bracket | None = None
-) -> Bracket:
-    """Largest impulse [N s] that the robot ``passes`` (stands after), and the smallest that it fails, by bisection to ``fine``.
-
-    ``known``: a coarser answer to go on from. (MOST, infinite) when it always passes. A robot that fails less and passes more is
-    not looked for.
-    """
-    low, high = known or (0.0, MOST)
-    if known is None and passes(point, high):
-        return high, float("inf")
-    while np.isfinite(high) and high - low > fine:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if passes(point, middle) else (low, middle)
-    return low, high
-
-
 def simulated(point: Point, impulse: float) -> Outcome:
     """What comes of a push with that impulse [N s]."""
     settings = configure(MODES[point.mode], point.given, f"rezero-push-{point.mode}")
@@ -92,28 +76,31 @@ def bracket(found: Mapping[float, Outcome], criterion: str) -> Bracket | None:
     return max((i for i in found if i < fails), default=0.0), fails
 
 
+def wanted(found: Outcomes, fine: float = FINE, criteria: Sequence[str] = CRITERIA) -> float | None:
+    """The impulse [N s] that a bisection tries next; None if outcomes answer for every criterion to ``fine`` [N s].
+
+    A robot that always passes is tried at ``MOST``. One that fails less and passes more is not looked for.
+    """
+    for criterion in criteria:
+        low, high = bracket(found, criterion) or (0.0, np.inf)
+        if low < MOST and np.isinf(high):
+            return MOST
+        if fine < high - low < np.inf:
+            return 0.5 * (low + high)
+    return None
+
+
 def measure(
-    work: tuple[Point, Outcomes], fine: float = FINE, run: Callable[[Point, float], Outcome] = simulated
-) -> tuple[str, Outcomes]:
-    """The push's key and its outcomes, to ``fine`` [N s] for each criterion, from those that are known. A run counts for both."""
-    point, found = work[0], dict(work[1])
-
-    def passes(criterion: str) -> Callable[[Point, float], bool]:
-        def tried(point: Point, impulse: float) -> bool:
-            found[impulse] = found.get(impulse) or run(point, impulse)
-            return bool(getattr(found[impulse], criterion))
-
-        return tried
-
-    for criterion in CRITERIA:
-        impulse_at_failure(point, passes(criterion), fine, bracket(found, criterion))
-    return point.key, found
-
-
-def _ready(found: Outcomes, fine: float) -> bool:
-    """Whether outcomes answer for every criterion to ``fine``."""
-    brackets = [bracket(found, c) for c in CRITERIA]
-    return all(b is not None and not fine < b[1] - b[0] < np.inf for b in brackets)
+    point: Point,
+    fine: float = FINE,
+    criteria: Sequence[str] = CRITERIA,
+    run: Callable[[Point, float], Outcome] = simulated,
+) -> Outcomes:
+    """A push's outcomes, to ``fine`` [N s] for each criterion. A run counts for all of them."""
+    found: Outcomes = {}
+    while (impulse := wanted(found, fine, criteria)) is not None:
+        found[impulse] = run(point, impulse)
+    return found
 
 
 def read(file: Path) -> dict[str, Outcomes]:
@@ -122,23 +109,40 @@ def read(file: Path) -> dict[str, Outcomes]:
     return {key: {float(i): Outcome(**o) for i, o in found.items()} for key, found in rows.items()}
 
 
-def push_map(
-    todo: list[Point],
-    file: Path,
-    work: Callable[[list[tuple[Point, Outcomes]]], Iterable[tuple[str, Outcomes]]],
-    fine: float = FINE,
-) -> Iterator[tuple[str, Outcomes]]:
-    """Outcomes by push, as they come. What ``file`` has to within ``fine`` is kept; what it has more coarsely is gone on with.
+def write(file: Path, done: Mapping[str, Outcomes]) -> None:
+    """Make it a map's file."""
+    rows = {key: {str(i): asdict(o) for i, o in sorted(found.items())} for key, found in done.items()}
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps(rows, indent=1) + "\n")
+    part.replace(file)  # a file that is half written never stands there
 
-    ``work`` does :func:`measure` for many pushes, in any order, e.g. in several processes.
+
+def push_map(
+    todo: Sequence[Point],
+    file: Path,
+    push: Callable[[Point, float], Future[Outcome]],
+    at_once: int = 1,
+    fine: float = FINE,
+    criteria: Sequence[str] = CRITERIA,
+) -> Iterator[tuple[Point, float, Outcome]]:
+    """Pushes, their impulses [N s] and what came of them, as they come and when they are in ``file``. What that has to within
+    ``fine`` is kept; what it has more coarsely is gone on with.
+
+    ``push`` starts :func:`simulated`; ``at_once``: how many pushes are worked on, each by one run after the other.
     """
-    done = read(file)
-    ready = [p.key for p in todo if _ready(done.get(p.key, {}), fine)]
-    yield from ((key, done[key]) for key in ready)
-    for key, found in work([(p, done.get(p.key, {})) for p in todo if p.key not in ready]):
-        done[key] = found
-        part = file.with_suffix(".part")
-        rows = {k: {str(i): asdict(o) for i, o in sorted(v.items())} for k, v in done.items()}
-        part.write_text(json.dumps(rows, indent=1) + "\n")
-        part.replace(file)  # a file that is half written never stands there
-        yield key, found
+    done, waiting = read(file), list(reversed(todo))
+    running: dict[Future[Outcome], tuple[Point, float]] = {}
+    while True:
+        while waiting and len(running) < at_once:
+            point = waiting.pop()
+            if (impulse := wanted(done.get(point.key, {}), fine, criteria)) is not None:
+                running[push(point, impulse)] = point, impulse
+        if not running:
+            return
+        for ended in wait(running, return_when=FIRST_COMPLETED).done:
+            point, impulse = running.pop(ended)
+            outcome = ended.result()
+            done.setdefault(point.key, {})[impulse] = outcome
+            write(file, done)
+            waiting.append(point)  # its bisection comes first
+            yield point, impulse, outcome
