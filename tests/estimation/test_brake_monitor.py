@@ -167,7 +167,7 @@ def test_a_leg_that_drifts_slowly_is_told() -> None:
         ((1.0, np.zeros(3), CLOSED, STILL), "'leg' needs 4 finite"),
         ((1.0, STILL, np.full(4, np.nan), STILL), "'brake' needs 4 finite"),
         ((1.0, STILL, CLOSED, [0.0, np.inf, 0.0, 0.0]), "'rate' needs 4 finite"),
-        ((np.nan, STILL, CLOSED, STILL), "time must be finite"),
+        ((np.nan, STILL, CLOSED, STILL), "'time' must be finite"),
     ],
 )
 def test_a_message_that_says_nothing_does_not_blind_the_monitor(wrong: tuple, words: str) -> None:

@@ -10,7 +10,8 @@ from wheels_on_paper import Drawn, ring
 
 from wbmpc.errors import InputError
 from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration
-from wbmpc.estimation.fused import BIAS, PATIENCE
+from wbmpc.estimation.fused import PATIENCE
+from wbmpc.estimation.fused_filter import BIAS
 from wbmpc.estimation.odometry import fit_twist
 from wbmpc.model.swerve import SwerveGeometry
 

@@ -246,7 +246,7 @@ def test_bad_input_is_one_sentence() -> None:
         leg_angles(SWERVE, "0.1,0.2")
     with pytest.raises(InputError, match="legs are fixed"):
         leg_angles(robot("swerve-fixed-ur10"), "H")
-    with pytest.raises(InputError, match="wrench: 6 finite numbers"):
+    with pytest.raises(InputError, match="'wrench' needs 6 finite numbers"):
         STANCE(SWERVE.home, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="different modules of 0 to 3"):
         residuals.SupportMargin(SWERVE, [(0, 1, 7)])

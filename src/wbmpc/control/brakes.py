@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault
 from wbmpc.model import RobotModel, SwerveGeometry
@@ -47,18 +48,11 @@ def described(motion: Array) -> str:
     return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
-def _numbers(geometry: SwerveGeometry, name: str, values: ArrayLike) -> Array:
-    """One finite number for each module, or :class:`InputError`."""
-    array = np.asarray(values, float)
-    if array.shape != (geometry.modules,) or not np.isfinite(array).all():
-        raise InputError(f"brakes: '{name}' needs {geometry.modules} finite numbers, got {array}")
-    return array
-
-
 def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
     """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing,
     or for what is not finite or of another length."""
-    leg, brake = _numbers(geometry, "leg", leg), _numbers(geometry, "brake", brake)
+    n = geometry.modules
+    leg, brake = numbers("brakes", "leg", leg, n), numbers("brakes", "brake", brake, n)
     held, motion = floating(geometry, leg, brake)
     if held < FLOATING:
         raise InputError(
@@ -74,9 +68,10 @@ def refuse_floating_way(
     against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;
     also for numbers that are not finite, of another length, or rates that are not positive.
     """
-    start, goal = _numbers(geometry, "leg", leg), _numbers(geometry, "goal", goal)
-    brake, way = _numbers(geometry, "brake", brake), goal - start
-    rate = _numbers(geometry, "rate", np.minimum(np.asarray(rate, float), _AT_ONCE))
+    n = geometry.modules
+    start, goal = numbers("brakes", "leg", leg, n), numbers("brakes", "goal", goal, n)
+    brake, way = numbers("brakes", "brake", brake, n), goal - start
+    rate = numbers("brakes", "rate", np.minimum(np.asarray(rate, float), _AT_ONCE), n)
     if not (rate > 0.0).all():
         raise InputError(f"brakes: 'rate' needs positive numbers [rad/s], got {rate}")
     step, since = 0.05, np.inf

@@ -9,7 +9,8 @@ from wbmpc.estimation.door import DoorFilter, DoorNoise
 from wbmpc.estimation.drift import DriftObserver
 from wbmpc.estimation.encoders import EncoderFault, EncoderMonitor
 from wbmpc.estimation.force import ForceMonitor
-from wbmpc.estimation.fused import FusedOdometry, OdometryNoise, is_covariance
+from wbmpc.estimation.fused import FusedOdometry
+from wbmpc.estimation.fused_filter import OdometryNoise
 from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.odometry import ReleaseOdometry, WheelOdometry
@@ -54,7 +55,6 @@ __all__ = [
     "calibrate",
     "estimate_mass_offset",
     "fit_wheels",
-    "is_covariance",
     "replay",
     "rockings",
 ]

@@ -16,8 +16,8 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
+from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.checks import finite, numbers
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
 from wbmpc.robots import InertialDescription
 

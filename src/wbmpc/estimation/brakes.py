@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -135,13 +136,10 @@ class BrakeMonitor:
         self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike
     ) -> tuple[Array, NDArray[np.bool_], Array]:
         """What :meth:`update` was given, as arrays (n)."""
-        if not np.isfinite(t):
-            raise InputError(f"brake monitor: the time must be finite, got {t}")
-        n, arrays = len(self.names), [np.asarray(values, float) for values in (leg, brake, rate)]
-        for name, values in zip(("leg", "brake", "rate"), arrays, strict=True):
-            if values.shape != (n,) or not np.isfinite(values).all():
-                raise InputError(f"brake monitor: '{name}' needs {n} finite numbers, got {values}")
-        return arrays[0], arrays[1] > 0.5, arrays[2]
+        who, n = "brake monitor", len(self.names)
+        finite(who, time=t)
+        is_open = numbers(who, "brake", brake, n) > 0.5
+        return numbers(who, "leg", leg, n), is_open, numbers(who, "rate", rate, n)
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
         """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""

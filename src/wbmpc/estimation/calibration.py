@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.fused import FusedOdometry, OdometryNoise
+from wbmpc.estimation.fused import FusedOdometry
+from wbmpc.estimation.fused_filter import OdometryNoise
 from wbmpc.estimation.wheels import WheelCalibration
 from wbmpc.model.swerve import SwerveGeometry
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from wbmpc.checks import finite
 from wbmpc.errors import InputError
-from wbmpc.estimation.checks import finite
 
 
 @dataclass

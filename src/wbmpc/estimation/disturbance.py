@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wbmpc.estimation.checks import finite, numbers, positive_time
+from wbmpc.checks import finite, numbers, positive_time
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
 STEADY = 0.35

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import finite, positive_time
 from wbmpc.errors import InputError
-from wbmpc.estimation.checks import finite, positive_time
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import finite, positive_time
 from wbmpc.errors import InputError
-from wbmpc.estimation.checks import finite, positive_time
 from wbmpc.estimation.inertial import REPEATS, STANDS
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import numbers, positive_time
 from wbmpc.errors import InputError
-from wbmpc.estimation.checks import numbers, positive_time
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.checks import numbers
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
@@ -174,14 +174,11 @@ class WheelOdometry:
     def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Sample:
         """True angles (leg, steer) and wheel angles (n each) of a message, or :class:`InputError`."""
         n = self._n
-        parts = {"steer": np.asarray(steer, float), "wheel": np.asarray(wheel, float)}
+        steered = numbers("odometry", "steer", steer, n) - self._steer_zero
+        rolled = numbers("odometry", "wheel", wheel, n).copy()
         # fixed legs have no angle; their heading is part of the geometry
-        parts["leg"] = np.asarray(leg, float) if self.geometry.has_hinge else np.zeros(n)
-        for name, values in parts.items():
-            if values.shape != (n,) or not np.isfinite(values).all():
-                raise InputError(f"odometry: '{name}' needs {n} finite numbers, got {values}")
-        angle = parts["leg"] - self._leg_zero if self.geometry.has_hinge else parts["leg"]
-        return angle, parts["steer"] - self._steer_zero, parts["wheel"].copy()
+        angle = numbers("odometry", "leg", leg, n) - self._leg_zero if self.geometry.has_hinge else np.zeros(n)
+        return angle, steered, rolled
 
 
 class ReleaseOdometry:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
+from wbmpc.checks import finite, numbers, positive_time
 from wbmpc.errors import InputError
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
-from wbmpc.estimation.checks import finite, numbers, positive_time
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
 

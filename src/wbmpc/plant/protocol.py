@@ -8,19 +8,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.errors import InputError, NotFinite
-
 Array = NDArray[np.float64]
-
-
-def finite(name: str, values: ArrayLike, size: int) -> Array:
-    """``values`` as an array of ``size`` finite numbers, or :class:`InputError` (:class:`NotFinite`)."""
-    array = np.asarray(values, float)
-    if array.shape != (size,):
-        raise InputError(f"command: '{name}' needs {size} finite numbers, got {array}")
-    if not np.isfinite(array).all():
-        raise NotFinite(f"command: '{name}' needs {size} finite numbers, got {array}")
-    return array
 
 
 def scale_wheels(wheel: ArrayLike, limit: float) -> tuple[Array, float]:

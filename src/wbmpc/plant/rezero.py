@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.plant.burden import add_payload, lay_cables
 from wbmpc.plant.drives import ElasticDrives
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
 from wbmpc.plant.perturbation import Perturbation
-from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth, finite
+from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth
 from wbmpc.plant.servo import ActuatorServo
 from wbmpc.plant.world import (
     GROUND,
@@ -142,7 +143,7 @@ class RezeroPlant(InWorld):
         self._commands: deque[Array] = deque(maxlen=1 + whole_steps("plant.dead_time", p.dead_time, timestep))
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
-        self._place(finite("state", home if state is None else state, 10 + 2 * n), torque)
+        self._place(numbers("command", "state", home if state is None else state, 10 + 2 * n), torque)
 
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, payload: float, edit: Edit | None) -> None:
@@ -232,7 +233,7 @@ class RezeroPlant(InWorld):
         d.qvel[self._arm_v] = state[10 + n :]
         mujoco.mj_forward(self.model, d)
         rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
-        d.ctrl[:] = rest if torque is None else finite("torque", torque, self.model.nu)
+        d.ctrl[:] = rest if torque is None else numbers("command", "torque", torque, self.model.nu)
         d.act[:] = d.ctrl[self.model.actuator_actadr >= 0]
         mujoco.mj_fwdActuation(self.model, d)
         self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))

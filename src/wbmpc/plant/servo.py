@@ -7,8 +7,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import numbers
 from wbmpc.plant.perturbation import quantise
-from wbmpc.plant.protocol import RezeroCommand, finite
+from wbmpc.plant.protocol import RezeroCommand
 
 Array = NDArray[np.float64]
 #: Speeds are differences of encoder readings over this time [s].
@@ -33,11 +34,12 @@ class ActuatorServo:
     def torque(self, command: RezeroCommand, since: float) -> Array:
         """Torques (n) [N m], ``since`` [s] after the command came; a command without gains is plain torque."""
         n = self._offset.size
-        torque = finite("torque", command.torque, n)
+        torque = numbers("command", "torque", command.torque, n)
         if command.stiffness.size == 0:
             return torque
         position, speed, stiffness, damping = (
-            finite(name, getattr(command, name), n) for name in ("position", "speed", "stiffness", "damping")
+            numbers("command", name, getattr(command, name), n)
+            for name in ("position", "speed", "stiffness", "damping")
         )
         now, first = self._readings[-1], self._readings[0]
         rate = (now - first) / max((len(self._readings) - 1) * self._h, self._h)

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.brakes import Brakes
 from wbmpc.plant.burden import PAYLOAD, add_load, add_payload, incline
 from wbmpc.plant.localisation import Localisation
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
-from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth, finite
+from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth
 from wbmpc.plant.world import (
     ROBOT,
     TIMESTEP,
@@ -227,7 +228,7 @@ class SwervePlant(InWorld):
             given = {}
         else:
             sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
-            vector, stops = finite("state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
+            vector, stops = numbers("command", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
             given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
         for group, values in given.items():
             if group not in groups:
@@ -235,7 +236,7 @@ class SwervePlant(InWorld):
             if group == "base" and values.size == 7:
                 yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(values[3:7]))[0]
                 values = np.array([values[0], values[1], yaw])
-            groups[group] = finite(f"state.{group}", values, groups[group].size)
+            groups[group] = numbers("command", f"state.{group}", values, groups[group].size)
         return groups
 
     def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:
@@ -285,11 +286,11 @@ class SwervePlant(InWorld):
         """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
         d, names = self.data, self._names
         n = len(names["wheel"])
-        wheel, steer = finite("wheel", command.wheel, n), finite("steer", command.steer, n)
-        arm = finite("arm", command.arm, len(names["arm"]))
+        wheel, steer = numbers("command", "wheel", command.wheel, n), numbers("command", "steer", command.steer, n)
+        arm = numbers("command", "arm", command.arm, len(names["arm"]))
         legs = len(names["leg"])
         # fixed legs have no brakes: what is commanded to them is ignored
-        brake = finite("brake", command.brake, legs if legs else np.size(command.brake))[:legs]
+        brake = numbers("command", "brake", command.brake, legs if legs else np.size(command.brake))[:legs]
         self.world.refresh()
         d.ctrl[self._control["wheel"]] = np.clip(wheel, -WHEEL_SPEED, WHEEL_SPEED)
         d.ctrl[self._control["steer"]] = np.clip(steer, -STEER_SPEED, STEER_SPEED)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
-from wbmpc.estimation import is_covariance
 from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.model import FramePose, RobotModel
 from wbmpc.model.swerve import SwerveBase
@@ -226,9 +227,7 @@ class StanceOf:
 
 
 def _numbers(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    array = np.asarray(values, float)
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise InputError(f"{name}: {size} finite numbers are needed, got {np.array2string(array, threshold=8)}")
+    array = numbers("stability", name, values, size)
     if np.abs(array).max(initial=0.0) > LARGEST:
         raise InputError(
             f"{name}: numbers of {LARGEST:g} at most are needed, got {np.array2string(array, threshold=8)}"

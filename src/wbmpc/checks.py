@@ -1,4 +1,4 @@
-"""What estimators are given, checked before anything of it is taken in: a number that is not finite stays in them for good."""
+"""Numbers that come from outside, checked before anything of them is taken in: one that is not finite stays for good."""
 
 from __future__ import annotations
 
@@ -32,3 +32,21 @@ def positive_time(who: str, interval: float) -> None:
     finite(who, interval=interval)
     if interval <= 0.0:
         raise InputError(f"{who}: 'interval' must be positive, got {interval} s")
+
+
+def is_covariance(matrix: ArrayLike) -> bool:
+    """Whether a matrix of finite numbers can be a covariance: no variance is negative, in no direction."""
+    values = np.linalg.eigvalsh(0.5 * (np.asarray(matrix) + np.asarray(matrix).T))
+    return bool(values[0] >= -1e-9 * max(values[-1], 0.0))
+
+
+def covariance(who: str, given: ArrayLike) -> NDArray[np.float64]:
+    """``given`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
+    value = np.asarray(given, float)
+    if value.shape != (3, 3):
+        raise InputError(f"{who}: a covariance of 3 by 3 finite numbers is needed, got shape {value.shape}")
+    if not np.isfinite(value).all():
+        raise NotFinite(f"{who}: a covariance of 3 by 3 finite numbers is needed, got {value.tolist()}")
+    if not is_covariance(value):
+        raise InputError(f"{who}: a covariance is needed, a variance of this one is negative")
+    return value
