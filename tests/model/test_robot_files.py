@@ -219,6 +219,23 @@ def test_a_wheel_that_stops_at_the_end_of_a_range(tmp_path: Path) -> None:
     assert load_robot(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3" limited="false"'))).base.geometry.modules == 3
 
 
+@pytest.mark.parametrize(("joint", "axis"), [("wheel", "0 1 0"), ("steer", "0 0 1"), ("leg", "0 0 1")])
+def test_a_module_of_sliding_joints(joint: str, axis: str, tmp_path: Path) -> None:
+    turns = f'<joint name="m1_{joint}"'
+    text = refusal(ring(tmp_path, (f'{turns} axis="{axis}"', f'{turns} type="slide" axis="{axis}"')))
+    assert all(w in text for w in (f"base.xml: joint 'm1_{joint}' slides", "ring.yaml")), text
+
+
+def test_wheels_of_different_heights(tmp_path: Path) -> None:
+    """A robot of four wheels stands on two or three of them then."""
+    disc = '<body name="m1_disc" pos="0 0 {:g}">'
+    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.118))))
+    assert all(w in text for w in ("ring.yaml", "'m1_wheel' is 2 mm too high")), text
+    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.129))))
+    assert "'m1_wheel' is 9 mm too low" in text
+    load_robot(ring(tmp_path, (disc.format(-0.12), disc.format(-0.1195))))
+
+
 @pytest.mark.parametrize("reach", [0.0, 0.004])
 def test_a_hinge_on_the_steering_axis(reach: float, tmp_path: Path) -> None:
     fork = '<body name="m0_fork" pos="{:g} 0 -0.1">'
