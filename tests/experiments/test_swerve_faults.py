@@ -114,6 +114,17 @@ def test_swerve_brakes_tells_what_nobody_made_fail_and_was_not_taken_back(monkey
     assert result.faults == [f"a brake that is {kind}: {sound}" for kind in kinds]
 
 
+@pytest.mark.parametrize("kind", ["open", "closed"])
+def test_swerve_brakes_makes_its_faults_itself(kind: str) -> None:
+    """What its monitor rightly found of another brake would count as a false alarm, and the pushes mean brakes that hold."""
+    with pytest.raises(InputError, match=rf"plant: brake_fault={kind}: this experiment makes brakes fail itself"):
+        configure(
+            swerve_brakes.SwerveBrakesSettings,
+            [f"plant.brake_fault={kind}", "plant.brake_fault_leg=2"],
+            "swerve-brakes",
+        )
+
+
 def test_a_ball_robot_has_no_brakes() -> None:
     with pytest.raises(InputError, match=r"plant\.brake_fault: is for swerve robots only"):
         RezeroPlant(load_description("rezero"), perturbation=Perturbation(brake_fault="open"))
