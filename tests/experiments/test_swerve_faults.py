@@ -64,7 +64,7 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     )
     assert swerve_drive.run(swerve_drive.SwerveDriveSettings(), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
-    monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (EARLY, [str(FAULT)] if name == "ik" else []))
+    monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (Ending(), [str(FAULT)] if name == "ik" else []))
     settings = swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0)
     assert swerve_fixed.run(settings, 0).faults == [f"ik: {FAULT}"]
 
