@@ -37,6 +37,13 @@ class Metric:
         return bool((self.goal is None or self.value <= self.goal) and (self.least is None or self.value >= self.least))
 
 
+def no_comparison(goal: float) -> Metric:
+    """The ratio to a rival that fell or ended early: no number, so that its ``goal`` does not count as reached."""
+    return Metric(
+        float("nan"), "1", goal=goal, goal_note="the rival did not get to the end, there is nothing to compare with"
+    )
+
+
 @dataclass(frozen=True)
 class MpcStatistics:
     """Rate [Hz], solve times [ms] (median, p95, max) and how many took longer than the period.

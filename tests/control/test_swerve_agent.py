@@ -411,6 +411,18 @@ def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> No
     assert 0.0 <= fault.time - 0.01 / (0.1 - agent.monitor.creep) < 0.01 + PERIOD
 
 
+def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
+    """A leg slips 0.1 s after the clock has gone back from 1000 s: told as in the first run."""
+    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    still = np.zeros(4)
+    for start in (1000.0, 0.0):
+        for k in range(80):
+            agent.measured = message(start + k * PERIOD, leg=np.array([0.02 * (k > 40), 0.0, 0.0, 0.0]))
+            agent.watch(start + k * PERIOD, still, still)
+    assert agent.monitor is not None
+    assert [f.time for f in agent.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
+
+
 def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
     """What an agent tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
     at once one that is closed, just before the end one that is open. ``how`` the run ends then: with "no plan" or a "stop".

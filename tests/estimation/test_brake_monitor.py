@@ -139,8 +139,13 @@ def test_a_fault_is_told_once_for_each_command() -> None:
 def test_senseless_thresholds_are_refused() -> None:
     with pytest.raises(InputError, match="positive"):
         BrakeMonitor(NAMES, moved=0.0)
-    with pytest.raises(InputError, match=r"limit: positive rates"):
-        BrakeMonitor(NAMES, limit=[0.4, 0.4, 0.0, 0.4])
+    names = ("moved", "expected", "still", "window", "settle", "crawl", "patience", "creep")
+    for name, value in ((n, v) for n in names for v in (np.nan, np.inf)):
+        with pytest.raises(InputError, match=f"'{name}' must be finite"):
+            BrakeMonitor(NAMES, **{name: value})
+    for limit in ([0.4, 0.4, 0.0, 0.4], [0.4, 0.4, np.nan, 0.4], [0.4, 0.4], "fast"):
+        with pytest.raises(InputError, match=r"limit: one positive rate .* or 4 are needed"):
+            BrakeMonitor(NAMES, limit=limit)  # type: ignore[arg-type]
 
 
 def test_what_was_wrong_about_a_leg_is_not_real() -> None:
@@ -168,6 +173,7 @@ def test_a_leg_that_drifts_slowly_is_told() -> None:
         ((1.0, STILL, np.full(4, np.nan), STILL), "'brake' needs 4 finite"),
         ((1.0, STILL, CLOSED, [0.0, np.inf, 0.0, 0.0]), "'rate' needs 4 finite"),
         ((np.nan, STILL, CLOSED, STILL), "'time' must be finite"),
+        ((-0.01, STILL, CLOSED, STILL), "time must not go back, got -0.01 s after 0 s"),
     ],
 )
 def test_a_message_that_says_nothing_does_not_blind_the_monitor(wrong: tuple, words: str) -> None:
@@ -185,3 +191,17 @@ def test_the_first_message_may_be_bad() -> None:
     with pytest.raises(InputError, match="'leg'"):
         monitor.update(0.0, np.full(4, np.nan), CLOSED, STILL)
     assert monitor.update(0.0, STILL, CLOSED, STILL) == []
+
+
+def test_a_clock_that_starts_anew() -> None:
+    """After 3 s at t = 1000 s from 0 again. Truth: a second monitor that begins there."""
+    monitor, twin = BrakeMonitor(NAMES), BrakeMonitor(NAMES)
+    turned = np.array([0.35, 0.0, 0.0, 0.0])
+    for t in np.arange(1000.0, 1003.0, 0.01):
+        monitor.update(t, STILL, CLOSED, STILL)
+    with pytest.raises(InputError, match="time must not go back"):
+        monitor.update(0.0, turned, CLOSED, STILL)
+    monitor.restart_clock()
+    slips = lambda t: turned * (1.0 + min(t, 1.0))
+    told = [[m.update(t, slips(t), CLOSED, STILL) for t in np.arange(0.0, 2.0, 0.01)] for m in (monitor, twin)]
+    assert told[0] == told[1] and len(monitor.faults) == 1

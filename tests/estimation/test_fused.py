@@ -351,3 +351,32 @@ def test_a_place_that_is_well_known_and_a_yaw_that_is_not_are_no_certain_pose() 
     odometry.update(0.0, *np.zeros((3, 4)))
     assert odometry.correct(0.0, [5e-8, 0.0, 1.0], np.diag([1e-20, 1e-20, 1e9]))
     np.testing.assert_allclose(odometry.pose, [5e-8, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"history": np.nan}, "'history' must be finite"),
+        ({"history": -1.0}, "'history' must not be negative"),
+        ({"pose_std": [-1.0, 0.0, 0.0]}, "'pose_std' must not be negative"),
+        ({"pose_std": [np.nan, 0.0, 0.0]}, "'pose_std' needs 3 finite"),
+    ],
+)
+def test_settings_that_cannot_be(given: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        FusedOdometry(FOUR, **given)
+
+
+@pytest.mark.parametrize("given", [{"along": np.nan}, {"gyro": -1.0}, {"slip_window": 0.0}, {"age": np.inf}])
+def test_noise_that_cannot_be(given: dict) -> None:
+    with pytest.raises(InputError, match="odometry noise: "):
+        OdometryNoise(**given)
+
+
+def test_brakes_that_are_not_numbers() -> None:
+    """They are refused before anything is taken in: the next message counts from the last good one."""
+    odometry, zero = FusedOdometry(FOUR), np.zeros(4)
+    odometry.update(0.0, zero, zero, zero)
+    with pytest.raises(InputError, match="'brake' needs 4 finite numbers"):
+        odometry.update(0.1, zero, zero, np.ones(4), brake=[0.0, np.nan, 0.0, 0.0])
+    assert not odometry.update(0.1, zero, zero, zero, brake=zero).any()

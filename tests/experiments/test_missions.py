@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY, swerve_drive
 from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
@@ -134,6 +135,16 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
     )
     start, margin = result.log.array("support_margin")[0, 0], m["support_margin_end"]
     assert margin > start + 0.05
+
+
+@pytest.mark.parametrize(
+    ("legs", "given"), [("support", "leg_goal=X"), ("targets", "support=0.1"), ("targets", "reserve=0.1")]
+)
+def test_what_the_way_of_the_legs_does_not_read_is_refused(legs: str, given: str) -> None:
+    settings, other = REGISTRY["swerve-unified"].config_type, {"support": "targets", "targets": "support"}[legs]
+    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it with legs={legs}"):
+        configure(settings, [f"legs={legs}", given], "swerve-unified")
+    configure(settings, [f"legs={other}", given], "swerve-unified")
 
 
 def test_fixed_legs_are_refused() -> None:

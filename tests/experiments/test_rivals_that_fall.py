@@ -14,9 +14,12 @@ from wbmpc.experiments.swerve_drive_figures import metrics
 from wbmpc.log import Log
 from wbmpc.loop import Ending
 from wbmpc.plant import SwervePlant
+from wbmpc.result import RunResult
 
 SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
+#: By how much the controllers of swerve-fixed are off [m].
+OFF = dict(zip(swerve_fixed.CONTROLLERS, (1e-3, 2e-3, 4e-3), strict=True))
 BASELINE = ("baseline_position_error_rms", "baseline_yaw_error_rms", "baseline_leg_angle_error_rms")
 
 
@@ -41,7 +44,8 @@ def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -
     found = {how: metrics(driven(), SWERVE, [], None, how) for how in (Ending(), FELL, ENDED, None)}
     assert found[Ending()]["baseline_ratio"].value == pytest.approx(0.75)
     assert found[Ending()][BASELINE[0]].value == pytest.approx(4e-3)
-    assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3 and "baseline_ratio" not in found[FELL]
+    assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3
+    assert np.isnan(found[FELL]["baseline_ratio"].value) and found[FELL]["baseline_ratio"].met is False
     for how in (ENDED, None):  # what the user ended says nothing about the rival
         assert not [name for name in found[how] if name.startswith("baseline")]
     assert all(m["base_position_error_rms"].value == pytest.approx(3e-3) for m in found.values())
@@ -56,7 +60,9 @@ def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monk
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
     result = swerve_drive.run(swerve_drive.SwerveDriveSettings(rest=0.0), 0)
-    assert result.faults == [f"rival: {how.reason}; nothing is compared with it"]
+    # what the user ended was not found in the robot
+    assert result.faults == ([f"rival: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
+    assert result.reason == ("" if how is FELL else ENDED.reason)
     assert (result.completed, result.interrupted, "knock" in parts) == (goes_on, not goes_on, goes_on)
 
 
@@ -71,27 +77,44 @@ def test_a_real_fall_of_the_rival_is_its_ending(monkeypatch: pytest.MonkeyPatch)
     assert np.isinf(swerve_drive.rival_on_tour(settings, 0)).all()
 
 
-@pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
-def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The others are 1, 2 and 4 mm off."""
-    off = dict(zip(swerve_fixed.CONTROLLERS, (1e-3, 2e-3, 4e-3), strict=True))
+def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
+    """`swerve-fixed` with controllers that are 1, 2 and 4 mm off, of which one ends after 0.3 s."""
 
     def drive(name: str, settings: Any, seed: int, robot: Any, motion: Any, mpc: Any, log: Log, *_: Any) -> Any:
         for t in np.arange(0.0, 0.3 if name == who else float(motion.path.times[-1]), 0.1):
             for channel in ("odometry", "base"):
-                log.add(f"{channel}_{name}", t, motion.path.pose(t) + [off[name], 0.0, 0.0])
+                log.add(f"{channel}_{name}", t, motion.path.pose(t) + [OFF[name], 0.0, 0.0])
             log.add(f"slip_{name}", t, 0.0)
-        return (FELL if name == who else Ending()), []
+        return (how if name == who else Ending()), []
 
     monkeypatch.setattr(swerve_fixed, "drive", drive)
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "_plots", lambda *_: [])
-    result = swerve_fixed.run(swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    return swerve_fixed.run(swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+
+
+@pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
+def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The MPC's run decides whether it completed."""
+    result = fixed(monkeypatch, who, FELL)
     value = {name: metric.value for name, metric in result.metrics.items()}
-    assert not result.completed and result.reason == f"{who}: the robot fell at 3.50 s"
-    assert ("tracking_error_ratio" in value) == (who == "four_wheel")
-    for name, away in off.items():
+    told = f"{who}: the robot fell at 3.50 s"
+    if who == "mpc":
+        assert (result.completed, result.reason, result.faults) == (False, told, [])
+    else:
+        assert (result.completed, result.reason, result.faults) == (True, "", [f"{told}; nothing is compared with it"])
+    ratio = {"four_wheel": OFF["mpc"] / OFF["ik"], "ik": np.nan, "mpc": None}[who]
+    assert value.get("tracking_error_ratio") == (ratio if ratio is None else pytest.approx(ratio, nan_ok=True))
+    assert who != "ik" or result.reached("tracking_error_ratio") is False
+    for name, away in OFF.items():
         if name == who and who != "mpc":
             assert not [key for key in value if key.endswith(f"_{name}") or f"_{name}_" in key]
         else:  # the MPC's own part is kept, as in every run that ended early
             assert value[f"tracking_error_rms_{name}"] == pytest.approx(away)
+
+
+def test_swerve_fixed_that_the_user_ends_in_a_rival(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says nothing about the rival."""
+    result = fixed(monkeypatch, "ik", ENDED)
+    assert (result.completed, result.interrupted, result.reason) == (False, True, f"ik: {ENDED.reason}")
+    assert not result.faults and "tracking_error_ratio" not in result.metrics

@@ -64,7 +64,7 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     )
     assert swerve_drive.run(swerve_drive.SwerveDriveSettings(), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
-    monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (EARLY, [str(FAULT)] if name == "ik" else []))
+    monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (Ending(), [str(FAULT)] if name == "ik" else []))
     settings = swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0)
     assert swerve_fixed.run(settings, 0).faults == [f"ik: {FAULT}"]
 
@@ -112,6 +112,17 @@ def test_swerve_brakes_tells_what_nobody_made_fail_and_was_not_taken_back(monkey
     assert result.metrics["false_alarms"].value == 6.0 and result.metrics["fault_detection_time_open"].value == 2.0
     kinds = ("sound", "stuck closed", "stuck open")
     assert result.faults == [f"a brake that is {kind}: {sound}" for kind in kinds]
+
+
+@pytest.mark.parametrize("kind", ["open", "closed"])
+def test_swerve_brakes_makes_its_faults_itself(kind: str) -> None:
+    """What its monitor rightly found of another brake would count as a false alarm, and the pushes mean brakes that hold."""
+    with pytest.raises(InputError, match=rf"plant: brake_fault={kind}: this experiment makes brakes fail itself"):
+        configure(
+            swerve_brakes.SwerveBrakesSettings,
+            [f"plant.brake_fault={kind}", "plant.brake_fault_leg=2"],
+            "swerve-brakes",
+        )
 
 
 def test_a_ball_robot_has_no_brakes() -> None:

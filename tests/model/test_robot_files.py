@@ -178,6 +178,21 @@ def test_a_base_that_floats_in_its_own_file(tmp_path: Path) -> None:
     assert SwervePlant(robot.description).model.nv == 6 + 3 * 2 + 2
 
 
+@pytest.mark.parametrize("joint", ["lift", "m0_steer", "m0_leg"])
+def test_a_joint_that_does_not_count_from_its_drawing(joint: str, tmp_path: Path) -> None:
+    """MuJoCo takes ``ref`` off every value: with the lift's 0.5 its hand was 17 cm from the planner's."""
+    text = refusal(ring(tmp_path, (f'name="{joint}"', f'name="{joint}" ref="0.5"')))
+    assert all(w in text for w in (f"base.xml: joint '{joint}'", "'ref' of 0.5")), text
+
+
+def test_a_held_joint_that_does_not_count_from_its_drawing(tmp_path: Path) -> None:
+    path = ring(tmp_path, ('name="lift"', 'name="lift" ref="0.5"'))
+    data = yaml.safe_load(path.read_text())
+    data.update(arm={"joints": ["pan"], "tool": "hand"}, lock={"lift": 0.1})
+    path.write_text(yaml.safe_dump(data))
+    assert "joint 'lift' has a 'ref' of 0.5" in refusal(path)
+
+
 # ---------------------------------------------------------------------- swerve bases
 WHEEL = '<joint name="m0_wheel" axis="0 1 0"'
 
@@ -202,6 +217,23 @@ def test_a_wheel_that_stops_at_the_end_of_a_range(tmp_path: Path) -> None:
     text = refusal(ring(tmp_path, position={"m0_wheel": [-3.0, 3.0]}))
     assert "ring.yaml: key 'limits.position.m0_wheel'" in text
     assert load_robot(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3" limited="false"'))).base.geometry.modules == 3
+
+
+@pytest.mark.parametrize(("joint", "axis"), [("wheel", "0 1 0"), ("steer", "0 0 1"), ("leg", "0 0 1")])
+def test_a_module_of_sliding_joints(joint: str, axis: str, tmp_path: Path) -> None:
+    turns = f'<joint name="m1_{joint}"'
+    text = refusal(ring(tmp_path, (f'{turns} axis="{axis}"', f'{turns} type="slide" axis="{axis}"')))
+    assert all(w in text for w in (f"base.xml: joint 'm1_{joint}' slides", "ring.yaml")), text
+
+
+def test_wheels_of_different_heights(tmp_path: Path) -> None:
+    """A robot of four wheels stands on two or three of them then."""
+    disc = '<body name="m1_disc" pos="0 0 {:g}">'
+    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.118))))
+    assert all(w in text for w in ("ring.yaml", "'m1_wheel' is 2 mm too high")), text
+    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.129))))
+    assert "'m1_wheel' is 9 mm too low" in text
+    load_robot(ring(tmp_path, (disc.format(-0.12), disc.format(-0.1195))))
 
 
 @pytest.mark.parametrize("reach", [0.0, 0.004])

@@ -250,3 +250,15 @@ def test_bad_input_is_one_sentence() -> None:
         STANCE(SWERVE.home, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="different modules of 0 to 3"):
         residuals.SupportMargin(SWERVE, [(0, 1, 7)])
+
+
+@pytest.mark.parametrize(
+    ("mass", "words"), [(float("nan"), "'mass' must be finite"), (-5.0, "'mass' must not be negative")]
+)
+def test_masses_that_no_load_has(mass: float, words: str) -> None:
+    for load in (
+        lambda: Load.gravity(mass, [0.0, 0.0, 1.0]),
+        lambda: Load.inertia(mass, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]),
+    ):
+        with pytest.raises(InputError, match=words):
+            load()

@@ -374,12 +374,15 @@ class SwerveAgent:
 
     def watch(self, t: float, brake: np.ndarray, rate: np.ndarray) -> None:
         """A tick at t [s] of hinged legs: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s]. Their brakes
-        are judged by the last measurement, if the last look is :data:`LOOK` ago (within half a period)."""
-        assert self.measured is not None
+        are judged by the last measurement, if the last look is :data:`LOOK` ago (within half a period). Times may start anew."""
+        assert self.measured is not None and self.monitor is not None
         if not np.isfinite(rate).all():
             return  # such a command is refused, by the name of its drives, before it goes to them
         self._watched = t, self.measured.leg, brake, rate
-        if abs(t - self._looked) >= LOOK - 0.5 * self.period:  # a new run's clock may be behind
+        if t < self._looked - self.period:  # the clock of a new run; by less: the look before a stop was ahead
+            self.monitor.restart_clock()
+            self._looked = -np.inf
+        if t - self._looked >= max(LOOK - 0.5 * self.period, 0.0):
             self._look(self._watched)
 
     def _look_before_stop(self) -> None:
@@ -391,7 +394,7 @@ class SwerveAgent:
         if self.measured.leg.shape != before.shape or not np.isfinite(self.measured.leg).all():
             return  # the odometry has refused this message, and the robot stops for it
         if brake.any() or rate.any():  # else the stop changes nothing for them
-            self._look((t + self.period, self.measured.leg, brake, rate))
+            self._look((max(t + self.period, self._looked), self.measured.leg, brake, rate))
 
     def _look(self, tick: Tick) -> None:
         self._looked = tick[0]

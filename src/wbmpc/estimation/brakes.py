@@ -72,14 +72,14 @@ class BrakeMonitor:
         creep: float = 2e-4,
         limit: ArrayLike = np.inf,
     ) -> None:
+        who = "brake monitor"
+        finite(who, moved=moved, expected=expected, still=still, window=window, settle=settle)
+        finite(who, crawl=crawl, patience=patience, creep=creep)
         if min(moved, expected, still, window, settle, patience) <= 0.0 or min(crawl, creep) < 0.0:
             raise InputError(
                 "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl and creep not negative"
             )
-        n = len(names)
-        most = np.broadcast_to(np.asarray(limit, float), n)
-        if not np.all(most > 0.0):
-            raise InputError(f"brake monitor: limit: positive rates [rad/s] are needed, got {np.asarray(limit)}")
+        most = _positive_rates(limit, len(names))
         self.names, self.moved, self.still, self.creep = list(names), moved, still, creep
         self.window, self.settle, self.patience = window, settle, patience
         self.crawl = np.minimum(crawl, CRAWL_SHARE * most)
@@ -87,6 +87,11 @@ class BrakeMonitor:
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self.real: list[BrakeFault] = []
+        self.restart_clock()
+
+    def restart_clock(self) -> None:
+        """Times start anew: the next look is a first one, at brakes that are believed again. What was told stays told."""
+        n = len(self.names)
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
         self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
@@ -98,7 +103,8 @@ class BrakeMonitor:
         """What is new after measured angles ``leg`` (n) [rad] at t [s], brakes (n, 1 = open) and planned ``rate`` (n) [rad/s].
 
         A fault is told once per command of its brake, or again after it was taken back. Raises :class:`InputError` for what is
-        not finite or of another length; it does not count, and the next one does.
+        not finite or of another length, and for time that goes back (see :meth:`restart_clock`); it does not count, and the next
+        one does.
         """
         angle, is_open, planned = self._checked(t, leg, brake, rate)
         if self._open is None:
@@ -138,6 +144,8 @@ class BrakeMonitor:
         """What :meth:`update` was given, as arrays (n)."""
         who, n = "brake monitor", len(self.names)
         finite(who, time=t)
+        if t < self.time:
+            raise InputError(f"{who}: time must not go back, got {t:.6g} s after {self.time:.6g} s")
         is_open = numbers(who, "brake", brake, n) > 0.5
         return numbers(who, "leg", leg, n), is_open, numbers(who, "rate", rate, n)
 
@@ -168,3 +176,14 @@ class BrakeMonitor:
             gone = float(self._gone[i])
             return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > self.moved else None
         return BrakeFault(t, i, self.names[i], "does not open", float(self._planned[i])) if self._stands(i) else None
+
+
+def _positive_rates(limit: ArrayLike, n: int) -> Array:
+    """One rate [rad/s] for all or ``n``, infinite where there is no limit; or :class:`InputError`."""
+    try:
+        most = np.broadcast_to(np.asarray(limit, float), n)
+    except (TypeError, ValueError):
+        most = np.full(n, np.nan)
+    if not np.all(most > 0.0):
+        raise InputError(f"brake monitor: limit: one positive rate [rad/s] or {n} are needed, got {limit!r}")
+    return most

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.checks import covariance as checked_covariance
-from wbmpc.checks import numbers
+from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.estimation import fused_filter
 from wbmpc.estimation.fused_filter import BIAS, LATE, WHEELS, LegsShow, OdometryNoise, State, Step, advanced
@@ -67,11 +67,12 @@ class FusedOdometry:
         known = self._prior
         self._reader = WheelOdometry(geometry, leg_zero=known.leg_zero, steer_zero=known.steer_zero)
         p = np.zeros((WHEELS + 2 * n, WHEELS + 2 * n))
-        p[:3, :3] = np.diag(np.square(numbers("odometry", "pose_std", pose_std, 3)))
+        p[:3, :3] = np.diag(np.square(_not_negative("pose_std", numbers("odometry", "pose_std", pose_std, 3))))
         p[BIAS, BIAS] = self.noise.gyro_bias**2
         p[WHEELS:, WHEELS:] = known.covariance
         self._state = State(-np.inf, np.concatenate([numbers("odometry", "pose0", pose0, 3), np.zeros(2 + 2 * n)]), p)
-        self._keep, self._past = history, deque[tuple[State, Step]]()
+        finite("odometry", history=history)
+        self._keep, self._past = float(_not_negative("history", history)), deque[tuple[State, Step]]()
         self._last: Sample | None = None
         self._open = np.zeros(n, dtype=bool)
         self._by_wheels = np.zeros((3, 2 * n))
@@ -191,10 +192,9 @@ class FusedOdometry:
 
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
-        values = np.zeros(self._n) if brake is None or not self.geometry.has_hinge else np.asarray(brake, float)
-        if values.shape != (self._n,):
-            raise InputError(f"odometry: 'brake' needs {self._n} numbers, got {values}")
-        return np.asarray(values > 0.5)
+        if brake is None or not self.geometry.has_hinge:
+            return np.zeros(self._n, dtype=bool)
+        return np.asarray(numbers("odometry", "brake", brake, self._n) > 0.5)
 
     def _started(self, t: float, rate: float) -> State:
         """The first message is late too, if the base turns already."""
@@ -301,3 +301,10 @@ class FusedOdometry:
         self._refusals = 0
         self._misfits += misfit
         return fused_filter.corrected(state, error, r)
+
+
+def _not_negative(name: str, value: Array | float) -> Array | float:
+    """``value``, or :class:`InputError` by ``name`` where it is below 0."""
+    if np.min(value) < 0.0:
+        raise InputError(f"odometry: '{name}' must not be negative, got {value}")
+    return value

@@ -6,12 +6,13 @@ A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). E
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.checks import finite
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -44,6 +45,12 @@ class OdometryNoise:
     gyro: float = 2e-4
     gyro_walk: float = 2e-5
     gyro_bias: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Raise :class:`~wbmpc.errors.InputError` for what no deviation can be."""
+        finite("odometry noise", **asdict(self))
+        if min(asdict(self).values()) < 0.0 or self.slip_window == 0.0:
+            raise InputError(f"odometry noise: no number may be negative, and slip_window not 0, got {self}")
 
 
 @dataclass(frozen=True)

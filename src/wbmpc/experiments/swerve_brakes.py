@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from wbmpc.control import RollingAgent
 from wbmpc.estimation import BrakeFault, BrakeMonitor
@@ -46,6 +46,15 @@ class SwerveBrakesSettings(Settings):
     robot: str = "swerve-ur10"
     push: float = Field(PUSH, gt=0, le=500)
     height: float = Field(0.03, gt=0.005, le=0.2)
+
+    @field_validator("plant")
+    @classmethod
+    def _sound(cls, plant: Perturbation) -> Perturbation:
+        if plant.brake_fault != "none":
+            raise ValueError(
+                f"brake_fault={plant.brake_fault}: this experiment makes brakes fail itself, in its last two tests"
+            )
+        return plant
 
 
 #: What is wrong with the brake that is tried in the search for faults, and how that test is called.

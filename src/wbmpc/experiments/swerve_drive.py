@@ -245,7 +245,7 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     rival, rivals, knock = None, list[str](), None
     if not ending.reason:
         rival, rivals = bench.rival(mission, duration, terrain, own("rival"))
-        if rival.reason:  # the rival's failure, not the run's
+        if rival.reason and not rival.interrupted:  # the rival's failure, not the run's
             rivals.append(f"rival: {rival.reason}; nothing is compared with it")
         ending = rival if rival.interrupted else ending
     if not ending.reason:

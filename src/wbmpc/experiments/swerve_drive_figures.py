@@ -10,7 +10,7 @@ from wbmpc.log import Log
 from wbmpc.loop import Ending
 from wbmpc.model import RobotModel
 from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
-from wbmpc.result import Drawing, Metric, Plot, Series
+from wbmpc.result import Drawing, Metric, Plot, Series, no_comparison
 from wbmpc.stability import CONFIGURATIONS, corners
 
 SPEED_NOTE = (
@@ -68,7 +68,7 @@ def metrics(
     log: Log, robot: RobotModel, faults: list[str], knocked: float | None, rival: Ending | None
 ) -> dict[str, Metric]:
     """All of them; ``knocked``: when [s] the knock was over, None if there was none; ``rival``: how it ended, None if it did not
-    run. The errors of one that did not get to the end are infinite, and there is no ratio to them: the part before says nothing."""
+    run. The errors of one that did not get to the end are infinite, their ratio is no number: the part before says nothing."""
     position, yaw = _error(log, "tour")
     found = {
         "base_position_error_rms": Metric(position, "m", goal=0.008),
@@ -88,8 +88,7 @@ def metrics(
         found["baseline_position_error_rms"] = Metric(away, "m")
         found["baseline_yaw_error_rms"] = Metric(turned, "rad")
         found["baseline_leg_angle_error_rms"] = Metric(legs, "rad")
-        if whole:
-            found["baseline_ratio"] = Metric(position / away, "1", goal=0.5)
+        found["baseline_ratio"] = Metric(position / away, "1", goal=0.5) if whole else no_comparison(0.5)
     if knocked is not None and "knock.leg" in log.channels:
         error = (log.array("knock.leg") - log.array("knock.leg_reference"))[:, corners(robot)["LF"]]
         found["leg_knock"] = Metric(float(np.abs(error).max()), "rad")

@@ -25,7 +25,7 @@ from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, SteeringGuess, TurningGuess, fast_enough
 from wbmpc.ocp import Reference
 from wbmpc.plant import SwervePlant
-from wbmpc.result import Metric, Plot, RunResult, Series
+from wbmpc.result import Metric, Plot, RunResult, Series, no_comparison
 
 NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
@@ -167,14 +167,16 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
         faults += [f"{name}: {fault}" for fault in found]
         if not ended.reason:
             whole.append(name)
-        elif ended.interrupted or not ending.reason:
+        elif ended.interrupted or name == "mpc":
             ending = replace(ended, reason=f"{name}: {ended.reason}")
+        else:  # the rival's failure, not the run's
+            faults.append(f"{name}: {ended.reason}; nothing is compared with it")
         if ended.interrupted:
             break
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, reference, whole), plots=lambda: _plots(log, reference), idealisations=IDEALISATIONS,
-        faults=faults,
+        metrics=lambda: _metrics(log, reference, whole, ending.interrupted), plots=lambda: _plots(log, reference),
+        idealisations=IDEALISATIONS, faults=faults,
     )  # fmt: skip
 
 
@@ -237,13 +239,16 @@ def standstill(log: Log, name: str, reference: Motion) -> float:
     return longest
 
 
-def _metrics(log: Log, reference: Motion, whole: Sequence[str]) -> dict[str, Metric]:
-    """Of the MPC, and of rivals that got to the end of the ``whole`` run: the part before a fall says nothing to compare with."""
+def _metrics(log: Log, reference: Motion, whole: Sequence[str], interrupted: bool) -> dict[str, Metric]:
+    """Of the MPC, and of rivals that got to the end of the ``whole`` run: the part before a fall says nothing to compare with.
+    ``interrupted``: by the user, which says nothing about those that are missing."""
     done = [n for n in CONTROLLERS if (n == "mpc" or n in whole) and f"odometry_{n}" in log.channels]
     rms = {n: _rms(errors(log, n, reference)[1]) for n in done}
     out = {f"tracking_error_rms_{n}": Metric(v, "m") for n, v in rms.items()}
     if {"mpc", "ik"} <= set(whole):
         out["tracking_error_ratio"] = Metric(rms["mpc"] / rms["ik"], "1", goal=0.5)
+    elif "mpc" in whole and not interrupted:
+        out["tracking_error_ratio"] = no_comparison(0.5)
     for n in done:
         t, position, yaw = errors(log, n, reference)
         out[f"yaw_error_rms_{n}"] = Metric(_rms(yaw), "rad")

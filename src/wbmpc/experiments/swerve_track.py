@@ -39,9 +39,10 @@ class SwerveTrackSettings(ExperimentSettings):
     """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``peaks``: horizontal,
     with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
     (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
-    standing; ``calibration`` of the wheels: drive (a reference drive with ``localisation`` first), none, or a file that
-    'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the ``localisation``; ``drive_lag`` [s] that the
-    controller assumes; ``friction``, ``smoothing``: see :class:`wbmpc.control.SwerveAgent`."""
+    standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
+    ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
+    ``localisation``; ``drive_lag`` [s] that the controller assumes; ``friction``, ``smoothing``: see
+    :class:`wbmpc.control.SwerveAgent`."""
 
     cost: SwerveCost = SwerveCost(hand=HandCost(weight=4000.0))
     robot: str = "swerve-ur10"

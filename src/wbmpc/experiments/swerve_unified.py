@@ -7,10 +7,10 @@ objective in their place: the alternative that section III-A names.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc.control import BrakeControl, SwerveAgent
 from wbmpc.errors import InputError
@@ -70,6 +70,14 @@ class SwerveUnifiedSettings(ExperimentSettings):
     use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        """What the chosen way of the legs does not read is refused."""
+        for name in ("leg_goal",) if self.legs == "support" else ("support", "reserve"):
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name}: nothing uses it with legs={self.legs}")
+        return self
 
 
 def rear_triangles(robot: RobotModel, legs: np.ndarray) -> tuple[Triangle, ...]:

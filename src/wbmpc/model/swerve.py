@@ -6,6 +6,7 @@ steer axis s_i = h_i + L d(φ_i); its velocity in the body frame is v + ω ẑ �
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 
 
 # A wheel whose contact lies farther [m] from the steer axis is a caster, which these equations do not describe; a hinged leg that
-# is shorter [m] is moved by no wheel.
-_LARGEST_OFFSET, _SHORTEST_LEG = 0.005, 0.005
+# is shorter [m] is moved by no wheel. Wheels that differ by more [m] in height leave the robot standing on some of them.
+_LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,7 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[SwerveGeom
         leg.append(float(np.arctan2(along[1], along[0])))
         wheel.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
         height.append(base.wheel_radius - float(poses[rolling][0][2]))
-    if np.ptp(height) > 0.01:
-        raise InputError(f"{description.source}: key 'base.modules': the wheels do not stand on one level {height}")
+    _check_level(description.source, [m.wheel for m in base.modules], np.array(height))
     geometry = SwerveGeometry(
         hinge=np.array(hinge),
         leg_length=np.array(length),
@@ -105,6 +105,11 @@ def _check_module(
     description: RobotDescription, tree: Tree, module: ModuleDescription, poses: list[tuple[Array, Array]]
 ) -> None:
     steer, wheel = tree.joint(module.steer), tree.joint(module.wheel)
+    for name in (module.hinge, module.steer, module.wheel):
+        if name and tree.links[tree.joint(name)].kind != "revolute":
+            raise InputError(
+                f"{description.model}: joint '{name}' slides; it is in base.modules of {description.source}, where all joints turn"
+            )
     for name in (module.hinge, module.steer):
         if name and (poses[tree.joint(name)][1] @ tree.links[tree.joint(name)].axis)[2] < 1.0 - 1e-6:
             raise InputError(f"{description.source}: joint '{name}' must turn about the body's +z axis")
@@ -112,6 +117,18 @@ def _check_module(
         raise InputError(f"{description.source}: joint '{module.wheel}' must have a horizontal axis")
     if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > _LARGEST_OFFSET:
         raise InputError(f"{description.source}: wheel '{module.wheel}' must stand under the axis of '{module.steer}'")
+
+
+def _check_level(source: object, wheels: Sequence[str], height: Array) -> None:
+    """All wheels touch even ground. ``height`` (n,) [m]: of the body's frame over the lowest point of each."""
+    if np.ptp(height) <= _LEVEL:
+        return
+    above = np.median(height) - height
+    odd = int(np.argmax(np.abs(above)))
+    raise InputError(
+        f"{source}: key 'base.modules': the wheels do not stand on one level: '{wheels[odd]}' is "
+        f"{1e3 * abs(above[odd]):.3g} mm too {'high' if above[odd] > 0.0 else 'low'}, wheels may differ by {1e3 * _LEVEL:g} mm"
+    )
 
 
 def _check_wheel_turns(description: RobotDescription, tree: Tree, wheel: str) -> None:

@@ -41,7 +41,7 @@ def named(path: object) -> Iterator[None]:
 
 
 def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
-    """Every joint below the base moves by the description's will or not at all.
+    """Every joint below the base moves by the description's will or not at all, and counts from where the file draws its body.
 
     A joint that is in no list would be free in the simulator and rigid in the planner. Raises :class:`InputError`.
     """
@@ -54,6 +54,7 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         name = model.joint(joint).name
         if not name:
             raise InputError(f"{description.model}: body '{model.body(body).name}' has a joint without a name")
+        refuse_reference(description.model, name, model.qpos0[model.jnt_qposadr[joint]])
         if name not in listed:
             left.append(name)
     if left:
@@ -63,6 +64,14 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         raise InputError(
             f"{description.source}: {which} {description.model} can move, but no key names {them}: "
             f"name {them} in {lists}, or hold {them} with 'lock: {{{hold}}}' [rad or m]"
+        )
+
+
+def refuse_reference(path: object, joint: str, reference: float) -> None:
+    """A joint's value where its body is drawn (``ref`` of an MJCF) must be 0: planner, locks and calibrations count from there."""
+    if reference:
+        raise InputError(
+            f"{path}: joint '{joint}' has a 'ref' of {reference:.4g}: it must be 0, draw its body where the joint's value is 0"
         )
 
 

@@ -133,7 +133,8 @@ class SwervePilot:
 
     def inspect(self) -> None:
         """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
-        monitor, ticks = self.agent.monitor, self.agent.ticks
+        agent = self.agent  # another thread begins the next run with another one
+        monitor, ticks = agent.monitor, agent.ticks
         if monitor is None or self.brakes is None:
             return
         while ticks:

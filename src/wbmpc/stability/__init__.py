@@ -3,6 +3,7 @@
 from wbmpc.stability.assessment import Assessment, assess
 from wbmpc.stability.configurations import CONFIGURATIONS, corners, leg_angles
 from wbmpc.stability.drawing import draw
+from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import (
     Region,
     Triangle,
@@ -47,6 +48,7 @@ __all__ = [
     "crossings",
     "draw",
     "edge_distances",
+    "friction_needed",
     "hull",
     "leg_angles",
     "margin",

@@ -52,7 +52,7 @@ class Assessment:
 
     def figures(self) -> dict[str, Any]:
         """Everything as plain numbers and lists (SI units); what is not a number is None. ``stays_upright``: it does not tip over;
-        whether it slides, ``friction_needed`` tells."""
+        whether it slides, ``friction_needed`` tells (None if it tips over)."""
         s = self.stance
         legs = self.x[self.robot.state["leg"]] if "leg" in self.robot.state else np.zeros(0)
         return {
@@ -91,7 +91,8 @@ class Assessment:
         rows.append(f"  margin to the polygon        {1e3 * s.polygon_margin:.1f} mm")
         for triangle, m in s.triangle_margins.items():
             rows.append(f"  margin to {', '.join(self._named(triangle))}: {1e3 * m:.1f} mm")
-        rows.append(f"  friction needed not to slide {s.friction_needed:.2f}")
+        needed = s.friction_needed
+        rows.append(f"  friction needed not to slide {'–' if np.isnan(needed) else f'{needed:.2f}'}")
         if s.polygon_margin <= 0.0:
             rows.append("  the robot tips over")
         else:

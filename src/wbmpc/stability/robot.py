@@ -18,9 +18,10 @@ from wbmpc.errors import InputError
 from wbmpc.model import FramePose, RobotModel
 from wbmpc.model.swerve import SwerveBase
 from wbmpc.model.symbolic import Chain, constant, cross
+from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import Array, Triangle, hull, support_polygon, triangle_margins
 from wbmpc.stability.geometry import margin as margin_to
-from wbmpc.stability.zmp import GRAVITY
+from wbmpc.stability.zmp import GRAVITY, Load
 
 Feet = Sequence[int]
 #: Largest number that is taken, of any unit: nothing real is larger, and squares of far larger ones overflow.
@@ -175,10 +176,9 @@ class Stance:
 
     @property
     def friction_needed(self) -> float:
-        """Coefficient of friction at which the load would begin to slide: the tangent of its force's angle to the ground's normal
-        (a moment about the normal needs more); not a number without load."""
-        down = -self.force[2] if self.force[2] < 0.0 else np.nan
-        return float(np.hypot(*self.force[:2]) / down)
+        """Least coefficient of friction at which the feet hold the load: force, yaw moment and the feet's loads together
+        (:func:`friction_needed`); not a number where the robot lifts off or tips over."""
+        return friction_needed(self.feet, Load(self.force, self.moment))
 
     @property
     def triangle_margins(self) -> dict[Triangle, float]:

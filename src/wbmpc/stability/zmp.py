@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import finite
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -28,6 +29,13 @@ def _vector(name: str, value: ArrayLike) -> Array:
     if vector.shape[-1:] != (3,) or not np.isfinite(vector).all():
         raise InputError(f"{name}: 3 finite numbers are needed, got {np.array2string(vector, threshold=8)}")
     return vector
+
+
+def _mass(value: float) -> float:
+    finite("load", mass=value)
+    if value < 0.0:
+        raise InputError(f"load: 'mass' must not be negative, got {value} kg")
+    return value
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,7 @@ class Load:
     def gravity(cls, mass: float, com: ArrayLike, gravity: ArrayLike = GRAVITY) -> Load:
         """The weight of ``mass`` [kg] with its centre at ``com`` (..., 3) [m]."""
         c, g = _vector("com", com), _vector("gravity", gravity)
-        force = mass * np.broadcast_to(g, c.shape)
+        force = _mass(mass) * np.broadcast_to(g, c.shape)
         return cls(force, np.cross(c, force))
 
     @classmethod
@@ -58,7 +66,7 @@ class Load:
         """What a motion asks for: ``acceleration`` (..., 3) [m/s²] of the centre of mass, ``spin_rate`` (..., 3) [N m]: time
         derivative of the angular momentum about it."""
         c = _vector("com", com)
-        force = -mass * _vector("acceleration", acceleration)
+        force = -_mass(mass) * _vector("acceleration", acceleration)
         return cls(force, np.cross(c, force) - _vector("spin rate", spin_rate))
 
 
