@@ -53,6 +53,16 @@ def test_sound_sensors_are_believed() -> None:
     np.testing.assert_array_equal(monitor.judge(H, np.full(3, np.nan)), PUSH)  # the one before counts
 
 
+def test_a_spike_does_not_count_and_a_hit_does() -> None:
+    """One message of 200 N every tenth; 45 N that come at once, and stay, count from the second message on."""
+    monitor, messages = ForceMonitor(), noisy(60)
+    for k, message in enumerate(messages):
+        read = monitor.judge(H, message + [0.0, 0.0, 200.0 * (k % 10 == 5)])
+        np.testing.assert_array_equal(read, messages[k - 1] if k % 10 == 5 else message)
+    hit = [monitor.judge(H, m + [0.0, 45.0, 0.0])[1] for m in noisy(3)]
+    assert hit[0] < 1.0 and min(hit[1:]) > 44.0 and monitor.judge(H, PUSH)[1] > 44.0 and not monitor.judge(H, PUSH)[1]
+
+
 @pytest.mark.parametrize(
     ("touching", "felt", "found", "fault"),
     [

@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 #: Sensor and motion contradict each other by more than this [N], for so long [s], and the sensor is wrong. (What the motion says
 #: of a free hand on its way is 1.3 N at most; the hand's pull at its place beyond a panel, where no force is planned, is 5 N.)
 UNFELT, UNFELT_TIME = 3.0, 0.3
+#: A message farther than this [N] from the one before does not count; the next one does, whatever it says: a hit is felt one
+#: message later.
+JUMP = 30.0
 #: A touch that has lasted so long [s] is none if the motion says less than this share of its force, both averaged over the last
 #: of these times [s]. (A zero that moves by more than a touch's threshold would send the hand against a panel that is not there
 #: yet; sound touches: 0.55 or more, at 8 to 60 N.)
@@ -30,15 +33,16 @@ class ForceMonitor:
         self.fault, self.zero = "", np.zeros(3)
         self._at_rest, self._rested = np.zeros(3), 0.0  # the mean [N], and over how long [s]
         self._last: Array | None = None
+        self._jumped = False
         self._same, self._for, self._apart, self._touched = 0, 0.0, 0.0, 0.0
         self._pushes = np.zeros(2)  # felt and found while the hand touches, averaged [N]
 
     def judge(self, h: float, force: ArrayLike) -> Array:
         """The force (3) [N] that counts after a message, ``h`` [s] after the one before.
 
-        One that is not finite is none: the one before counts. None, or the same to the bit, :data:`REPEATS` times in a row and for
-        :data:`STANDS`: the sensor has stopped, for noise forbids that. Zero once there is a ``fault``. Raises
-        :class:`InputError` for another number of numbers."""
+        One that is not finite is none, and so is the first that jumps (:data:`JUMP`): the one before counts. None, or the same to
+        the bit, :data:`REPEATS` times in a row and for :data:`STANDS`: the sensor has stopped, for noise forbids that. Zero once
+        there is a ``fault``. Raises :class:`InputError` for another number of numbers."""
         positive_time("force sensor", h)
         given = np.array(force, float)
         if given.shape != (3,):
@@ -48,7 +52,8 @@ class ForceMonitor:
         before, new = self._last, bool(np.isfinite(given).all())
         again = not new or (before is not None and np.array_equal(given, before))
         self._same, self._for = (self._same + 1, self._for + h) if again else (0, 0.0)
-        if new:
+        self._jumped = bool(new and before is not None and not self._jumped and np.linalg.norm(given - before) > JUMP)
+        if new and not self._jumped:
             self._last = given
         if self._same >= REPEATS and self._for >= STANDS - 1e-9:
             what = "gives the same numbers again and again" if new else "gives no finite numbers"
