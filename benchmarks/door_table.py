@@ -35,7 +35,8 @@ LOST = 0.02
 def measure(scheme: str, door: str, force: float, seed: int) -> dict[str, Any]:
     """Figures of one run."""
     row, identify, cone = SCHEMES[scheme]
-    settings = RezeroDoorSettings(scheme=DoorScheme(row=row, identify=identify, cone=cone), door=door)  # type: ignore[arg-type]
+    known = DoorScheme(row=row, identify=identify, cone=cone)
+    settings = RezeroDoorSettings(scheme=known, door=door, hold=10.0)  # type: ignore[arg-type]  # all forces as they are asked
     trial = push_door(settings, force, seed)
     return {"scheme": scheme, "door": door, "force": force, "seed": seed, **trial_metrics(trial, settings.rise)}
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import time
@@ -25,8 +26,7 @@ import numpy as np
 from workers import Workers
 
 from wbmpc.cli.terminal import INTERRUPTED, TERMINATED, terminable
-from wbmpc.configuration import configure
-from wbmpc.errors import WbmpcError
+from wbmpc.errors import InputError, WbmpcError
 from wbmpc.experiments.push_map import (
     CRITERIA,
     FINE,
@@ -35,6 +35,7 @@ from wbmpc.experiments.push_map import (
     Outcomes,
     Point,
     bracket,
+    check,
     points,
     push_map,
     read,
@@ -48,9 +49,14 @@ GAINS = Path(__file__).with_name("push_map_gains.json")
 
 
 def gains(mode: str, controller: str, file: Path | None = None) -> dict[str, float]:
-    """Those found for a controller with hand or ball held; none where none were searched."""
-    found: dict[str, float] = json.loads((file or GAINS).read_text()).get(mode, {}).get(controller, {})
-    return found
+    """Those found for a controller with hand or ball held; none where none were searched. Raises :class:`InputError` for a file of
+    something else."""
+    file = file or GAINS
+    try:
+        found = json.loads(file.read_text()).get(mode, {}).get(controller, {})
+        return {str(k): float(v) for k, v in found.items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{file}: this is no file of gains by what is held, controller and name ({error})") from error
 
 
 def write_gains(mode: str, controller: str, found: dict[str, float]) -> None:
@@ -100,7 +106,8 @@ def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: f
                         flush=True,
                     )
         except KeyboardInterrupt:
-            print(f"interrupted: what is done is in {file}; the same command goes on from there", file=sys.stderr)
+            kept = f"what is done is in {file}; the same command goes on from there"
+            print(f"interrupted: {kept if file.exists() else 'nothing is done yet'}", file=sys.stderr)
             raise SystemExit(TERMINATED if termination.came else INTERRUPTED) from None
 
 
@@ -231,21 +238,24 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/push-map"))
     parser.add_argument("--draw", action="store_true", help="run nothing")
     given = parser.parse_args()
-    if given.directions < 1 or given.fine <= 0.0 or min(given.lengths) <= 0.0 or given.seed < 0:
-        parser.error("--directions needs at least 1, --lengths and --fine numbers above 0, --seed a number from 0 on")
+    if given.directions < 1 or not 0.0 < given.fine < math.inf or given.seed < 0:
+        parser.error("--directions needs at least 1, --fine a number above 0, --seed a number from 0 on")
     if given.processes is not None and given.processes < 1:
         parser.error("--processes needs at least 1")
     if given.gains is not None and not given.gains.is_file():
         parser.error(f"--gains: there is no file '{given.gains}'")
     file = given.out / "pushes.json"
-    todo = todo_of(given)
-    everything = [p for chosen in todo.values() for p in chosen]
-    try:
-        for mode, settings in {(p.mode, p.given) for p in everything}:
-            configure(MODES[mode], settings, f"rezero-push-{mode}")
-    except WbmpcError as error:  # told here, before any process starts
+    try:  # told here, before any process starts
+        todo = todo_of(given)
+        everything = [p for chosen in todo.values() for p in chosen]
+        for point in {(p.mode, p.length, p.given): p for p in everything}.values():
+            check(point)
+        read(file)
+        given.out.mkdir(parents=True, exist_ok=True)
+    except WbmpcError as error:
         parser.error(str(error))
-    given.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out: '{given.out}' cannot be a folder ({error.strerror})")
     if not given.draw:
         processes = given.processes or os.cpu_count() or 1
         run(everything, file, Workers(processes), processes, given.fine, given.criteria)

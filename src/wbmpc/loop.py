@@ -46,28 +46,29 @@ class Timing:
     @classmethod
     def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
         """Check rates [Hz] and delay [s] against the physics step [s]."""
-        steps = _whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
+        steps = whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
         period = steps * timestep
         if mpc_rate > control_rate:
             raise InputError(
                 f"mpc.rate: {mpc_rate:g} Hz is faster than the controller (control.rate), {control_rate:g} Hz, which follows the "
                 f"plans; valid: the controller's rate or a whole part of it"
             )
-        every = _whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, _whole("mpc.delay", delay, period, "controller periods", least=0))
+        every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
+        return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
 
 
-def _whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
-    """``length`` [s] in units of ``unit`` [s]; ``rate`` [Hz]: what was given instead of the length."""
+def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
+    """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
+    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
     if not (math.isfinite(length) and length / unit < _MOST):
         raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
     count = round(length / unit)
     if count < least or abs(length - count * unit) > 1e-9:
         below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
         if rate is None:
-            valid = f"{below * unit:g} or {above * unit:g} s"
+            valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
         else:
-            valid = f"{1.0 / (above * unit):.6g} or {1.0 / (below * unit):.6g} Hz"
+            valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
         given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
         raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
     return count

@@ -57,6 +57,51 @@ def test_ctrl_c_ends_the_map_with_a_sentence_and_keeps_what_is_done(
     assert not multiprocessing.active_children()
 
 
+def test_ctrl_c_before_the_first_push_names_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(push_map, "push_map", interrupted)
+    with pytest.raises(SystemExit):
+        push_map.run([], tmp_path / "pushes.json", Workers(1, "fork"), 1, 5.0, ["recovers"])
+    assert capsys.readouterr().err == "interrupted: nothing is done yet\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["--lengths", "0.001"], "of 2.5 ms; valid: e.g. 0.0025 s\n"),
+        (["--lengths", "0.2", "0.003"], "0.003 s is not a whole number of controller periods"),
+        (["--lengths", "nan"], "must be a finite number"),
+        (["--lengths", "6"], "length"),
+        (["--lengths", "-0.1"], "length"),
+        (["--fine", "nan"], "--fine a number above 0"),
+        (["--set", "length=0.4"], "length: the push map does not use it"),
+        (["--set", " settle=1"], "settle: the push map does not use it"),
+        (["--out", "{}/broken.json"], "cannot be a folder"),
+        (["--out", "{}/old"], "no file of a push map"),
+        (["--controllers", "lqr", "--gains", "{}/broken.json"], "no file of gains"),
+        (["--controllers", "lqr", "--gains", "{}/words.json"], "no file of gains"),
+    ],
+)
+def test_what_a_map_cannot_take_is_told_before_it_starts(
+    given: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "broken.json").write_text("{")
+    (tmp_path / "words.json").write_text('{"hand": {"lqr": {"torque": "much"}}}')
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "pushes.json").write_text('{"a push": {"320.0": true}}')
+    monkeypatch.setattr(push_map, "run", lambda *_: pytest.fail("it started"))
+    out = ["--out", str(tmp_path / "new")] if "--out" not in given else []
+    monkeypatch.setattr(sys, "argv", ["push_map.py", "--modes", "hand", *(a.format(tmp_path) for a in given), *out])
+    with pytest.raises(SystemExit) as ended:
+        push_map.main()
+    assert ended.value.code == 2 and told in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
 def test_workers_do_not_hear_ctrl_c() -> None:
     """The signal that a terminal sends to all processes: the worker goes on with its work."""
     with Workers(1, "fork") as workers:

@@ -10,7 +10,7 @@ import pytest
 from wbmpc.control.door import DoorAgent
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import ContactMonitor, ForceMonitor
-from wbmpc.estimation.force import UNFELT, UNFELT_TIME
+from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME
 from wbmpc.plant import RezeroMeasurement
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
@@ -53,6 +53,16 @@ def test_sound_sensors_are_believed() -> None:
     np.testing.assert_array_equal(monitor.judge(H, np.full(3, np.nan)), PUSH)  # the one before counts
 
 
+def test_a_spike_does_not_count_and_a_hit_does() -> None:
+    """One message of 200 N every tenth; 45 N that come at once, and stay, count from the second message on."""
+    monitor, messages = ForceMonitor(), noisy(60)
+    for k, message in enumerate(messages):
+        read = monitor.judge(H, message + [0.0, 0.0, 200.0 * (k % 10 == 5)])
+        np.testing.assert_array_equal(read, messages[k - 1] if k % 10 == 5 else message)
+    hit = [monitor.judge(H, m + [0.0, 45.0, 0.0])[1] for m in noisy(3)]
+    assert hit[0] < 1.0 and min(hit[1:]) > 44.0 and monitor.judge(H, PUSH)[1] > 44.0 and not monitor.judge(H, PUSH)[1]
+
+
 @pytest.mark.parametrize(
     ("touching", "felt", "found", "fault"),
     [
@@ -84,16 +94,67 @@ def test_bad_messages_are_refused() -> None:
         monitor.compare(H, True, 8.0, np.nan)
 
 
+@pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * ZERO_MOST, 1.1 * ZERO_MOST])
+def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
+    """Noise of 0.1 N about a zero that is off; it was right until it jumped there, four averages before. What an ordinary
+    zeroing leaves is not touched, to the bit; what no sound sensor has is told, not taken out."""
+    rng, monitor = np.random.default_rng(1), ForceMonitor()
+    wrong = off * np.array([0.6, 0.0, -0.8])
+    for k in range(round(8.0 * ZERO_TIME / H)):
+        monitor.rest(H, (k * H > 4.0 * ZERO_TIME) * wrong + 0.1 * rng.normal(size=3))
+    fault = monitor.tare()
+    assert fault == monitor.fault and bool(fault) == (off > ZERO_MOST)
+    assert ("5.4 N where nothing touches" in fault) == (off > ZERO_MOST)  # 98 % of it by now
+    if off <= ZERO_MOST:
+        np.testing.assert_allclose(monitor.judge(H, PUSH + wrong), PUSH + (off < ZERO_LEFT) * wrong, atol=0.1)
+    if off < ZERO_LEFT:
+        np.testing.assert_array_equal(monitor.judge(H, PUSH), PUSH)
+    zero = monitor.zero.copy()
+    assert monitor.tare() == fault and np.array_equal(monitor.zero, zero)  # once
+
+
+@pytest.mark.parametrize(("felt", "found", "told"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
+def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, told: bool) -> None:
+    """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the hand ran against the
+    panel with 45 N 0.3 s later. The motion's numbers swing by 1.5 N (as recorded), about their truth."""
+    monitor, first = ForceMonitor(), np.inf
+    for k in range(200):
+        swings = found + 1.5 * np.sin(2.0 * np.pi * k * H / 0.05)
+        if monitor.compare(H, k >= 20, felt if k >= 20 else 0.0, swings):
+            first = min(first, (k - 20) * H)
+    assert first == (pytest.approx(CONFIRMED, abs=2 * H) if told else np.inf)
+    assert bool(monitor.fault) == told and (not told or "that the robot's motion does not" in monitor.fault)
+
+
+def agent_that_stands(begin: float) -> DoorAgent:
+    """A hand at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
+    agent = DoorAgent.__new__(DoorAgent)
+    agent.phase, agent.period, agent.door, agent.measured = "approach", H, np.zeros(2), None
+    agent.force, agent.monitor, agent.leaning, agent._found = np.zeros(3), None, None, []
+    agent.contact, agent.sensor = ContactMonitor(), ForceMonitor()
+    agent.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
+    agent.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
+    agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
+    return agent
+
+
+@pytest.mark.parametrize(("off", "told"), [(2.6, False), (6.5, True)])
+def test_nothing_touches_before_the_hand_starts(off: float, told: bool) -> None:
+    """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learnt in the air. 8 N from 2 s on are one."""
+    agent, rng = agent_that_stands(1.0), np.random.default_rng(2)
+    for k in range(round(2.5 / H)):
+        force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
+        agent._feel(RezeroMeasurement(k * H, np.zeros(0), 0.0, force=force))
+        assert agent.contact.touching == (not told and k * H >= 2.0 + agent.contact.debounce - 1e-9)
+    assert agent.force[2] == pytest.approx(0.0 if told else 8.0, abs=0.5)
+    assert len(agent._found) == told and all("reads 6.5 N where nothing touches (1.00 s)" in f for f in agent._found)
+
+
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
 def test_an_agent_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
     """A hand at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
-    agent = DoorAgent.__new__(DoorAgent)
-    agent.phase, agent.period, agent.door, agent.measured = phase, H, np.zeros(2), None
-    agent.force, agent.monitor, agent.leaning, agent._found = np.zeros(3), None, None, []
-    agent.contact, agent.sensor = ContactMonitor(), ForceMonitor()
-    agent.push = SimpleNamespace(begin=0.0, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
-    agent.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
-    agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
+    agent = agent_that_stands(0.0)
+    agent.phase = phase
     touched = False
     for k in range(60):
         agent._feel(RezeroMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))

@@ -130,6 +130,18 @@ def test_an_inertial_unit_that_stays_off_is_told_so(field: str, by: float) -> No
     assert all(names == ("imu jumps",) for names in run.said[20:28])
 
 
+@pytest.mark.parametrize(("rate", "told"), [(0.0, True), (6.0, True), (30.0, False)])
+def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, told: bool) -> None:
+    """A hand that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
+    was blamed. Here the roll rate changes by 3 rad/s after 50 ms in which the first joint goes at ``rate``."""
+
+    def flung(m: dict[str, np.ndarray], k: int) -> None:
+        m["arm"][0] += rate * H * k
+        m["gyro"][0] += 3.0 * (k >= 20)
+
+    assert ("imu jumps" in watched(flung).names) == told
+
+
 def test_a_hit_is_no_bad_message() -> None:
     """The ball that runs onto a cable: 70 m/s² within a message, and the wheels slip."""
     assert not any("imu" in n for n in watched(off("accel", 0, 70.0)).names)

@@ -80,6 +80,8 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
         ("rezero-push-hand", ["forces=[]"], "forces"),
         ("rezero-push-ball", ["forces=[-50]"], "forces"),
         ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-push-hand", ["length=0.003"], "valid: e.g. 0.0025 or 0.005 s"),
+        ("rezero-push-ball", ["length=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
         ("rezero-door", ["forces=[0]"], "forces"),
         ("rezero-door", ["forces=[-8]"], "forces"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wbmpc.errors import InputError
 from wbmpc.experiments.push_map import (
     FINE,
     MOST,
@@ -21,7 +22,7 @@ from wbmpc.experiments.push_map import (
     read,
     wanted,
 )
-from wbmpc.experiments.rezero_push import LAST, NEAR, rest
+from wbmpc.experiments.rezero_push import LAST, NEAR, RezeroPushHandSettings, push_once, rest
 from wbmpc.log import Log
 
 AHEAD = Point("hand", 0.0, 0.2, 0)
@@ -87,6 +88,13 @@ def test_a_map_has_all_pushes_once() -> None:
     assert todo[4].direction == pytest.approx(np.pi / 2)
     other = points("ball", 16, (0.05, 0.4), 3, ("controller=lqr",))
     assert not {p.key for p in other} & {p.key for p in todo}
+
+
+@pytest.mark.parametrize("length", [1e-4, 0.0333])
+def test_a_push_is_never_longer_than_asked(length: float) -> None:
+    """The plant is pushed for whole controller periods: 10 kN for 0.1 ms, 1 N s, was 25 N s."""
+    with pytest.raises(InputError, match="length"):
+        push_once(RezeroPushHandSettings(pause=2.0), 0, 1e4, 0.0, length)
 
 
 def test_an_interrupted_map_goes_on_and_is_made_finer(tmp_path: Path) -> None:

@@ -4,7 +4,8 @@ Phases: the hand approaches (mode ``free`` up to the predicted touch, then conta
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
 so; there is no wrench without it. A sensor that says nothing cannot be told from a hand that is free, nor one that says the same
 for ever from a hand that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds
-without it. A hand whose sensor is not believed lets go, as one does that has found no door in time; the force is zero from then on.
+without it. Before the hand starts it touches nothing, whatever the sensor says: that is its zero. A hand whose sensor is not
+believed lets go, as one does that has found no door in time; the force is zero from then on.
 """
 
 from __future__ import annotations
@@ -137,8 +138,12 @@ class DoorAgent(RezeroAgent):
             self._accelerates = None
 
     def _feel(self, m: RezeroMeasurement) -> None:
-        """The contact force in world axes, with the last known attitude of the hand; zero if the sensor is not believed."""
-        known, reading = self.sensor.fault, self.sensor.judge(self.period, m.force)
+        """The contact force in world axes, with the last known attitude of the hand; zero if the sensor is not believed. Before
+        it starts the hand touches nothing: what the sensor reads then is its zero."""
+        known, free = self.sensor.fault, m.time < self.push.begin
+        if not free:
+            self.sensor.tare()
+        reading = self.sensor.judge(self.period, m.force)
         if self.sensor.fault:
             if not known:
                 self._distrust(m.time)
@@ -146,6 +151,9 @@ class DoorAgent(RezeroAgent):
         state = self.measured.state if self.measured is not None else self.robot.home
         rotation = lie.quaternion_to_rotation(self.robot.pose(state)[1])
         force = rotation @ reading + np.array([0.0, 0.0, self.push.tip_weight])
+        if free:
+            self.sensor.rest(self.period, rotation.T @ force)
+            return
         normal = self.geometry.directions(float(self.door[0]))[1]
         touching = self.contact.update(m.time, float(-normal @ force))
         self.force = force if touching else np.zeros(3)

@@ -25,6 +25,9 @@ HISTORY = 200
 SPEED_FACTOR, SPEED_REST = 4.0, 0.2
 #: Two steps [rad] in a row of this size, the same way, are a motion.
 FLUNG = 0.03
+#: An arm with a joint that is faster than this times its speed limit is flung, and turns the base with it: the inertial unit
+#: tells the truth then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
+FASTER = 2.0
 #: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
 SURPRISE, LATE = 1e-3, 2e-3
 
@@ -52,7 +55,13 @@ class JointTracker:
             self.angle.copy(),
             np.zeros(one.shape),
         )  # the last reading, and its distance from the one before
-        self._fastest = SPEED_FACTOR * np.asarray(speed, float)
+        self._speed = np.asarray(speed, float)
+        self._fastest = SPEED_FACTOR * self._speed
+
+    @property
+    def flung(self) -> bool:
+        """Whether something moves a joint faster than its drive can (:data:`FASTER`)."""
+        return bool((np.abs(self.rate) > FASTER * self._speed).any())
 
     def update(self, interval: float, reading: Array) -> None:
         """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
@@ -158,9 +167,11 @@ class RezeroEstimator:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with the last readings: the filter's ``faults``, and joints whose encoder ``jumps``."""
+        """What is wrong with the last readings: the filter's ``faults`` (the inertial unit's jumps only while no arm that is flung
+        explains them), and joints whose encoder ``jumps``."""
         names = self._robot.state.groups["arm"]
-        return self.filter.faults + tuple(f"{names[i]} jumps" for i in np.flatnonzero(self.arm.jumped))
+        own = tuple(f for f in self.filter.faults if f != "imu jumps" or not self.arm.flung)
+        return own + tuple(f"{names[i]} jumps" for i in np.flatnonzero(self.arm.jumped))
 
     @property
     def state(self) -> Array:

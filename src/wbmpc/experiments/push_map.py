@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from wbmpc.configuration import configure
+from wbmpc.errors import InputError
 from wbmpc.experiments.rezero_push import (
     Outcome,
     RezeroPushBallSettings,
@@ -28,6 +29,8 @@ from wbmpc.experiments.rezero_push import (
 MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}
 #: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.
 MOST, FINE = 320.0, 5.0
+#: Settings of the push experiments that a map does not read: its pushes have lengths and forces of their own, after 1 s.
+UNUSED = ("forces", "length", "settle")
 #: What is asked of the robot after a push, the harder first: attributes of an outcome.
 CRITERIA = ("recovers", "stands")
 #: Impulses [N s]: the robot does what is asked after the first, and not after the second.
@@ -67,6 +70,17 @@ def simulated(point: Point, impulse: float) -> Outcome:
     return push_once(settings, point.seed, impulse / point.length, point.direction, point.length)
 
 
+def check(point: Point) -> None:
+    """Raise :class:`InputError` for a push that cannot be run, or settings that it does not read."""
+    for given in point.given:
+        if (key := given.partition("=")[0].strip()) in UNUSED:
+            raise InputError(
+                f"{key}: the push map does not use it; lengths are those of the map, forces what it looks for"
+            )
+    settings = (*point.given, f"length={point.length!r}")
+    configure(MODES[point.mode], settings, f"rezero-push-{point.mode}, {point.length:g} s long")
+
+
 def bracket(found: Mapping[float, Outcome], criterion: str) -> Bracket | None:
     """What outcomes say of a criterion: the smallest impulse [N s] that fails, and the largest below it that passes; None if there
     are none."""
@@ -104,9 +118,12 @@ def measure(
 
 
 def read(file: Path) -> dict[str, Outcomes]:
-    """The outcomes of a map's file, by push; none where there is no file."""
-    rows = json.loads(file.read_text()) if file.exists() else {}
-    return {key: {float(i): Outcome(**o) for i, o in found.items()} for key, found in rows.items()}
+    """The outcomes of a map's file, by push; none where there is no file. Raises :class:`InputError` for another file."""
+    try:
+        rows = json.loads(file.read_text()) if file.exists() else {}
+        return {key: {float(i): Outcome(**o) for i, o in found.items()} for key, found in rows.items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{file}: this is no file of a push map ({error}); move it away to begin anew") from error
 
 
 def write(file: Path, done: Mapping[str, Outcomes]) -> None:

@@ -22,7 +22,7 @@ from wbmpc.experiments.rezero_task import (
     run_task,
 )
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress
+from wbmpc.loop import Ending, Progress, whole
 from wbmpc.result import Metric, Plot, RunResult, Series
 
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
@@ -35,12 +35,18 @@ NEAR, LAST = 0.05, 0.5
 
 
 class RezeroPushSettings(RezeroSettings):
-    """``forces`` [N], each along x and then along y, for ``length`` [s]; ``pause`` [s] from one push to the next."""
+    """``forces`` [N], each along x and then along y, for ``length`` [s], whole controller periods; ``pause`` [s] from one push to
+    the next."""
 
     forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
     length: float = Field(0.2, gt=0, le=5.0)
     pause: float = Field(7.0, ge=2.0, le=60.0)
     settle: float = Field(3.0, ge=0.5, le=60.0)
+
+    @model_validator(mode="after")
+    def _whole_periods(self) -> Self:
+        whole("length", self.length, 1.0 / self.control.rate, "controller periods")
+        return self
 
     @model_validator(mode="after")
     def _one_after_the_other(self) -> Self:

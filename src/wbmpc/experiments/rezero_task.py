@@ -27,7 +27,7 @@ from wbmpc.experiments.rezero_rivals import (
 )
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, run_lockstep
+from wbmpc.loop import Ending, Progress, Timing, run_lockstep, whole
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -143,7 +143,7 @@ def bent_arm(settings: RezeroSettings, robot: RobotModel) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Push:
-    """A force (3) [N] in world axes at the base's centre of mass, from ``start`` for ``length`` [s]."""
+    """A force (3) [N] in world axes at the base's centre of mass, from ``start`` for ``length`` [s], whole controller periods."""
 
     start: float
     length: float
@@ -256,7 +256,10 @@ def run_task(
     progress: Progress | None = None,
     before: Callable[[MPC, Timing, float], None] | None = None,
 ) -> RunResult:
-    """One run: the MPC of the settings, a perturbed plant, the estimator in the loop. ``before`` is called at every tick."""
+    """One run: the MPC of the settings, a perturbed plant, the estimator in the loop. ``before`` is called at every tick.
+    Raises :class:`InputError` for pushes that are no whole number of controller periods."""
+    for push in task.pushes:
+        whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
     robot = robot_of(settings)
     home, torque = robot.equilibrium(task.arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
