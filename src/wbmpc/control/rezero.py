@@ -147,11 +147,20 @@ class RezeroAgent:
         if self.leaning is not None:
             self.leaning.check(t, self.disturbance, x)
 
-    @staticmethod
-    def _finite(disturbance: np.ndarray) -> np.ndarray:
+    def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not np.isfinite(disturbance).all():
-            raise NotFinite("the estimated disturbance is not finite")
+            raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
+
+    def _too_fast(self) -> str:
+        """The arm's joint that is believed to turn farthest beyond its limit, for there the model has no answer in the end;
+        empty if none does."""
+        assert self.measured is not None
+        part = self.robot.state["arm_velocity"]
+        speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
+        i = int(np.argmax(speeds / limits))
+        name, told = self.robot.state.groups["arm"][i], f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s"
+        return f": {name} is believed to turn at {told}" if speeds[i] > limits[i] else ""
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""

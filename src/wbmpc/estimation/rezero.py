@@ -34,7 +34,10 @@ class JointTracker:
     acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old.
 
     ``reading`` (n): the last ones that counted; a joint ``jumped`` (n) if its own did not: beyond what joints with a limit of their
-    ``speed`` (n) [rad/s] can do. Those of ``surprised`` (n) are far from what was expected: their rates are in doubt."""
+    ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
+    step that is never undone never counts, however far the joint could have moved meanwhile; one that is undone, and a joint
+    of which no message came for a while, count by their distance. Those of ``surprised`` (n) are far from what was expected:
+    their rates are in doubt."""
 
     def __init__(
         self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
@@ -74,7 +77,8 @@ class JointTracker:
         before, self._step = self._step, reading - self._raw
         self._raw = reading.copy()
         going = (np.minimum(np.abs(before), np.abs(self._step)) > FLUNG) & (before * self._step > 0.0)
-        self.jumped = (off > (self._uncounted + LATE) * self._fastest + SPEED_REST) & ~going
+        stays = self.jumped & (np.abs(self._step) < off)
+        self.jumped = (stays | (off > (self._uncounted + LATE) * self._fastest + SPEED_REST)) & ~going
         self.reading = np.where(self.jumped, self.reading, reading)
         gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
         self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
