@@ -356,9 +356,10 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
     }
 
 
-def fault_metrics(agent: RezeroAgent) -> dict[str, Metric]:
-    """How many encoders were found to stand still, and wheels to slip."""
-    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.monitor.faults)), "1")}
+def fault_metrics(*agents: RezeroAgent) -> dict[str, Metric]:
+    """How many encoders were found to stand still, and wheels to slip, by all agents of a run."""
+    monitors = [a.monitor for a in agents if a.monitor is not None]
+    return {"encoder_faults": Metric(float(sum(len(m.faults) for m in monitors)), "1")} if monitors else {}
 
 
 def rms(vectors: np.ndarray) -> float:
