@@ -188,7 +188,7 @@ def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     given = agent.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
     drift = 8.0 * HEIGHT / Balance.of(BALL, np.zeros(3)).pole
     assert given == pytest.approx([0.2 * (drift - DEAD), 0.0], rel=0.02, abs=2e-3)
-    with pytest.raises(NotFinite, match="drift of the lean is not finite"):
+    with pytest.raises(NotFinite, match="push estimator: 'state' needs 16 finite numbers"):
         agent.measure(RezeroMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
 
 

@@ -126,8 +126,6 @@ class RezeroAgent:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
             self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
-            if not np.isfinite(self.shoves.drift).all():
-                raise NotFinite("the drift of the lean is not finite")
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None and self.shoves is None:
@@ -140,10 +138,10 @@ class RezeroAgent:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
         observer, n = self.observer, self.robot.base.nq
         assert observer is not None
-        observer.update(t, x, self._torques[-1 - self._late() - self.dead], h)
+        force = self._finite(observer.update(t, x, self._torques[-1 - self._late() - self.dead], h))
         if self.payload is not None:
-            observer.force = self.payload.update(x[:n], observer.force, observer.learning * h)
-        self.disturbance = self._finite(observer.force)
+            force = observer.force = self.payload.update(x[:n], force, observer.learning * h)
+        self.disturbance = force
         if self.leaning is not None:
             self.leaning.check(t, self.disturbance, x)
 
