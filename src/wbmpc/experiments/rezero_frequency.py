@@ -98,8 +98,8 @@ class RezeroFrequencySettings(RezeroSettings):
     @field_validator("variants")
     @classmethod
     def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if not value or not set(value) <= set(VARIANTS):
-            raise ValueError(f"valid: some of {', '.join(VARIANTS)}")
+        if not value or not set(value) <= set(VARIANTS) or len(set(value)) < len(value):
+            raise ValueError(f"valid: some of {', '.join(VARIANTS)}, each once")
         return value
 
 
