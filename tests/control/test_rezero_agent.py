@@ -150,6 +150,16 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
         agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
 
+def test_what_makes_the_disturbance_infinite_is_told() -> None:
+    """A joint that turns at 17 rad/s (its limit is 4) in a state that the model has no answer to."""
+    agent, state = ball_agent(observer=True), np.zeros(2 * N)
+    agent.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
+    state[-1] = -17.0
+    why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
+    with pytest.raises(NotFinite, match=why):
+        agent.measure(RezeroMeasurement(0.0, state, 0.0))
+
+
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
     """The shift of the limit is that of the disturbance just learnt (tests/control/test_leaning.py), beside a push's room."""
     agent = ball_agent(observer=True)
@@ -178,7 +188,7 @@ def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     given = agent.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
     drift = 8.0 * HEIGHT / Balance.of(BALL, np.zeros(3)).pole
     assert given == pytest.approx([0.2 * (drift - DEAD), 0.0], rel=0.02, abs=2e-3)
-    with pytest.raises(NotFinite, match="drift of the lean is not finite"):
+    with pytest.raises(NotFinite, match="push estimator: 'state' needs 16 finite numbers"):
         agent.measure(RezeroMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
 
 

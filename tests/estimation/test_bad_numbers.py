@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,12 +21,17 @@ from wbmpc.estimation import (
     DoorFilter,
     JointTracker,
     MomentumObserver,
+    PayloadEstimator,
+    PushEstimator,
     RezeroEstimator,
 )
+from wbmpc.estimation.fused import AHEAD
+from wbmpc.estimation.rezero import HISTORY
 
 H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")
 HOME, _ = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+MOVING = np.concatenate([HOME[:8], np.ones(8)])
 ARM, UP, ZERO = HOME[ROBOT.state["arm"]], np.array([0.0, 0.0, 9.81]), np.zeros(3)
 
 
@@ -63,7 +70,41 @@ def rezero() -> tuple[Callable[..., Any], Callable[[], Any]]:
     return estimator.update, lambda: estimator.state
 
 
+def payload() -> tuple[Callable[..., Any], Callable[[], Any]]:
+    estimator = PayloadEstimator(ROBOT.tool_weight)
+    return estimator.update, lambda: estimator.mass
+
+
+@cache
+def felt() -> PushEstimator:
+    return PushEstimator(ROBOT, ARM, 0.3)
+
+
+def push() -> tuple[Callable[..., Any], Callable[[], Any]]:
+    estimator = copy(felt())
+    return lambda x, h: estimator.update(x, np.zeros(6), h, lambda x, u, h: x), lambda: estimator.drift
+
+
+def stood() -> RezeroEstimator:
+    """It stands for 0.1 s, in a place that is known within 0.1 m."""
+    estimator = RezeroEstimator(ROBOT, HOME, BallNoise(start=0.1))
+    for k in range(40):
+        estimator.update(k * H, *rolling(k, 0.0))
+    return estimator
+
+
+def place() -> tuple[Callable[..., Any], Callable[[], Any]]:
+    estimator = stood()
+    return estimator.correct, lambda: np.concatenate([estimator.state, estimator.filter.covariance.ravel()])
+
+
+def lean() -> tuple[Callable[..., Any], Callable[[], Any]]:
+    filter_ = stood().filter
+    return filter_.know_lean, lambda: np.concatenate([filter_.state.rotation, filter_.covariance[6:9, 6:9]])
+
+
 WHOLE, ONE = (0.1 * np.ones(10), np.zeros(3), H), np.ones(2)
+WEIGHT, SURE = ROBOT.tool_weight(HOME[:8]), 1e-4 * np.eye(3)
 #: Messages (one more is given before and after) and one of them made bad; the name that the error says.
 CASES = [
     (contact, [(0.0, 3.0)], (0.01, NAN), "force"),
@@ -85,6 +126,19 @@ CASES = [
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, ARM[:2], ZERO, UP), "'arm' needs 3"),
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, NAN * ARM, ZERO, UP), "arm"),
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, ARM, NAN * UP, UP), "gyro"),
+    (payload, [(HOME[:8], WEIGHT, H)], (NAN * HOME[:8], WEIGHT, H), "'q'"),
+    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], NAN * WEIGHT, H), "'force'"),
+    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT[:7], H), "'force' needs 8"),
+    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT, -5.0), "negative"),
+    (push, [(HOME, H), (MOVING, H)], (NAN * HOME, H), "'state'"),
+    (push, [(HOME, H), (MOVING, H)], (HOME, 0.0), "interval"),
+    (place, [(0.09, [0.1, 0.0, 0.0], SURE)], (0.09, [0.1, 0.0], SURE), "'pose' needs 3"),
+    (place, [(0.09, [0.1, 0.0, 0.0], SURE)], (0.09, [0.1, NAN, 0.0], SURE), "'pose' needs 3"),
+    (place, [(0.09, [0.1, 0.0, 0.0], SURE)], (0.09, [0.1, 0.0, 0.0], -SURE), "negative"),
+    (place, [(0.09, [0.1, 0.0, 0.0], SURE)], (0.09, [0.1, 0.0, 0.0], SURE[:2]), "3 by 3"),
+    (lean, [([0.0, 0.02, 1.0], 0.03)], ([0.0, 0.0, 0.0], 0.03), "direction"),
+    (lean, [([0.0, 0.02, 1.0], 0.03)], ([0.0, NAN, 1.0], 0.03), "'up'"),
+    (lean, [([0.0, 0.02, 1.0], 0.03)], ([0.0, 0.0, 1.0], -0.03), "positive spread"),
 ]
 
 
@@ -122,3 +176,58 @@ def test_an_older_message_is_ignored_whole() -> None:
             np.testing.assert_array_equal(late.update((k - 1) * H, *rolling(k - 1)), before)
     np.testing.assert_array_equal(late.state, twin.state)
     assert late.state[8] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("late", "counts"), [(HISTORY + 0.01, False), (0.09, True), (-0.9 * AHEAD, True), (-3600.0, False)]
+)
+def test_poses_of_a_past_that_is_forgotten_and_of_a_future_do_not_count(late: float, counts: bool) -> None:
+    """``late`` [s] before the last message; they were taken for poses of the nearest update."""
+    estimator, twin = stood(), stood()
+    after = estimator.correct(39 * H - late, [0.5, 0.0, 0.0], SURE)
+    assert (abs(after[0] - twin.state[0]) > 0.4) == counts
+    np.testing.assert_array_equal(twin.correct(39 * H - late, [0.5, 0.0, 0.0], SURE), after)
+
+
+def test_the_past_is_kept_as_long_as_poses_may_be_late() -> None:
+    estimator = RezeroEstimator(ROBOT, HOME)
+    for k in range(8):
+        estimator.update(0.11 * k, *rolling(k, 0.0))
+    assert [t for t, _ in estimator._places] == pytest.approx([0.11 * k for k in range(2, 8)])
+
+
+def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
+    estimator = copy(felt())
+    estimator.update(HOME, np.zeros(6), H, lambda x, u, h: x)
+    with pytest.raises(NotFinite, match="drift of the lean"):
+        estimator.update(HOME, np.zeros(6), H, lambda x, u, h: NAN * x)
+    estimator.update(MOVING, np.zeros(6), H, lambda x, u, h: x)
+    assert np.isfinite(estimator.drift).all() and estimator.drift.any()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: RezeroEstimator(ROBOT, NAN * HOME), "'start' needs 16"),
+        (lambda: RezeroEstimator(ROBOT, HOME[:5]), "'start' needs 16"),
+        (lambda: BallNoise(gyro=-1.0), "'gyro' is too small"),
+        (lambda: BallNoise(encoder=NAN), "'encoder' must be finite"),
+        (lambda: BallNoise(scale_time=0.0), "'scale_time' is too small"),
+        (
+            lambda: MomentumObserver(ROBOT.mass_matrix, lambda q, v: ZERO).force(np.zeros((3, 8)), np.ones(8)),
+            "first update",
+        ),
+        (lambda: MomentumObserver(ROBOT.mass_matrix, lambda q, v: ZERO).zero(), "first update"),
+    ],
+)
+def test_what_no_estimator_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_a_force_needs_a_jacobian_of_all_coordinates() -> None:
+    observer = MomentumObserver(lambda q: np.eye(2), lambda q, v: np.zeros(2))
+    observer.update(ONE, ONE, ONE, H)
+    for jacobian, weight in ((np.ones((3, 3)), ONE), (NAN * np.ones((3, 2)), ONE), (np.ones((3, 2)), NAN * ONE)):
+        with pytest.raises(InputError, match=r"momentum observer: '(jacobian|weight)' needs"):
+            observer.force(jacobian, weight)

@@ -284,7 +284,7 @@ def test_a_pose_from_elsewhere_is_weighed_by_its_covariance() -> None:
     state = estimator.correct(2 * H, [1.0, 2.0, 0.5 + 2.0 * np.pi], np.zeros((3, 3)))
     np.testing.assert_allclose(state[:3], [1.0, 2.0, 0.5], atol=1e-4)  # half a radian is much for one linear step
     assert np.linalg.eigvalsh(estimator.filter.covariance).min() > -1e-12
-    with pytest.raises(InputError, match="a place needs 3 finite numbers"):
+    with pytest.raises(InputError, match="'pose' needs 3 finite numbers"):
         estimator.correct(0.0, [0.0, np.nan, 0.0], np.eye(3))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_ball_filter import HOME, ROBOT, TORQUE, regulator
 
-from wbmpc.estimation import RezeroEstimator
+from wbmpc.estimation import JointTracker, RezeroEstimator
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroMeasurement, RezeroPlant
 
 H, COUNT = 0.0025, 2.0 * np.pi / 2**17
@@ -168,4 +168,36 @@ def test_a_joints_reading_that_jumps_does_not_count() -> None:
     run = watched(off("arm", 1, 0.5))
     assert run.said[20] == ("arm_shoulder jumps",) and sum(map(len, run.said)) == 1
     assert run.rate < watched(lambda m, k: None).rate + 0.05
-    assert all("arm_shoulder jumps" in names for names in watched(off("arm", 1, -2.0 * np.pi, np.inf)).said[20:])
+
+
+@pytest.mark.parametrize("by", [0.3, -0.45, -2.0 * np.pi])
+def test_a_reading_that_stays_where_it_jumped_to_never_counts(by: float) -> None:
+    """In 0.25 s the joint could have moved by far more than the smaller steps; the run ends after 20 ms."""
+    run = watched(off("arm", 1, by, np.inf))
+    assert not any(run.said[:20]) and all(names == ("arm_shoulder jumps",) for names in run.said[20:])
+
+
+def jumps(intervals: np.ndarray, readings: np.ndarray) -> list[bool]:
+    """Which ``readings`` (n) [rad] of a joint with a limit of 4 rad/s jump, ``intervals`` (n) [s] after those before."""
+    tracker, found = JointTracker(readings[:1], 1e-5, 1e-3, 7e-4, speed=4.0), []
+    for interval, reading in zip(intervals, readings, strict=True):
+        tracker.update(interval, np.array([reading]))
+        found.append(bool(tracker.jumped[0]))
+    return found
+
+
+def test_a_joint_that_was_merely_not_read_for_a_while_has_not_jumped() -> None:
+    """It rests, turns at its limit while no message comes for 0.1 s, and goes on. Without that while it is a jump that stays."""
+    pauses = np.full(60, H)
+    pauses[20] = 0.1
+    readings = 0.2 + 4.0 * np.cumsum(np.where(np.arange(60) < 20, 0.0, pauses))
+    assert not any(jumps(pauses, readings))
+    assert jumps(np.full(60, H), readings) == [False] * 20 + [True] * 40
+
+
+def test_readings_that_come_back_count_at_once() -> None:
+    """Wrong by less than 0.5 rad for 15 ms, in which the joint turns by 60 mrad."""
+    readings = 4.0 * H * np.arange(60)
+    for wrong in (0.45, -0.45):
+        off = np.where((np.arange(60) >= 20) & (np.arange(60) < 26), wrong, 0.0)
+        assert jumps(np.full(60, H), readings + off) == list(off != 0.0)

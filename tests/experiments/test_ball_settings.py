@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from wbmpc.experiments import REGISTRY, rezero_circle, rezero_wholebody
 from wbmpc.experiments.rezero_push import RezeroPushHandSettings
 from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
 from wbmpc.experiments.rezero_task import BENT_ARM, Task
+from wbmpc.experiments.settings import Settings
 from wbmpc.model import load_robot
 
 BALL = [n for n in REGISTRY if n.startswith("rezero-")]
@@ -47,12 +49,60 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         ("tracking.kind=actuators drive_dead_time=0.002", "drive_dead_time"),
         ("tracking.gains.wheel_damping=0.1", "tracking.gains"),
         ("rival.lqr.torque=3", "rival.lqr"),
+        ("controller=lqr mpc.horizon=2", "mpc.horizon"),
+        ("controller=scheduled-lqr mpc.limits=soft", "mpc.limits"),
+        ("controller=taskspace mpc.iterations=2", "mpc.iterations"),
+        ("controller=taskspace cost.hand.weight=10", "cost.hand.weight"),
+        ("controller=separate cost.body.ball=5", "cost.body.ball"),
+        ("controller=separate-aware cost.hand.twist=5", "cost.hand.twist"),
+        ("controller=separate mpc.first_interval=0.01", "mpc.first_interval"),
+        ("controller=separate observer=false", "observer"),
     ],
 )
 def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> None:
     """What :func:`make_controller` does not hand to the agent that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
+
+
+def leaves(part: Settings, name: str = "cost") -> list[str]:
+    """Names of all numbers in settings."""
+    inside = [(f"{name}.{key}", getattr(part, key)) for key in type(part).model_fields]
+    return [leaf for n, v in inside for leaf in (leaves(v, n) if isinstance(v, Settings) else [n])]
+
+
+def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
+    """Truth: whether its weights are other ones when a number of the costs is."""
+    robot, usual = load_robot("rezero"), RezeroPushHandSettings()
+    before = regulator_weights(robot, usual, RegulatorSettings())
+    names = set(leaves(usual.cost)) - set(RezeroPushHandSettings.unused)
+    for name in names:
+        given = {"cost": usual.cost.model_copy(deep=True)}
+        *path, key = name.split(".")[1:]
+        part = reduce(getattr, path, given["cost"])
+        changed = 0.5 * getattr(part, key) + 0.07
+        object.__setattr__(part, key, changed)  # settings are frozen
+        after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
+        reads = any(
+            not np.array_equal(getattr(before, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
+        )
+        for controller in ("lqr", "scheduled-lqr"):
+            asked = [f"controller={controller}", f"{name}={changed}"]
+            try:
+                configure(RezeroPushHandSettings, asked, "")
+            except InputError as error:
+                assert not reads and f"{name}: with controller={controller} nothing uses it" in str(error)
+            else:
+                assert reads, name
+    assert len(names) == 19
+
+
+@pytest.mark.parametrize("without", ["estimator=truth", "cost.lean=0"])
+def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str) -> None:
+    with pytest.raises(InputError, match=f"brace: with {without} nothing uses it"):
+        configure(RezeroPushHandSettings, ["brace=0.5", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["brace=0", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, [without], "rezero-push-hand")
 
 
 def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt() -> None:
@@ -68,6 +118,11 @@ def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt()
         ("rezero-push-hand", "tracking.kind=actuators tracking.gains.wheel_damping=0.1"),
         ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.002"),
         ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.002"),
+        ("rezero-taskspace", "mpc.horizon=2 cost.hand.weight=10"),
+        ("rezero-push-hand", "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 observer=false"),
+        ("rezero-push-hand", "controller=separate cost.hand.weight=10 cost.body.arm=2 cost.body.yaw=3"),
+        ("rezero-push-hand", "controller=lqr control.rate=200 mpc.rate=50"),
+        ("rezero-steps", "controller=lqr mpc.horizon=1"),
     ],
 )
 def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
@@ -84,6 +139,7 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
         ("rezero-push-ball", ["length=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
         ("rezero-door", ["forces=[0]"], "forces"),
         ("rezero-door", ["forces=[-8]"], "forces"),
+        ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
         ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
         ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
@@ -103,7 +159,7 @@ def test_defaults_and_what_is_used_are_taken(name: str) -> None:
     usual = configure(kind, ["observer=false", "cost.torque.wheel=0.3", "plant.dead_time=0.008"], name)
     assert usual.cost.torque.wheel == 0.3
     if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace"):
-        assert configure(kind, ["controller=lqr", "cost.lean=0.5"], name).controller == "lqr"
+        assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller == "lqr"
 
 
 def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:

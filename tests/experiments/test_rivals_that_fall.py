@@ -1,4 +1,4 @@
-"""A rival that does not get to the end is told, and nothing is compared with the part before. Truth: endings and logs by hand."""
+"""Rivals and variants that do not get to the end are told, and not compared with. Truth: endings and logs by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments import swerve_drive, swerve_fixed
+from wbmpc.experiments import rezero_frequency, rezero_taskspace, swerve_drive, swerve_fixed
 from wbmpc.experiments.swerve_drive_figures import metrics
 from wbmpc.log import Log
 from wbmpc.loop import Ending
@@ -20,6 +20,12 @@ SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
 #: By how much the controllers of swerve-fixed are off [m].
 OFF = dict(zip(swerve_fixed.CONTROLLERS, (1e-3, 2e-3, 4e-3), strict=True))
+
+
+LOST, STANDS = (
+    Ending("stopped at 3.50 s: the encoder of arm_elbow stands still; motors off"),
+    "the encoder of wheel_0 stands still",
+)
 BASELINE = ("baseline_position_error_rms", "baseline_yaw_error_rms", "baseline_leg_angle_error_rms")
 
 
@@ -118,3 +124,67 @@ def test_swerve_fixed_that_the_user_ends_in_a_rival(monkeypatch: pytest.MonkeyPa
     result = fixed(monkeypatch, "ik", ENDED)
     assert (result.completed, result.interrupted, result.reason) == (False, True, f"ik: {ENDED.reason}")
     assert not result.faults and "tracking_error_ratio" not in result.metrics
+
+
+def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -> RunResult:
+    """Runs of a ball robot that end so; the hand moves by 0.04 m at 2.5 s and by 0.2 at 3 s; each has one fault of an encoder."""
+
+    def drive(name: str, settings: Any, seed: int, log: Log, *_: Any) -> Any:
+        turn = np.array([1.0, 0.0, 0.0, 0.0])
+        torque = {"plain": 1.0, "shaped": 0.25, "mpc": 1.0, "taskspace": 2.0}[name] * np.ones(6)
+        for k, t in enumerate((0.0, 2.0, 2.5, 3.0, 3.5)):
+            hand = [0.2 * (t >= 3.0) + 0.04 * (t == 2.5), 0.0, 0.0]
+            rows = {
+                "state": np.zeros(16),
+                "hand": hand,
+                "hand_quaternion": turn,
+                "tilt": 0.1,
+                "torque": k * torque,
+            }
+            rows |= {"wanted": np.r_[np.zeros(3), turn], "acting": torque, "asked": np.zeros(6)}
+            for channel, row in rows.items():
+                log.add(f"{channel}_{name}", t, row[:3] if module is rezero_frequency and channel == "wanted" else row)
+        found = SimpleNamespace(faults=[STANDS], monitor=SimpleNamespace(faults=[STANDS]))
+        return endings.get(name, Ending()), no_mpc(), found
+
+    monkeypatch.setattr(module, "drive", drive)
+    monkeypatch.setattr(module, "_plots", lambda *_: [])
+    kind = {rezero_frequency: "RezeroFrequencySettings", rezero_taskspace: "RezeroTaskspaceSettings"}[module]
+    result: RunResult = module.run(getattr(module, kind)(), 0)
+    return result
+
+
+@pytest.mark.parametrize(("how", "falls"), [(Ending(), 0.0), (LOST, 0.0), (FELL, 1.0)])
+def test_rezero_taskspace_tells_how_its_rival_ended(how: Ending, falls: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = ball_runs(rezero_taskspace, monkeypatch, taskspace=how)
+    value = {name: metric.value for name, metric in result.metrics.items()}
+    told = [f"taskspace: {how.reason}; nothing is compared with it"] if how.reason else []
+    assert result.completed and result.faults == [f"mpc: {STANDS}", f"taskspace: {STANDS}", *told]
+    assert value["hand_error_integral_mpc"] == pytest.approx(0.17) and value["encoder_faults"] == 2.0
+    assert value["hand_error_integral_taskspace"] == (np.inf if told else pytest.approx(0.17))
+    assert (
+        value.get("torque_squared_ratio") == (None if told else pytest.approx(4.0))
+        and value["falls_taskspace"] == falls
+    )
+
+
+def test_rezero_taskspace_names_an_mpc_that_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = ball_runs(rezero_taskspace, monkeypatch, mpc=LOST)
+    assert not result.completed and result.reason == f"mpc: {LOST.reason}"
+    assert np.isinf(result.metrics["hand_error_integral_mpc"].value) and "torque_squared_ratio" not in result.metrics
+    pressed = ball_runs(rezero_taskspace, monkeypatch, taskspace=ENDED)
+    assert pressed.interrupted and pressed.reason == f"taskspace: {ENDED.reason}"
+    assert pressed.metrics["hand_error_integral_taskspace"].value == pytest.approx(0.17)
+
+
+@pytest.mark.parametrize("who", ["plain", "shaped", ""])
+def test_rezero_frequency_names_who_ended_early(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = ball_runs(rezero_frequency, monkeypatch, **({who: LOST} if who else {}))
+    assert result.reason == (f"{who}: {LOST.reason}" if who else "") and result.completed == (not who)
+    assert result.faults == [f"plain: {STANDS}", f"shaped: {STANDS}"] and result.metrics["encoder_faults"].value == 2.0
+    ratios = {
+        name: result.metrics[name].value for name in ("torque_error_ratio", "rise_time_ratio") if name in result.metrics
+    }
+    assert ratios.keys() == (set() if who else {"torque_error_ratio", "rise_time_ratio"})
+    assert ratios == {} or (ratios["torque_error_ratio"], ratios["rise_time_ratio"]) == pytest.approx((0.25, 1.0))
+    assert result.metrics["torque_error_rms_plain"].value == pytest.approx(1.0)

@@ -126,8 +126,6 @@ class RezeroAgent:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
             self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
-            if not np.isfinite(self.shoves.drift).all():
-                raise NotFinite("the drift of the lean is not finite")
 
     def _observe(self, measurement: RezeroMeasurement) -> None:
         if self.observer is None and self.shoves is None:
@@ -140,18 +138,27 @@ class RezeroAgent:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
         observer, n = self.observer, self.robot.base.nq
         assert observer is not None
-        observer.update(t, x, self._torques[-1 - self._late() - self.dead], h)
+        force = self._finite(observer.update(t, x, self._torques[-1 - self._late() - self.dead], h))
         if self.payload is not None:
-            observer.force = self.payload.update(x[:n], observer.force, observer.learning * h)
-        self.disturbance = self._finite(observer.force)
+            force = observer.force = self.payload.update(x[:n], force, observer.learning * h)
+        self.disturbance = force
         if self.leaning is not None:
             self.leaning.check(t, self.disturbance, x)
 
-    @staticmethod
-    def _finite(disturbance: np.ndarray) -> np.ndarray:
+    def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not np.isfinite(disturbance).all():
-            raise NotFinite("the estimated disturbance is not finite")
+            raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
+
+    def _too_fast(self) -> str:
+        """The arm's joint that is believed to turn farthest beyond its limit, for there the model has no answer in the end;
+        empty if none does."""
+        assert self.measured is not None
+        part = self.robot.state["arm_velocity"]
+        speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
+        i = int(np.argmax(speeds / limits))
+        name, told = self.robot.state.groups["arm"][i], f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s"
+        return f": {name} is believed to turn at {told}" if speeds[i] > limits[i] else ""
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""

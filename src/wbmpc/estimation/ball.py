@@ -8,7 +8,7 @@ of the ball without slip, wheel encoders, and the floor's height. docs/derivatio
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
+from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
@@ -78,6 +79,12 @@ class BallNoise:
     scale: float = 0.002 / np.sqrt(3.0)
     scale_time: float = 1.0
     change: float = 0.05
+
+    def __post_init__(self) -> None:
+        finite("ball filter's noise", **asdict(self))
+        for name, value in asdict(self).items():
+            if value < 0.0 or (name in ("lasting", "scale_time") and value == 0.0):
+                raise InputError(f"ball filter's noise: '{name}' is too small, got {value}")
 
 
 @dataclass
@@ -345,22 +352,23 @@ class BallFilter:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
         Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
         """
-        up = np.asarray(up, float)
-        if up.shape != (3,) or not np.isfinite(up).all() or not spread > 0.0:
+        up = numbers("ball filter", "up", up, 3)
+        length = float(np.linalg.norm(up))
+        if length == 0.0 or not 0.0 < spread < np.inf:
             raise InputError(f"ball filter: a lean needs a direction (3) and a positive spread, got {up} ± {spread}")
         # up = Rᵀ ẑ turns by up × error; of its three rows the horizontal ones of the base count
         slope = np.zeros((2, self.covariance.shape[0]))
         expected = self.state.rotation[2]
         slope[:, A] = skew(expected)[:2]
-        self._correct(slope, (up / np.linalg.norm(up) - expected)[:2], spread**2 * np.eye(2))
+        self._correct(slope, (up / length - expected)[:2], spread**2 * np.eye(2))
 
     def know_place(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
         """A pose that is known from elsewhere: ``wrong`` (3) is what it says minus the estimate, x, y [m] and yaw [rad], with a
-        ``covariance`` (3, 3); without any it counts as exact."""
-        wrong, noise = np.asarray(wrong, float), np.asarray(covariance, float)
-        if wrong.shape != (3,) or noise.shape != (3, 3) or not (np.isfinite(wrong).all() and np.isfinite(noise).all()):
-            raise InputError(f"ball filter: a place needs 3 finite numbers and a covariance (3, 3), got {wrong}")
+        ``covariance`` (3, 3); with one of zeros it counts as exact. Raises :class:`InputError` (:class:`NotFinite`) for numbers
+        that cannot be."""
+        wrong, noise = numbers("ball filter", "place", wrong, 3), checked_covariance("ball filter", covariance)
         slope = np.zeros((3, self.covariance.shape[0]))
         slope[:2, P] = np.eye(3)[:2]
         _, pitch, roll = lie.rotation_to_euler_zyx(self.state.rotation)

@@ -53,13 +53,22 @@ class MomentumObserver:
         return self.residual
 
     def zero(self) -> None:
-        """Take the present residual for the model's error: nothing touches now."""
+        """Take the present residual for the model's error: nothing touches now. Raises :class:`InputError` before an update."""
+        self._started()
         self._zero = self.residual.copy()
 
     def force(self, jacobian: ArrayLike, weight: ArrayLike) -> Array:
         """The force (m) on a point with ``jacobian`` (m, n) that explains the residual's change since :meth:`zero` best;
-        ``weight`` (n): one over the squared uncertainty of each coordinate's residual."""
-        j, w = np.asarray(jacobian, float), np.asarray(weight, float)
+        ``weight`` (n): one over the squared uncertainty of each coordinate's residual. Raises :class:`InputError`
+        (:class:`NotFinite`) before an update, and for numbers that cannot be."""
+        self._started()
+        n, j = self.residual.size, np.atleast_2d(np.asarray(jacobian, float))
+        numbers("momentum observer", "jacobian", j.ravel(), len(j) * n)
+        w = numbers("momentum observer", "weight", weight, n)
         change = self.residual if self._zero is None else self.residual - self._zero
         found: Array = np.linalg.solve((j * w) @ j.T + 1e-9 * np.eye(len(j)), (j * w) @ change)
         return found
+
+    def _started(self) -> None:
+        if self._before is None:
+            raise InputError("momentum observer: nothing is known before the first update")

@@ -21,6 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import finite, numbers
+from wbmpc.errors import InputError
+
 Array = NDArray[np.float64]
 
 
@@ -40,7 +43,13 @@ class PayloadEstimator:
     mass: float = 0.0
 
     def update(self, q: Array, force: Array, h: float) -> Array:
-        """Weigh for ``h`` [s] at joint positions q (nq); the disturbance ``force`` (nq) without what became mass."""
+        """Weigh for ``h`` [s] (0: nothing is learnt) at joint positions q (nq); the disturbance ``force`` (nq) without what became
+        mass. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        finite("payload estimator", h=h)
+        if h < 0.0:
+            raise InputError(f"payload estimator: 'h' must not be negative, got {h} s")
+        n = np.size(q)
+        q, force = numbers("payload estimator", "q", q, n), numbers("payload estimator", "force", force, n)
         weight = self.weight(q)
         scaled = weight / np.array([self.spread[0]] * 5 + [self.spread[1]] * (q.size - 5)) ** 2
         known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])

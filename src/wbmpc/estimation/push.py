@@ -8,6 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import numbers, positive_time
+from wbmpc.errors import NotFinite
 from wbmpc.model import RobotModel
 from wbmpc.model.balance import Balance, load_offset
 
@@ -33,7 +35,7 @@ class PushEstimator:
         offset = load_offset(robot.base, q, ca.SX.zeros(robot.parameters.size))
         pole = Balance.of(robot, arm).pole
         self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(offset, q)) / pole])
-        self._speeds, self.brace = slice(n, 2 * n), brace
+        self._size, self._speeds, self.brace = robot.state.size, slice(n, 2 * n), brace
         self.reset()
 
     def reset(self) -> None:
@@ -43,11 +45,17 @@ class PushEstimator:
 
     def update(self, x: Array, u: Array, h: float, step: Callable[[Array, Array, float], Array]) -> None:
         """Take in the state x (nx), ``h`` [s] after the one before, from which on the input u (nu) acts; ``step(x, u, h)``: the
-        model's state (nx) after h seconds."""
+        model's state (nx) after h seconds. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be, and where
+        the model has no answer; nothing is taken in then."""
+        positive_time("push estimator", h)
+        x, u = numbers("push estimator", "state", x, self._size), numbers("push estimator", "input", u, np.size(u))
         if self._before is not None:
             unexplained = x[self._speeds] - step(*self._before, h)[self._speeds]
             rate = np.array(self._slope(x[: self._speeds.start])) @ unexplained / h
-            self.drift = self.drift + h / (h + SMOOTH) * (rate - self.drift)
+            drift = self.drift + h / (h + SMOOTH) * (rate - self.drift)
+            if not np.isfinite(drift).all():
+                raise NotFinite("the drift of the lean is not finite")
+            self.drift = drift
         self._before = x.copy(), u.copy()
 
     @property

@@ -8,17 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
+from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive_time
 from wbmpc.errors import InputError
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
+from wbmpc.estimation.fused import AHEAD
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
 
 Array = NDArray[np.float64]
 #: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
 SLOW, STANDS = 0.05, 2.0
-#: So many poses of the past are kept for poses that come late.
-HISTORY = 200
+#: So long [s] the past is kept for poses that come late; older ones do not count.
+HISTORY = 0.6
 #: A joint's reading jumps if it is farther from the last one that counted, and from where the joint was going, than this often
 #: its speed limit allows, and this [rad] more: an arm that is flung by a hit moves faster than its drives can (0.27 rad from one
 #: message to the next, through its stops, under 900 N).
@@ -37,7 +39,10 @@ class JointTracker:
     acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old.
 
     ``reading`` (n): the last ones that counted; a joint ``jumped`` (n) if its own did not: beyond what joints with a limit of their
-    ``speed`` (n) [rad/s] can do. Those of ``surprised`` (n) are far from what was expected: their rates are in doubt."""
+    ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
+    step that is never undone never counts, however far the joint could have moved meanwhile; one that is undone, and a joint
+    of which no message came for a while, count by their distance. Those of ``surprised`` (n) are far from what was expected:
+    their rates are in doubt."""
 
     def __init__(
         self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
@@ -83,7 +88,8 @@ class JointTracker:
         before, self._step = self._step, reading - self._raw
         self._raw = reading.copy()
         going = (np.minimum(np.abs(before), np.abs(self._step)) > FLUNG) & (before * self._step > 0.0)
-        self.jumped = (off > (self._uncounted + LATE) * self._fastest + SPEED_REST) & ~going
+        stays = self.jumped & (np.abs(self._step) < off)
+        self.jumped = (stays | (off > (self._uncounted + LATE) * self._fastest + SPEED_REST)) & ~going
         self.reading = np.where(self.jumped, self.reading, reading)
         gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
         self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
@@ -104,7 +110,8 @@ class RezeroEstimator:
     ) -> None:
         if not isinstance(robot.base, BallBase):
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
-        base, x, self.noise = robot.base, np.asarray(start, float), noise or BallNoise()
+        base, self.noise = robot.base, noise or BallNoise()
+        x = numbers("ball robot's estimator", "start", start, 2 * base.nq)
         geometry = BallGeometry(base.radius, base.wheel_torque_map().T, base.mount)
         self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise, base.base.imu)
         n = self.noise
@@ -114,7 +121,7 @@ class RezeroEstimator:
         self._stood = 0.0
         self._time: float | None = None
         self._yaw = float(x[2])
-        self._places: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
+        self._places: deque[tuple[float, Array]] = deque()
 
     def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
         """The state (2 nq) at ``time`` [s], at which the sensors were read; ``turning`` [N m]: what the wheels turned the ball
@@ -133,16 +140,23 @@ class RezeroEstimator:
             self._look_for_balance(interval)
         state = self.state
         self._places.append((time, state[:3].copy()))
+        while self._places[0][0] < time - HISTORY:
+            self._places.popleft()
         return state
 
     def correct(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> Array:
-        """Take in another source's pose (x, y, yaw) of the base at ``time`` [s], one of the last :data:`HISTORY` updates, with
-        its covariance (3, 3); returns the state (2 nq) now."""
+        """Take in another source's pose (x, y, yaw) of the base at ``time`` [s] with its covariance (3, 3), as of the update that
+        is nearest to it; returns the state (2 nq) now. A pose that is older than :data:`HISTORY`, or of a future that no message
+        has come from (:data:`wbmpc.estimation.fused.AHEAD`), does not count.
+
+        Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is taken in then."""
         finite("ball robot's estimator", time=time)
-        if not self._places:
+        pose = numbers("ball robot's estimator", "pose", pose, 3)
+        covariance = checked_covariance("ball robot's estimator", covariance)
+        if self._time is None or not self._time - HISTORY <= time <= self._time + AHEAD:
             return self.state
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]
-        wrong = np.asarray(pose, float) - then
+        wrong = pose - then
         wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
         before = self.state[:3].copy()
         self.filter.know_place(wrong, covariance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from wbmpc.experiments.rezero_task import (
     RezeroSettings,
     ball_robot,
     count_wheels,
+    fault_metrics,
     hand_felt,
     record_rezero,
     resting,
@@ -96,8 +98,8 @@ class RezeroFrequencySettings(RezeroSettings):
     @field_validator("variants")
     @classmethod
     def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if not value or not set(value) <= set(VARIANTS):
-            raise ValueError(f"valid: some of {', '.join(VARIANTS)}")
+        if not value or not set(value) <= set(VARIANTS) or len(set(value)) < len(value):
+            raise ValueError(f"valid: some of {', '.join(VARIANTS)}, each once")
         return value
 
 
@@ -116,8 +118,8 @@ def frequency_mpc(settings: RezeroFrequencySettings, shaped: bool) -> MPC:
 
 def drive(
     name: str, settings: RezeroFrequencySettings, seed: int, log: Log, progress: Progress | None
-) -> tuple[Ending, MPC]:
-    """One variant over the step and back; channels are CHANNEL_NAME."""
+) -> tuple[Ending, MPC, RezeroAgent]:
+    """One variant over the step and back; channels are CHANNEL_NAME (none if it ended before its first record)."""
     robot = ball_robot(settings)
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     mpc = frequency_mpc(settings, name == "shaped")
@@ -160,27 +162,32 @@ def drive(
         record_rezero(single, t, plant, agent, command.torque)
 
     ending = run_lockstep(plant, agent, mpc, timing, float(times[-1]) + settings.hold, record, progress)
+    if not single.channels:
+        return ending, mpc, agent
     for channel in ("state", "tilt", "torque"):
         for t, row in zip(single.times(channel), single.array(channel), strict=True):
             log.add(f"{channel}_{name}", t, row)
     for t, row in zip(single.times("hand"), hand_felt(single), strict=True):
         log.add(f"hand_{name}", t, row)
-    return ending, mpc
+    return ending, mpc, agent
 
 
 def run(settings: RezeroFrequencySettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """Both variants, one after the other, on the same plant."""
-    log, endings, mpc = Log(), {}, None
+    """Both variants, one after the other, on the same plant. The first that ends early, or the one that the user ends, gives the
+    reason, with its name."""
+    log, endings, ending, mpc, agents = Log(), dict[str, Ending](), Ending(), None, dict[str, RezeroAgent]()
     for k, name in enumerate(settings.variants):
-        endings[name], mpc = drive(name, settings, seed, log, part(progress, k, len(settings.variants), name))
-        if endings[name].interrupted:
+        ended, mpc, agents[name] = drive(name, settings, seed, log, part(progress, k, len(settings.variants), name))
+        endings[name] = ended
+        if ended.interrupted or (ended.reason and not ending.reason):
+            ending = replace(ended, reason=f"{name}: {ended.reason}")
+        if ended.interrupted:
             break
-    stopped = [e for e in endings.values() if e.reason]
-    ending = stopped[0] if stopped else Ending()
     assert mpc is not None
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS[:3]],
+        metrics=lambda: {**metrics(settings, log, endings), **fault_metrics(*agents.values())}, plots=lambda: _plots(log),
+        idealisations=[*HERE, *IDEALISATIONS[:3]], faults=[f"{name}: {fault}" for name, a in agents.items() for fault in a.faults],
     )  # fmt: skip
 
 
@@ -190,10 +197,11 @@ def torque_error(log: Log, name: str) -> np.ndarray:
 
 
 def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:
-    """Rms torque errors of wheels and arm, rise times, steady errors, by variant."""
+    """Rms torque errors of wheels and arm, rise times, steady errors, by variant; ratios of those that got to the end: the part
+    before says nothing to compare with."""
     out: dict[str, Metric] = {}
     lead = settings.mpc.horizon if settings.preview else 0.0
-    for name in endings:
+    for name in (n for n in endings if f"hand_{n}" in log.channels):
         error = torque_error(log, name)
         wheels = count_wheels(log.array(f"state_{name}"), error)
         t, hand = log.times(f"hand_{name}"), log.array(f"hand_{name}")
@@ -212,7 +220,7 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
             f"tilt_max_{name}": Metric(float(log.array(f"tilt_{name}").max()), "rad"),
             f"fell_{name}": Metric(float(endings[name].fell), "1", goal=0.0),
         }
-    if len(endings) == len(VARIANTS):
+    if len(endings) == len(VARIANTS) and not any(e.reason for e in endings.values()):
         ratio = lambda key: out[f"{key}_shaped"].value / out[f"{key}_plain"].value
         out["torque_error_ratio"] = Metric(ratio("torque_error_rms"), "1", goal=0.5)
         out["rise_time_ratio"] = Metric(ratio("rise_time"), "1", goal=1.05, least=0.95)

@@ -23,7 +23,7 @@ from wbmpc.control import (
     TrackingAgent,
 )
 from wbmpc.estimation import RezeroEstimator
-from wbmpc.experiments.rezero_problem import base_problem
+from wbmpc.experiments.rezero_problem import RezeroCost, base_problem
 from wbmpc.experiments.settings import Settings, Weight
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
@@ -126,13 +126,43 @@ class TrackingSettings(Settings):
     gains: ActuatorSettings = ActuatorSettings()
 
 
+def _weights() -> frozenset[str]:
+    """Names of all settings of the costs."""
+    usual = RezeroCost()
+    parts = {n: getattr(usual, n) for n in RezeroCost.model_fields}
+    inside = {
+        f"cost.{n}.{key}" for n, part in parts.items() if isinstance(part, Settings) for key in type(part).model_fields
+    }
+    return frozenset(inside | {f"cost.{n}" for n, part in parts.items() if not isinstance(part, Settings)})
+
+
+#: What a plan of the whole robot alone has. (Its rate and delay are those of the loop, whoever is in it.)
+_PLAN = frozenset(
+    f"mpc.{n}" for n in ("horizon", "intervals", "first_interval", "iterations", "limits", "barrier_mu", "start_anew")
+)
+#: What regulators take of the costs (:func:`regulator_weights`) is all but these; what `separate` and its like take: these.
+_NO_REGULATORS = frozenset(
+    f"cost.{n}"
+    for n in ("hand.limit", "hand.turn_limit", "terminal", "lean", "speed_slack", "torque.force", "torque.moment")
+)
+_SEPARATES = frozenset(
+    f"cost.{n}"
+    for n in ("hand.weight", "hand.orientation", "hand.roll", "body.yaw", "body.yaw_rate", "body.arm", "lean")
+)
+
+
 def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
     """Names of the ball robot's settings that a controller does not read."""
     rivals = {f"rival.{name}" for name in RivalsSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
         return frozenset(rivals | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
-    dead = set() if controller in REGULATORS else {"drive_dead_time"}
-    return frozenset(rivals | dead | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"})
+    idle = rivals | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"}
+    if controller in REGULATORS:
+        return frozenset(idle | _PLAN | _NO_REGULATORS)
+    if controller == "taskspace":
+        return frozenset(idle | _PLAN | _weights() | {"drive_dead_time"})
+    blind = {"observer"} if controller == "separate" else set()
+    return frozenset(idle | blind | {"mpc.first_interval", "drive_dead_time"} | (_weights() - _SEPARATES))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -79,6 +79,8 @@ class RezeroStepsSettings(RezeroSettings):
     settle: float = Field(5.0, ge=0.5, le=600.0)
     rest: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
+
+    own: ClassVar[tuple[str, ...]] = ("mpc.horizon",)
 
     @property
     def lead(self) -> float:

@@ -96,8 +96,9 @@ class RezeroSettings(ExperimentSettings):
     rival: RivalsSettings = RivalsSettings()
     tracking: TrackingSettings = TrackingSettings()
 
-    #: Settings that the experiment has no use for: to change them is refused.
+    #: Settings that the experiment has no use for: to change them is refused. Those that it reads itself, whatever controls.
     unused: ClassVar[tuple[str, ...]] = ("cost.torque.force", "cost.torque.moment")
+    own: ClassVar[tuple[str, ...]] = ()
 
     def _changed(self, name: str) -> bool:
         """Whether a setting is not as it is by default."""
@@ -114,10 +115,17 @@ class RezeroSettings(ExperimentSettings):
         for name in filter(self._changed, self.unused):
             raise ValueError(f"{name}: this experiment does not use it")
         idle = frozenset.intersection(*(unread(c, self.tracking) for c in self.controllers()))
-        for name in filter(self._changed, sorted(idle)):
+        for name in filter(self._changed, sorted(idle - set(self.own))):
             with_ = " and tracking.kind=actuators" if self.controller == "mpc" and name == "drive_dead_time" else ""
             raise ValueError(f"{name}: with controller={self.controller}{with_} nothing uses it")
         refuse_unlearnt(self.observer, self._changed("pushed_speed"))
+        if self._changed("brace") and self.brace > 0.0:
+            for name, without in (
+                ("estimator=truth", self.estimator == "truth"),
+                ("cost.lean=0", self.cost.lean == 0.0),
+            ):
+                if without:
+                    raise ValueError(f"brace: with {name} nothing uses it")
         return self
 
 
@@ -359,9 +367,10 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
     }
 
 
-def fault_metrics(agent: RezeroAgent) -> dict[str, Metric]:
-    """How many encoders were found to stand still, and wheels to slip."""
-    return {} if agent.monitor is None else {"encoder_faults": Metric(float(len(agent.monitor.faults)), "1")}
+def fault_metrics(*agents: RezeroAgent) -> dict[str, Metric]:
+    """How many encoders were found to stand still, and wheels to slip, by all agents of a run."""
+    monitors = [a.monitor for a in agents if a.monitor is not None]
+    return {"encoder_faults": Metric(float(sum(len(m.faults) for m in monitors)), "1")} if monitors else {}
 
 
 def rms(vectors: np.ndarray) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.control import RezeroAgent
 from wbmpc.estimation import RezeroEstimator
 from wbmpc.experiments.rezero_problem import rezero_mpc
 from wbmpc.experiments.rezero_rivals import Controller, Parts, make_controller
@@ -16,6 +18,7 @@ from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
     RezeroSettings,
     count_wheels,
+    fault_metrics,
     hand_felt,
     record_rezero,
     resting,
@@ -26,6 +29,7 @@ from wbmpc.experiments.settings import finished
 from wbmpc.log import Log
 from wbmpc.loop import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.model import RobotModel
+from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.plant import RezeroPlant
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -58,8 +62,8 @@ def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndar
 
 def drive(
     name: str, settings: RezeroTaskspaceSettings, seed: int, log: Log, progress: Progress | None
-) -> tuple[Ending, Any]:
-    """One controller over all steps; channels are CHANNEL_NAME."""
+) -> tuple[Ending, MPC, RezeroAgent]:
+    """One controller over all steps; channels are CHANNEL_NAME (none if it ended before its first record)."""
     chosen = settings.model_copy(update={"controller": name})
     robot = robot_of(chosen)
     arm = robot.home[robot.state["arm"]]
@@ -89,26 +93,27 @@ def drive(
 
     duration = times[-1] + settings.hold
     ending = run_lockstep(plant, agent, planner, timing, duration, record, progress)
+    if not single.channels:
+        return ending, mpc, agent
     for channel in ("state", "hand_quaternion", "tilt", "torque"):
         for t, row in zip(single.times(channel), single.array(channel), strict=True):
             log.add(f"{channel}_{name}", t, row)
     for t, row in zip(single.times("hand"), hand_felt(single), strict=True):
         log.add(f"hand_{name}", t, row)
-    return ending, mpc
+    return ending, mpc, agent
 
 
-def figures(log: Log, name: str, end: float) -> dict[str, float]:
-    """Integral of the hand's position error [m s] (estimated frame; from a fall to ``end`` it goes on as it was at its largest),
-    of its orientation error [rad s], of the squared torques' change against rest [(N m)² s], largest tilt [rad]."""
+def figures(log: Log, name: str) -> dict[str, float]:
+    """Integral of the hand's position error [m s] (estimated frame), of its orientation error [rad s], of the squared torques'
+    change against rest [(N m)² s], largest tilt [rad]."""
     t, wanted, torque = log.times(f"hand_{name}"), log.array(f"wanted_{name}"), log.array(f"torque_{name}")
     error = np.linalg.norm(log.array(f"hand_{name}") - wanted[:, :3], axis=1)
     turned = [
         np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(q, lie.quaternion_conjugate(w))))
         for q, w in zip(log.array(f"hand_quaternion_{name}"), wanted[:, 3:], strict=True)
     ]
-    missing = max(end - float(t[-1]) - 0.01, 0.0)
     return {
-        "position": float(np.trapezoid(error, t) + missing * error.max()),
+        "position": float(np.trapezoid(error, t)),
         "orientation": float(np.trapezoid(turned, t)),
         "torque": float(np.trapezoid(np.sum((torque - torque[0]) ** 2, axis=1), t)),
         "tilt": float(log.array(f"tilt_{name}").max()),
@@ -116,30 +121,38 @@ def figures(log: Log, name: str, end: float) -> dict[str, float]:
 
 
 def run(settings: RezeroTaskspaceSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """Both controllers, one after the other, on the same plant."""
-    log, mpc = Log(), None
-    endings: dict[str, Ending] = {}
+    """Both controllers, one after the other, on the same plant. How the rival ends is told, and is not the run's failure."""
+    log, mpc, ending, faults = Log(), None, Ending(), list[str]()
+    endings, agents = dict[str, Ending](), list[RezeroAgent]()
     for k, name in enumerate(CONTROLLERS):
-        endings[name], made = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
-        mpc = made if name == "mpc" else mpc
-        if endings[name].interrupted:
+        ended, made, agent = drive(name, settings, seed, log, part(progress, k, len(CONTROLLERS), name))
+        endings[name], mpc = ended, made if name == "mpc" else mpc
+        agents.append(agent)
+        faults += [f"{name}: {fault}" for fault in agent.faults]
+        if ended.interrupted or (ended.reason and name == "mpc"):
+            ending = replace(ended, reason=f"{name}: {ended.reason}")
+        elif ended.reason:
+            faults.append(f"{name}: {ended.reason}; nothing is compared with it")
+        if ended.interrupted:
             break
-    stopped = [e for e in endings.values() if e.interrupted]
-    ending = stopped[0] if stopped else endings["mpc"]
     assert mpc is not None
     return finished(
-        NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(settings, log, endings), plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS],
+        NAME, seed, settings, ending, mpc, log, metrics=lambda: {**_metrics(log, endings), **fault_metrics(*agents)},
+        plots=lambda: _plots(log), idealisations=[*HERE, *IDEALISATIONS], faults=faults,
     )  # fmt: skip
 
 
-def _metrics(settings: RezeroTaskspaceSettings, log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:
-    duration = settings.settle + settings.hold * len(STEPS)
-    done = {name: figures(log, name, duration if endings[name].fell else 0.0) for name in endings}
-    out = {f"hand_error_integral_{name}": Metric(f["position"], "m s") for name, f in done.items()}
-    out |= {f"hand_turn_integral_{name}": Metric(f["orientation"], "rad s") for name, f in done.items()}
-    if "taskspace" in done:
-        out["torque_squared_ratio"] = Metric(done["taskspace"]["torque"] / done["mpc"]["torque"], "1")
+def _metrics(log: Log, endings: dict[str, Ending]) -> dict[str, Metric]:
+    """Integrals of a controller that did not get to the end are infinite, and there is no ratio to it: the part before says
+    nothing. (What the user ended has been integrated as far as it got.)"""
+    done = {name: figures(log, name) for name in endings if f"hand_{name}" in log.channels}
+    lost = {name for name, e in endings.items() if e.reason and not e.interrupted}
+    whole = lambda name, value: np.inf if name in lost else value
+    out = {f"hand_error_integral_{name}": Metric(whole(name, f["position"]), "m s") for name, f in done.items()}
+    out |= {f"hand_turn_integral_{name}": Metric(whole(name, f["orientation"]), "rad s") for name, f in done.items()}
+    if "taskspace" in endings:
+        if not any(e.reason for e in endings.values()):
+            out["torque_squared_ratio"] = Metric(done["taskspace"]["torque"] / done["mpc"]["torque"], "1")
         out["falls_taskspace"] = Metric(float(endings["taskspace"].fell), "1")
     out |= {f"tilt_max_{name}": Metric(f["tilt"], "rad") for name, f in done.items()}
     out["fell"] = Metric(float(endings["mpc"].fell), "1", goal=0.0)
