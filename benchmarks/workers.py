@@ -33,5 +33,5 @@ class Workers:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if kind is not None:
             for process in multiprocessing.active_children():
-                process.terminate()
+                process.kill()  # SIGTERM is caught by a forked one that has not begun its work
         self._pool.shutdown(cancel_futures=True)
