@@ -7,6 +7,7 @@ A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). E
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,12 @@ class State:
     p: Array
 
 
+@cache
+def _identity(size: int) -> Array:
+    """Made once: NumPy lets go of the interpreter where it fills one, which a tick must not."""
+    return np.eye(size)
+
+
 def advanced(state: State, step: Step, noise: OdometryNoise) -> State:
     """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it."""
     h, size = step.h, state.mean.size
@@ -96,7 +103,7 @@ def advanced(state: State, step: Step, noise: OdometryNoise) -> State:
     mean[:3] = lie.se2_step(state.mean[:3], twist)
     way, yaw = mean[:2] - state.mean[:2], state.mean[2] + 0.5 * twist[2]
     g = np.array([[np.cos(yaw), -np.sin(yaw), -0.5 * way[1]], [np.sin(yaw), np.cos(yaw), 0.5 * way[0]], [0, 0, 1.0]])
-    a = np.eye(size)
+    a = _identity(size).copy()
     a[0, 2], a[1, 2], a[LATE, LATE] = -way[1], way[0], 0.0
     a[:3, WHEELS:] = g @ step.by_wheels
     moved_noise = g @ step.covariance
@@ -153,7 +160,7 @@ def misfit(state: State, error: Array, r: Array) -> float:
 def corrected(state: State, error: Array, r: Array) -> State:
     """With a pose taken in that is off by ``error`` (3), with its covariance ``r`` (3, 3)."""
     gain = np.linalg.solve(state.p[:3, :3] + r, state.p[:3]).T
-    keep = np.eye(state.mean.size)
+    keep = _identity(state.mean.size).copy()
     keep[:, :3] -= gain
     return State(state.t, state.mean + gain @ error, keep @ state.p @ keep.T + gain @ r @ gain.T)
 
