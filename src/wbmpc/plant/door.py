@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc.errors import InputError
 from wbmpc.plant.perturbation import Perturbation
-from wbmpc.plant.protocol import RezeroMeasurement
+from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement
 from wbmpc.plant.rezero import RezeroPlant
 from wbmpc.plant.world import Array
 from wbmpc.robots import RobotDescription
@@ -129,6 +129,7 @@ class DoorPlant(RezeroPlant):
         self._rng = np.random.default_rng([seed, 17])
         self._bias = self._rng.uniform(-self._sensor.bias, self._sensor.bias, 3)
         self._forces: deque[Array] = deque(maxlen=64)
+        self._pressed = np.zeros(3)
 
         def edit(spec: mujoco.MjSpec) -> None:
             door.add(spec)
@@ -151,6 +152,10 @@ class DoorPlant(RezeroPlant):
         super()._record()
         # MuJoCo's sensor reads what the hand does to the tip
         self._forces.append(-self.data.sensordata[:3])
+
+    def step(self, command: RezeroCommand, steps: int = 1) -> None:
+        super().step(command, steps)
+        self._pressed = self._panel_force()
 
     def measure(self) -> RezeroMeasurement:
         """As of the robot, with the force of the same moment in the hand's axes: what the world and the tip's weight do to
@@ -183,6 +188,11 @@ class DoorPlant(RezeroPlant):
 
     def contact_force(self) -> Array:
         """The force (3) [N] of the hand on the panel in the last physics step, world axes; zero without contact."""
+        return self._pressed.copy()
+
+    def _panel_force(self) -> Array:
+        """Of the step that MuJoCo has just done: as soon as it looks for the contacts of the next one, their forces are not yet any
+        numbers in particular."""
         total, local = np.zeros(3), np.zeros(6)
         for c in range(self.data.ncon):
             contact = self.data.contact[c]
