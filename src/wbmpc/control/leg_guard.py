@@ -29,7 +29,7 @@ class LegGuard:
     def __init__(
         self,
         n: int,
-        away: float = 0.026,
+        away: float = 0.018,
         window: float = 0.2,
         hold: float = 0.3,
         longest: float = 0.6,
