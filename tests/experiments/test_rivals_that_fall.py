@@ -47,7 +47,7 @@ def driven() -> Log:
 
 
 def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -> None:
-    found = {how: metrics(driven(), SWERVE, [], None, how) for how in (Ending(), FELL, ENDED, None)}
+    found = {how: metrics(driven(), SWERVE, [], 0, None, how) for how in (Ending(), FELL, ENDED, None)}
     assert found[Ending()]["baseline_ratio"].value == pytest.approx(0.75)
     assert found[Ending()][BASELINE[0]].value == pytest.approx(4e-3)
     assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3
@@ -60,7 +60,9 @@ def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -
 @pytest.mark.parametrize(("how", "goes_on"), [(FELL, True), (ENDED, False)])
 def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     parts: list[str] = []
-    planned = lambda self, name, *_, **__: parts.append(name) or (Ending(), no_mpc(), [], None)
+    planned = lambda self, name, *_, **__: (
+        parts.append(name) or (Ending(), no_mpc(), SimpleNamespace(faults=[], holds=0), None)
+    )
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
     monkeypatch.setattr(swerve_drive, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):

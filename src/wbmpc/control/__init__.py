@@ -4,6 +4,7 @@ from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.fall import FallForecast
 from wbmpc.control.frequency import FrequencyAwareAgent
 from wbmpc.control.leaning import Leaning
+from wbmpc.control.leg_guard import LegGuard
 from wbmpc.control.lqr import LqrAgent, LqrWeights, RegulatorGains
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.control.rolling import FourWheelSteeringAgent, RollingAgent
@@ -22,6 +23,7 @@ __all__ = [
     "FrequencyAwareAgent",
     "HandInverse",
     "Leaning",
+    "LegGuard",
     "LqrAgent",
     "LqrWeights",
     "Plans",

@@ -91,7 +91,7 @@ class BrakeControl:
 
     ``commanded(t)`` (n, 1 = open) goes to the brakes. The planner's mode λ follows from it: a leg that is being closed is
     held from the command on, one that is being opened only ``delay`` [s] after it. ``changed`` is called with the new
-    schedule whenever there is one: usually ``mpc.set_schedule``.
+    schedule whenever there is one: usually ``mpc.set_schedule``. Who keeps brakes closed besides says so by :meth:`hold`.
     """
 
     def __init__(
@@ -111,6 +111,7 @@ class BrakeControl:
         # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
         self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
         self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than told
+        self._held = np.full(len(self.legs), -np.inf)
         self._tell()
 
     def _checked(self, brake: ArrayLike) -> Array:
@@ -149,6 +150,20 @@ class BrakeControl:
             self._known[fault.leg] = fault
         self._tell()
 
+    def hold(self, until: ArrayLike) -> None:
+        """Plan with legs that are kept closed from now on, each until ``until`` (n) [s] (−inf: it is not), whatever is commanded.
+
+        A guard of the legs does that. Commands stay as they are, and count again afterwards. A leg that is held anew is
+        believed to hold: its brake has a new command.
+        """
+        held = np.asarray(until, float)
+        if held.shape != self._held.shape or np.isnan(held).any() or np.any(held == np.inf):
+            raise InputError(f"brakes: hold: {len(self.legs)} times [s] are needed, finite or -inf, got {held}")
+        anew = held > self._held
+        self._known = {leg: k for leg, k in self._known.items() if not anew[leg]}
+        self._held = held.copy()
+        self._tell()
+
     def doubted(self, t: float) -> list[BrakeFault]:
         """What is planned with at t [s] in place of commands: faults that were accepted, until the next command of the brake."""
         return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
@@ -171,7 +186,8 @@ class BrakeControl:
     def schedule(self) -> ModeSchedule:
         """The planner's modes over time."""
         times = self._events[0]
-        events = sorted({t for t in (*times, *(t + self.delay for t in times)) if np.isfinite(t)})
+        held = self._held.tolist()
+        events = sorted({t for t in (*times, *(t + self.delay for t in (*times, *held))) if np.isfinite(t)})
         states = [self._planned(-np.inf), *map(self._planned, events)]
         modes = [Mode("".join("CO"[int(b)] for b in s), {"brake": tuple(s)}) for s in states]
         # events at which nothing changes are left out
@@ -179,10 +195,11 @@ class BrakeControl:
         return ModeSchedule((modes[0], *(modes[k + 1] for k in kept)), tuple(events[k] for k in kept))
 
     def _planned(self, t: float) -> Array:
-        """λ (n) at t [s]: open since at least the delay."""
+        """λ (n) at t [s]: open since at least the delay, and not held (when that began is of no interest any more)."""
         times, states = self._events
         recent = states[bisect_right(times, t - self.delay) : bisect_right(times, t)]
         state = np.min([*recent, self.commanded(t), self.commanded(t - self.delay)], axis=0)
+        state = np.where(t + 1e-9 < self._held + self.delay, 0.0, state)
         for fault in self.doubted(t):
             state[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
         return np.asarray(state)

@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.drives import DryFriction, Smoothing
+from wbmpc.control.leg_guard import LegGuard
 from wbmpc.estimation import (
     BrakeFault,
     BrakeMonitor,
@@ -58,7 +60,9 @@ def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
 class SwerveAgent:
     """Estimation, prediction and tracking of a swerve robot at the controller's rate.
 
-    ``period`` [s] of the controller; ``brakes(t)``: brake state (n) at a time, 1 = open; ``steer_gain`` [1/s];
+    ``period`` [s] of the controller; ``brakes``: of the legs over time, or a function ``brakes(t)``: brake state (n) at a time,
+    1 = open; ``leg_guard``: whether open legs that go astray are held (:class:`LegGuard`), for which the former is needed, since
+    the planner has to know; ``steer_gain`` [1/s];
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it;
     ``calibration``: what is known of the wheels; ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry has one.
     While the robot stands, :meth:`measure` finds the gyro's bias. ``clamped``: whether the wheels of the last command were
@@ -79,11 +83,12 @@ class SwerveAgent:
         robot: RobotModel,
         pose: np.ndarray,
         period: float,
-        brakes: Callable[[float], np.ndarray] | None = None,
+        brakes: BrakeControl | Callable[[float], np.ndarray] | None = None,
         steer_gain: float = 5.0,
         planned_steering: bool = True,
         lag: float = 0.0,
         *,
+        leg_guard: bool = True,
         calibration: WheelCalibration | None = None,
         noise: OdometryNoise | None = None,
         use_gyro: bool = True,
@@ -128,7 +133,12 @@ class SwerveAgent:
         # of the arm: what it turns by itself, commands, rates that lagging drives make of them now and over the last period
         self.sag, self._arm, self._arm_rate, self._arm_mean = np.zeros((4, len(robot.input.groups["arm"])))
         hinges = len(robot.state.groups.get("leg", ()))
-        self.brakes = brakes or (lambda t: np.zeros(hinges))
+        self._control = brakes if isinstance(brakes, BrakeControl) else None
+        self.guard = LegGuard(hinges) if leg_guard and self._control is not None else None
+        # as commanded; a view may put its own in place, and then the guard, which could not tell the planner, rests
+        self.brakes = self._own = (
+            brakes.commanded if isinstance(brakes, BrakeControl) else brakes or (lambda t: np.zeros(hinges))
+        )
         self.measured: SwerveMeasurement | None = None
         self.clamped = self.aligning = False
         self.wanted = np.zeros(robot.input.size)  # what plan and steering servo ask for, before it is scaled
@@ -234,7 +244,7 @@ class SwerveAgent:
             if np.abs(aligned - self.steer).max() > CROOKED:
                 x[state["steer"]] = aligned
         # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
-        self._move(x, self._rates, self.lag, self.brakes(t))
+        self._move(x, self._rates, self.lag, self._open(t))
         sent = self.sent
         for k in range(round((until - t) / self.period)):
             now = t + (k + 0.5) * self.period
@@ -242,11 +252,11 @@ class SwerveAgent:
             if policy is None:
                 break
             u = self._held(policy.feedforward(now + self.lag))
-            moved = sent = self._reachable(sent, u, self.brakes(now))
+            moved = sent = self._reachable(sent, u, self._open(now))
             if self.planned_steering:  # the plan's angles go on with the plan, and the servo follows them
                 moved = sent.copy()
                 moved[self.robot.input["steer"]] = u[self.robot.input["steer"]]
-            self._move(x, moved, self.period, self.brakes(now))
+            self._move(x, moved, self.period, self._open(now))
         return Observation(until + self.lag, x)
 
     def _move(self, x: np.ndarray, u: np.ndarray, h: float, brake: np.ndarray) -> None:
@@ -268,6 +278,9 @@ class SwerveAgent:
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
         self._look_before_stop()
+        if self.guard is not None and self.brakes is self._own and np.isfinite(self.guard.until).any():
+            self.guard.restart()
+            self.hold(self.guard.until)
         self._drive_arm(np.zeros(self.sag.size))
         self.wanted, self.sent = np.zeros((2, self.robot.input.size))
         self.clamped = self.aligning = False
@@ -290,6 +303,7 @@ class SwerveAgent:
             if self.monitor is not None:
                 self.watch(t, still.brake, np.zeros(still.brake.size))
             return still
+        self._guard_legs(t)
         # a plan whose limits give way may lie beyond the joints' range, where no wheel can be waited for
         planned = np.clip(policy.state(t + self.lag)[self.robot.state["steer"]], *self._steer_range)
         # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
@@ -304,7 +318,7 @@ class SwerveAgent:
         steer = np.clip(u[given["steer"]] + gain * error, -most, most)
         self.wanted = u
         self.wanted[given["steer"]] = steer
-        brake = self.brakes(t)
+        brake = self._open(t)
         self.sent = sent = self._reachable(self.sent, u, brake)
         self._lag_behind(sent)
         wheel, limit = sent[given["wheel"]] * self.wheel_scale, self.robot.limits.input_upper[given["wheel"]]
@@ -319,6 +333,24 @@ class SwerveAgent:
         return SwerveCommand(
             self._driven("wheel", wheel), self._driven("steer", sent[given["steer"]]), self._arm, brake
         )
+
+    def _open(self, t: float) -> np.ndarray:
+        """Brakes (n, 1 = open) at t [s]: as commanded, closed where the guard holds a leg."""
+        brake = self.brakes(t)
+        return brake if self.guard is None else np.where(self.guard.held(t), 0.0, brake)
+
+    def _guard_legs(self, t: float) -> None:
+        """Hold open legs that go astray from what drives have made of the commands, and tell the planner."""
+        if self.guard is None or self.brakes is not self._own:
+            return
+        assert self.measured is not None
+        if self.guard.update(t, self.measured.leg, self._rates[self.robot.input["leg"]], self.brakes(t)):
+            self.hold(self.guard.until)
+
+    def hold(self, until: np.ndarray) -> None:
+        """Tell the planner until when [s] each leg (n) is held (−inf: was never)."""
+        assert self._control is not None
+        self._control.hold(until)
 
     def _driven(self, group: str, wanted: np.ndarray) -> np.ndarray:
         """The command to drives (n) [rad/s] with what friction takes of it."""
@@ -368,6 +400,11 @@ class SwerveAgent:
         return sent + step / excess
 
     @property
+    def holds(self) -> int:
+        """How often the guard has held a leg."""
+        return 0 if self.guard is None else int(self.guard.holds.sum())
+
+    @property
     def faults(self) -> list[str]:
         """Brakes that were found not to answer, as sentences; those that did after all are left out."""
         return [] if self.monitor is None else [str(fault) for fault in self.monitor.real]
@@ -405,5 +442,11 @@ class SwerveAgent:
         assert self.monitor is not None
         for fault in self.monitor.update(*tick):
             _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
+            self.note(fault)
             if self.faulty is not None:
                 self.faulty(fault)
+
+    def note(self, fault: BrakeFault) -> None:
+        """A fault that was found: a brake that does not hold is no use to the guard."""
+        if self.guard is not None and fault.kind == "does not hold":
+            self.guard.give_up(fault.leg)

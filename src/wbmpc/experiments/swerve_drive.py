@@ -46,7 +46,7 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
 class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``odd_wheels`` (MPC and rival): see
+    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard`` (MPC), ``odd_wheels`` (MPC and rival): see
     :class:`wbmpc.control.SwerveAgent`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.control.RollingAgent`)."""
@@ -62,6 +62,7 @@ class SwerveDriveSettings(ExperimentSettings):
     odd_wheels: bool = False
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    leg_guard: bool = True
     # of a search that benchmarks/rivals.py does, of which only a part was run
     rival_base_gain: float = Field(8.0, ge=0, le=50)
     rival_leg_gain: float = Field(8.0, ge=0, le=50)
@@ -164,7 +165,7 @@ class _Run:
     def planned(
         self, name: str, mission: Mission, duration: float, edit: Any = None, knock: float | None = None,
         progress: Progress | None = None,
-    ) -> tuple[Ending, MPC, list[str], _Knock | None]:  # fmt: skip
+    ) -> tuple[Ending, MPC, SwerveAgent, _Knock | None]:  # fmt: skip
         """With the MPC. The knock, if any, comes at ``knock`` [s]."""
         s, robot = self.settings, self.robot
         home, plant = self.start(mission, edit)
@@ -176,7 +177,7 @@ class _Run:
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveAgent(
-            robot, plant.truth().pose, timing.period, brakes.commanded, lag=s.drive_lag,
+            robot, plant.truth().pose, timing.period, brakes, lag=s.drive_lag, leg_guard=s.leg_guard,
             use_gyro=s.use_gyro, odd_wheels=s.odd_wheels, faulty=brakes.accept,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
@@ -189,7 +190,7 @@ class _Run:
                 self.record(name, now, plant, agent, mission, command)
 
         ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
-        return ending, mpc, [f"{name}: {fault}" for fault in agent.faults], hit
+        return ending, mpc, agent, hit
 
     def rival(
         self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
@@ -221,6 +222,11 @@ class _Run:
         return ending, [f"{name}: {fault}" for fault in agent.faults]
 
 
+def _faults(name: str, agent: SwerveAgent) -> list[str]:
+    """What the monitor of brakes told in a part of the run."""
+    return [f"{name}: {fault}" for fault in agent.faults]
+
+
 def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
     """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell or
     ended early for another reason."""
@@ -241,7 +247,8 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     mission, duration = tour(robot, settings.plant.brake_delay)
     names = ("tour", "rival", "knock", *(f"closed_{name}" for name in CONFIGURATIONS))
     own = lambda name: part(progress, names.index(name), len(names), name)
-    ending, mpc, faults, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
+    ending, mpc, agent, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
+    faults, held = _faults("tour", agent), agent.holds
     rival, rivals, knock = None, list[str](), None
     if not ending.reason:
         rival, rivals = bench.rival(mission, duration, terrain, own("rival"))
@@ -250,16 +257,16 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
         ending = rival if rival.interrupted else ending
     if not ending.reason:
         way, length = straight(robot, "X", True)
-        ending, _, more, knock = bench.planned("knock", way, length, knock=4.0, progress=own("knock"))
-        faults += more
+        ending, _, agent, knock = bench.planned("knock", way, length, knock=4.0, progress=own("knock"))
+        faults += _faults("knock", agent)
     for name in CONFIGURATIONS:
         if not ending.reason:
             key = f"closed_{name}"
-            ending, _, more, _ = bench.planned(key, *straight(robot, name, False), progress=own(key))
-            faults += more
+            ending, _, agent, _ = bench.planned(key, *straight(robot, name, False), progress=own(key))
+            faults += _faults(key, agent)
     return finished(
         NAME, seed, settings, ending, mpc, bench.log,
-        metrics=lambda: metrics(bench.log, robot, faults, None if knock is None else knock.done, rival),
+        metrics=lambda: metrics(bench.log, robot, faults, held, None if knock is None else knock.done, rival),
         plots=lambda: plots(bench.log, robot),
         idealisations=IDEALISATIONS, faults=[*faults, *rivals],
     )  # fmt: skip

@@ -65,10 +65,11 @@ def recovery(t: np.ndarray, error: np.ndarray, end: float) -> float:
 
 
 def metrics(
-    log: Log, robot: RobotModel, faults: list[str], knocked: float | None, rival: Ending | None
+    log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, rival: Ending | None
 ) -> dict[str, Metric]:
-    """All of them; ``knocked``: when [s] the knock was over, None if there was none; ``rival``: how it ended, None if it did not
-    run. The errors of one that did not get to the end are infinite, their ratio is no number: the part before says nothing."""
+    """All of them; ``held``: how often the guard held a leg on the tour; ``knocked``: when [s] the knock was over, None if there
+    was none; ``rival``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
+    ratio is no number: the part before says nothing."""
     position, yaw = _error(log, "tour")
     found = {
         "base_position_error_rms": Metric(position, "m", goal=0.008),
@@ -81,6 +82,7 @@ def metrics(
         "planned_speed_ratio_max": Metric(_planned_ratio(log, robot), "1", goal=1.001),
         "joint_speed_ratio_max": Metric(_speed_ratio(log), "1", goal=1.0, goal_note=SPEED_NOTE),
         "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
+        "legs_held": Metric(float(held), "1"),
     }
     if rival is not None and not rival.interrupted:
         whole = not rival.reason

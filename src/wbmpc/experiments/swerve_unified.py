@@ -58,7 +58,7 @@ class SwerveUnifiedSettings(ExperimentSettings):
     """``legs``: by targets (from ``leg_start`` to ``leg_goal``: H, X, A, or angles [rad] in brackets, one for each leg; the robot's
     home and A if nothing is said) or free, with the zero-moment point's margin in the support triangles over the two rearmost feet
     as the objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]), and without a goal;
-    ``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track."""
+    ``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard``: see :class:`wbmpc.control.SwerveAgent`."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
@@ -70,6 +70,7 @@ class SwerveUnifiedSettings(ExperimentSettings):
     use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+    leg_guard: bool = True
 
     @model_validator(mode="after")
     def _read(self) -> Self:
@@ -145,7 +146,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = SwerveAgent(
-        robot, plant.truth().pose, timing.period, brakes.commanded,
+        robot, plant.truth().pose, timing.period, brakes, leg_guard=settings.leg_guard,
         use_gyro=settings.use_gyro, lag=settings.drive_lag, faulty=brakes.accept,
     )  # fmt: skip
     stand_still(plant, agent, timing, settings.rest)
@@ -175,7 +176,7 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
     ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
     return finished(
         NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, begin, free, len(agent.faults)),
+        metrics=lambda: _metrics(log, begin, free, len(agent.faults), agent.holds),
         plots=lambda: _plots(log, robot, begin), idealisations=IDEALISATIONS, faults=agent.faults,
     )  # fmt: skip
 
@@ -185,7 +186,7 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(np.atleast_2d(values.T).T ** 2, axis=1))))
 
 
-def _metrics(log: Log, begin: float, free: bool, faults: int) -> dict[str, Metric]:
+def _metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[str, Metric]:
     use = log.times("hand") >= begin
     if not use.any():
         use[:] = True
@@ -206,6 +207,7 @@ def _metrics(log: Log, begin: float, free: bool, faults: int) -> dict[str, Metri
         "support_margin_min": Metric(float(margins[:, 0].min()), "m"),
         "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
         "brake_faults": Metric(float(faults), "1", goal=0.0),
+        "legs_held": Metric(float(held), "1"),
     }
     if not free:
         opened = log.array("brake")[use].max(axis=1) > 0.5

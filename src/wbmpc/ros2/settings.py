@@ -192,7 +192,8 @@ class RosSettings(Settings):
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
     out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
     the modelled ``mpc.delay`` of that time, however fast the machine is. ``drive_lag`` [s] of the drives; ``state_age`` [s]:
-    by the wall's clock, how old joint states are when they come, and ``wrench`` (ball robots).
+    by the wall's clock, how old joint states are when they come, and ``wrench`` (ball robots). ``leg_guard``: whether open legs
+    that do not move as planned are held by their brakes.
     """
 
     node: str = "wbmpc"
@@ -214,6 +215,7 @@ class RosSettings(Settings):
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
     use_gyro: bool = True
+    leg_guard: bool = True
 
     @field_validator("node")
     @classmethod

@@ -50,6 +50,11 @@ class BusAgent(SwerveAgent):
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
         self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+        self.to_hold: deque[Array] = deque(maxlen=1)  # the newest for the planner
+
+    def hold(self, until: Array) -> None:
+        """Kept for the node's own thread, to which commanded brakes belong."""
+        self.to_hold.append(until.copy())
 
     def judge(self, tick: Tick) -> None:
         """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
@@ -103,12 +108,12 @@ class SwervePilot:
         return BrakeControl(self.robot, delay=BRAKE_DELAY, changed=self.pending.schedule) if has else None
 
     def _new_agent(self, pose: Array) -> BusAgent:
-        s, brakes = self.settings, self.brakes
-        commanded = brakes.commanded if brakes is not None else None
+        s = self.settings
         gyro = s.use_gyro and self._has_imu
         agent = BusAgent(
-            self.robot, pose, self.period, commanded, lag=s.drive_lag, use_gyro=gyro, monitor=self._new_monitor()
-        )
+            self.robot, pose, self.period, self.brakes, lag=s.drive_lag, use_gyro=gyro, monitor=self._new_monitor(),
+            leg_guard=s.leg_guard,
+        )  # fmt: skip
         agent.fix = self.fix
         return agent
 
@@ -137,9 +142,12 @@ class SwervePilot:
         monitor, ticks = agent.monitor, agent.ticks
         if monitor is None or self.brakes is None:
             return
+        while agent.to_hold:
+            self.brakes.hold(agent.to_hold.popleft())
         while ticks:
             for fault in monitor.update(*ticks.popleft()):
                 _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
+                agent.note(fault)
                 self.brakes.accept(fault)
 
     # ------------------------------------------------------------------ commands
