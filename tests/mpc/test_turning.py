@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -93,6 +96,36 @@ def wheel_slips(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     axles = g.hinge @ [1, 1j] + g.leg_length * np.exp(1j * g.leg_heading)
     heading = np.exp(1j * (g.wheel_heading + x[MODEL.state["steer"]]))
     return np.asarray(np.imag((vx + 1j * vy + 1j * w * axles) * np.conj(heading)))
+
+
+@pytest.mark.parametrize(("wheel", "side"), [(0, -1.0), (1, 1.0)])
+def test_a_plan_that_reverses_a_wheel_on_the_other_side_is_led_back(wheel: int, side: float) -> None:
+    """Back, forward, slowly to one side: no wheel has to turn about, but one of the plan does, and leaves its range."""
+    grid, h = np.linspace(0.0, 10.0, 51), 0.2
+    motion = lambda t: 0.3 * np.clip(t - 3.0, -1.0, 1.0) * np.exp(0.8j * side * np.clip((t - 4.0) / 2.0, 0.0, 1.0))
+    twists = lambda t: np.stack([motion(t).real, motion(t).imag, 0.0 * t], axis=1)
+    x, u = np.tile(MODEL.home, (51, 1)), np.zeros((50, MODEL.input.size))
+    veer = 0.8 * side * np.clip((grid - 4.0) / 2.0, 0.0, 1.0)
+    forward = (0.5 * np.pi - MODEL.base.geometry.wheel_heading) % np.pi - 0.5 * np.pi
+    x[:, MODEL.state["steer"]] = forward + veer[:, None]
+    u[:, MODEL.input["base"]] = twists(grid[:-1])
+    sound, first = x.copy(), MODEL.state["steer"].start + wheel
+    guess = TurningGuess(MODEL, lambda t, _: twists(t))
+    solver: Any = SimpleNamespace(ws=SimpleNamespace(grid=grid, x=x, u=u), begins=0.0, set_reference=lambda *_: None)
+    guess(solver, 0.0, x[0].copy())
+    assert np.array_equal(x, sound)  # a sound plan is left alone
+    x[:, first] += side * np.pi * np.clip((grid - 2.7) / 0.6, 0.0, 1.0)
+    guess = TurningGuess(MODEL, lambda t, _: twists(t))
+    guess(solver, 0.0, x[0].copy())
+    assert guess.turns == ()
+    assert np.abs(x[:, first]).max() < 3.0
+    late = np.flatnonzero(grid[:-1] > 3.5)
+    assert max(np.abs(wheel_slips(x[k], u[k])[wheel]) for k in late) < 0.01
+    heading = np.exp(1j * (MODEL.base.geometry.wheel_heading[wheel] + x[late, first]))
+    rolled = (motion(grid[late]) * heading.conj()).real / MODEL.base.geometry.wheel_radius
+    assert u[late, MODEL.input["wheel"].start + wheel] == pytest.approx(rolled, abs=0.02)
+    assert u[late, MODEL.input["steer"].start + wheel] == pytest.approx(np.diff(x[:, first])[late] / h)
+    assert np.array_equal(np.delete(x, first, axis=1), np.delete(sound, first, axis=1))
 
 
 def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:

@@ -34,6 +34,8 @@ TOGETHER, HURRY, EARLY, SLIPS = 1.0, 1.0, 1e-4, 1e-3
 EDGES, NEVER = 32, 1e4
 #: Time [s] for which a turn is remembered after its end.
 PAST = 0.1
+#: A plan this much [rad] behind the reserve of a wheel's range has let its limit give way.
+BEYOND = 0.15
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,7 @@ class TurningGuess(SteeringGuess):
         times, ways, speeds = self._ways(t, float(solver.ws.grid[-1]), x0)
         before = self.turns
         for wheel in range(ways.shape[1]):
+            self._lead_back(solver, wheel, times, ways[:, wheel], speeds[:, wheel])
             self._turn(solver, wheel, times, ways[:, wheel], speeds[:, wheel])
         self._new = self.turns[len(before) :]
         if self._new:
@@ -222,6 +225,32 @@ class TurningGuess(SteeringGuess):
             way = way + turn.by * turn.share(times)
             self.turns += (turn,)
 
+    def _lead_back(self, solver: Solver, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray) -> None:
+        """Write a wheel anew that the plan takes to the end of its range half a turn beside the way that turns are planned by.
+
+        Where a wheel nearly rests its direction goes round by up to half a turn, and the plan may go round on the other side.
+        From there on no turn is planned for the way that the plan is on.
+        """
+        own = [turn for turn in self.turns if turn.wheel == wheel]
+        if speeds[0] <= ROLLS or any(turn.start < times[0] + AHEAD and times[0] < turn.end + SETTLED for turn in own):
+            return
+        planned = self._planned(solver, wheel, times)
+        path = way + np.pi * np.round((planned[0] - way[0]) / np.pi)
+        for turn in own:
+            path = path + (turn.by * turn.share(times) if turn.start > times[0] else 0.0)
+        low, high = self.limits[0][wheel] + RESERVE, self.limits[1][wheel] - RESERVE
+        apart = np.abs(planned - path) > 0.5 * np.pi
+        apart[0] = False  # the way begins at the plan, to within a rounding error
+        pressed = (
+            _outside(planned, (low - BEYOND, high + BEYOND)) & ~_outside(path, (low, high)) & apart & (speeds > ROLLS)
+        )
+        pressed[int(SEEN * len(times)) :] = False
+        if pressed.any():
+            together = np.flatnonzero(~apart[: int(pressed.argmax())])
+            nodes = solver.begins + solver.ws.grid
+            angles = np.clip(np.interp(nodes, times, path), self.limits[0][wheel], self.limits[1][wheel])
+            self._write_angles(solver, wheel, float(times[together[-1]]), angles)
+
     def _busy(self, times: np.ndarray) -> np.ndarray:
         """Whether a turn from each of ``times`` (k) [s] on overlaps another one."""
         busy = np.zeros(len(times), bool)
@@ -231,18 +260,25 @@ class TurningGuess(SteeringGuess):
 
     def _write_turn(self, solver: Solver, turn: Turn, times: np.ndarray, way: np.ndarray) -> None:
         """From the plan's angles over to half a turn beside the direction ``way`` (k) [rad] at ``times`` (k) [s]; speeds follow."""
-        x, u, j = solver.ws.x, solver.ws.u, self._angle[turn.wheel]
         nodes = solver.begins + solver.ws.grid
         target = np.clip(np.interp(nodes, times, way) + turn.by, self.limits[0][turn.wheel], self.limits[1][turn.wheel])
-        x[:, j] += turn.share(nodes) * (target - x[:, j])
-        first = max(int(np.searchsorted(nodes, turn.start)) - 1, 0)
-        u[first:, self._rate[turn.wheel]] = (np.diff(x[:, j]) / np.diff(nodes))[first:]
+        angles = solver.ws.x[:, self._angle[turn.wheel]]
+        self._write_angles(solver, turn.wheel, turn.start, angles + turn.share(nodes) * (target - angles))
+
+    def _write_angles(self, solver: Solver, wheel: int, start: float, angles: np.ndarray) -> None:
+        """A wheel's ``angles`` (N + 1) [rad] from time ``start`` [s] on into the plan; its speeds follow, the base's plan stays."""
+        x, u, j = solver.ws.x, solver.ws.u, self._angle[wheel]
+        nodes = solver.begins + solver.ws.grid
+        later = nodes >= start
+        x[later, j] = angles[later]
+        first = max(int(np.searchsorted(nodes, start)) - 1, 0)
+        u[first:, self._rate[wheel]] = (np.diff(x[:, j]) / np.diff(nodes))[first:]
         given, g = self.robot.input, self.robot.base.geometry
         for k in range(first, len(u)):
             leg, steer = self._angles(x[k])
-            v = wheel_velocities(g, leg, u[k, given["base"]])[turn.wheel]
-            heading = (g.wheel_heading + g.leg_angles(leg) + steer)[turn.wheel]
-            u[k, self._roll[turn.wheel]] = (v[0] * np.cos(heading) + v[1] * np.sin(heading)) / g.wheel_radius
+            v = wheel_velocities(g, leg, u[k, given["base"]])[wheel]
+            heading = (g.wheel_heading + g.leg_angles(leg) + steer)[wheel]
+            u[k, self._roll[wheel]] = (v[0] * np.cos(heading) + v[1] * np.sin(heading)) / g.wheel_radius
 
     def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
         """Which way round wheels of a base at rest go: that which leads on farthest. No stops."""
