@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import BrakeControl, LegGuard, Plans, RollingAgent, SwerveAgent
+from wbmpc.control import BrakeControl, LegGuard, Plans, SwerveAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BrakeFault
 from wbmpc.mpc import Policy
@@ -179,15 +179,6 @@ def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> No
     assert swung(agent) == [1, 1, 1, 1]
     agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, opened([]))
     agent.brakes = lambda t: np.ones(4)  # as a view does
-    assert swung(agent) == [1, 1, 1, 1]
-
-
-def test_the_rival_without_an_mpc_has_it_too() -> None:
-    home = SWERVE.state.split(SWERVE.home)["leg"]
-    goals = lambda t: ((np.zeros(3), np.zeros(3)), (home, np.zeros(4)))
-    agent = RollingAgent(SWERVE, np.zeros(3), PERIOD, goals, leg_gain=0.0, brakes=opened([]))
-    assert swung(agent) == [1, 0, 1, 1] and agent.holds == 1
-    agent = RollingAgent(SWERVE, np.zeros(3), PERIOD, goals, leg_gain=0.0, brakes=opened([]), leg_guard=False)
     assert swung(agent) == [1, 1, 1, 1]
 
 

@@ -49,9 +49,6 @@ class RollingAgent(SwerveAgent):
         super().__init__(robot, pose, period, steer_gain=steer_gain, **agent)
         self.goals, self.base_gain, self.leg_gain = goals, base_gain, leg_gain
         self.lead, self.look_ahead = lead, look_ahead
-        self._swing = np.zeros(
-            robot.base.geometry.modules
-        )  # rates of the legs [rad/s], as asked for by the last command
 
     def command(self, t: float, plans: Plans) -> SwerveCommand:
         """As :meth:`drive`; plans are not looked at."""
@@ -59,14 +56,10 @@ class RollingAgent(SwerveAgent):
 
     def drive(self, t: float) -> SwerveCommand:
         """Drive speeds for this tick from the last measurement."""
-        m, geometry = self.measured, self.robot.base.geometry
+        m, brake, geometry = self.measured, self.brakes(t), self.robot.base.geometry
         assert m is not None
-        if self.guard is not None:
-            self._guard_legs(t, self._swing)
-        brake = self._open(t)
         (pose, rate), legs = self.goals(t + self.lead)
         leg, swing = self._legs(*legs, brake)
-        self._swing = swing
         resting = np.abs(rate).max() < REST and np.abs(swing).max(initial=0.0) < REST
         if resting and self.look_ahead > 0.0:
             target, wheel = self._await(t, leg)

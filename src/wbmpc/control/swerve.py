@@ -303,8 +303,7 @@ class SwerveAgent:
             if self.monitor is not None:
                 self.watch(t, still.brake, np.zeros(still.brake.size))
             return still
-        if self.guard is not None:
-            self._guard_legs(t, self._rates[given["leg"]])
+        self._guard_legs(t)
         # a plan whose limits give way may lie beyond the joints' range, where no wheel can be waited for
         planned = np.clip(policy.state(t + self.lag)[self.robot.state["steer"]], *self._steer_range)
         # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
@@ -340,12 +339,12 @@ class SwerveAgent:
         brake = self.brakes(t)
         return brake if self.guard is None else np.where(self.guard.held(t), 0.0, brake)
 
-    def _guard_legs(self, t: float, rate: np.ndarray) -> None:
-        """Hold open legs that go astray from the rates (n) [rad/s] that they shall have had, and tell the planner."""
+    def _guard_legs(self, t: float) -> None:
+        """Hold open legs that go astray from what drives have made of the commands, and tell the planner."""
         if self.guard is None or self.brakes is not self._own:
             return
         assert self.measured is not None
-        if self.guard.update(t, self.measured.leg, rate, self.brakes(t)):
+        if self.guard.update(t, self.measured.leg, self._rates[self.robot.input["leg"]], self.brakes(t)):
             self.hold(self.guard.until)
 
     def hold(self, until: np.ndarray) -> None:

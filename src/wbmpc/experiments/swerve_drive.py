@@ -195,8 +195,8 @@ class _Run:
     def rival(
         self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
     ) -> tuple[Ending, list[str]]:
-        """The rolling inverse kinematics on the same way: same plant, odometry, brakes and guard of the legs. How it ended, and
-        the faults that it found."""
+        """The rolling inverse kinematics on the same way: same plant, odometry and brakes. How it ended, and the faults that
+        it found."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
@@ -209,8 +209,8 @@ class _Run:
 
         agent = RollingAgent(
             robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
-            lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes, leg_guard=s.leg_guard,
-            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels,
+            lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
+            odd_wheels=s.odd_wheels,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
 
