@@ -27,6 +27,8 @@ TIP_RADIUS, TIP_MASS, TIP_CONTACT = 0.02, 0.05, [0.02, 1.0]
 HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01
 #: A door that sticks is free once it has opened so far [rad].
 LOOSE = np.deg2rad(0.5)
+#: How far [rad] a door opens before it meets its stop.
+WIDE_OPEN = 2.2
 #: Contact bits: tip and panel touch each other and nothing else.
 _TIP, _PANEL = {"contype": 4, "conaffinity": 8}, {"contype": 8, "conaffinity": 4}
 
@@ -79,7 +81,9 @@ class Door:
         body.inertia = self.mass / 12.0 * np.array([d + h, w + h, w + d])
         if not self.locked:
             joint = body.add_joint(name="door", type=mujoco.mjtJoint.mjJNT_HINGE, axis=rotation)
-            joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, 2.2]
+            stops = np.array([0.0, WIDE_OPEN])  # in the unit of the robot's file
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.range = np.rad2deg(stops) if spec.compiler.degree else stops
             joint.damping, joint.frictionloss = [self.damping, 0, 0], max(self.friction, self.breakaway)
             joint.solref_limit = [0.01, 1.0]
         body.add_geom(

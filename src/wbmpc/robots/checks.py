@@ -104,6 +104,8 @@ def check_ball(description: RobotDescription, model: mujoco.MjModel) -> None:
     if kinds != [mujoco.mjtJoint.mjJNT_BALL]:
         has = ", ".join(k.name.removeprefix("mjJNT_").lower() for k in kinds) or "none"
         raise InputError(f"{where}: one joint of type ball (spherical in a URDF) is needed, it has {has}")
+    if model.jnt_limited[model.body_jntadr[ball]]:
+        raise InputError(f"{where}: its joint has a range, at whose end the ball would stop: take it out of the file")
     offset = model.body_pos[ball] + model.jnt_pos[model.body_jntadr[ball]]
     if np.linalg.norm(offset) > near:
         raise InputError(

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_ball, check_joints, compiled
 from wbmpc.robots.lock import lock
+from wbmpc.robots.mechanics import keep_mechanics, refuse_couplings, widen
 
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
@@ -328,18 +329,12 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    _strip(spec, description.base.body)
+    keep_mechanics(spec, description.base.body)
+    refuse_couplings(spec, description)
+    widen(spec, description.limits.position, path)
     for name, angle in description.lock.items():
         lock(spec, name, angle, description.source)
     return spec
-
-
-def _strip(spec: mujoco.MjSpec, base: str) -> None:
-    """Take away what is not the robot's mechanics (drives, sensors, keyframes: plants have their own) and joints of the body
-    ``base``, which the kind of base moves."""
-    own = [j for j in spec.joints if j.parent.name == base]
-    for element in [*spec.actuators, *spec.sensors, *spec.keys, *own]:
-        spec.delete(element)
 
 
 def _urdf_spec(path: Path) -> mujoco.MjSpec:

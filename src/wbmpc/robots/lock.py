@@ -1,4 +1,4 @@
-"""Joints that a description holds: taken out of a MuJoCo specification, with all that refers to them."""
+"""Joints that a description holds: taken out of a MuJoCo specification."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wbmpc.robots.checks import refuse_reference
 def lock(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None:
     """Remove a hinge or slide joint after moving its body to the joint's ``value`` [rad or m].
 
-    Couplings with it (``mimic`` of a URDF; equalities and fixed tendons of an MJCF) go too. Raises :class:`InputError`.
+    Nothing may refer to it any more (see :mod:`wbmpc.robots.mechanics`). Raises :class:`InputError`.
     """
     joint = next((j for j in spec.joints if j.name == name), None)
     if joint is None:
@@ -32,21 +32,7 @@ def lock(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None:
     body.pos = np.asarray(body.pos) + rotation @ shift
     body.quat = lie.rotation_to_quaternion(rotation @ turn)
     body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    _uncouple(spec, name)
     spec.delete(joint)
-
-
-def _uncouple(spec: mujoco.MjSpec, joint: str) -> None:
-    """Delete the tendons over a joint, and the equalities of the joint and of these tendons."""
-    gone = {mujoco.mjtEq.mjEQ_JOINT: {joint}, mujoco.mjtEq.mjEQ_TENDON: set()}
-    for tendon in list(spec.tendons):
-        over = [w.target for w in tendon.path]
-        if any(isinstance(t, mujoco.MjsJoint) and t.name == joint for t in over):
-            gone[mujoco.mjtEq.mjEQ_TENDON].add(tendon.name)
-            spec.delete(tendon)
-    for equality in list(spec.equalities):
-        if equality.type in gone and gone[equality.type] & {equality.name1, equality.name2}:
-            spec.delete(equality)
 
 
 def _body_quaternion(spec: mujoco.MjSpec, body: mujoco.MjsBody, source: str) -> np.ndarray:
