@@ -237,7 +237,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: FusedOdometry(FOUR, calibration=WheelCalibration.unknown(ring(3))), "of 3 modules, the base has 4"),
         (
             lambda: BrakeControl(robot("swerve-ur10"), start="abc"),
-            r"4 numbers, 0 \(closed\) or 1 \(open\), are needed, got abc",
+            r"4 numbers, 0 \(closed\) or 1 \(open\), are needed, got 'abc'",
         ),
         (lambda: BallNoise(gyro=-1.0), "'gyro' is too small"),
         (lambda: BallNoise(encoder=NAN), "'encoder' must be finite"),
