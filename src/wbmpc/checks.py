@@ -12,7 +12,10 @@ from wbmpc.errors import InputError, NotFinite
 
 def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
     """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
-    value = np.asarray(given, float)
+    try:
+        value = np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {given!r}") from None
     if value.shape != (size,):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {value}")
     if not np.isfinite(value).all():
@@ -20,10 +23,19 @@ def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.floa
     return value
 
 
+def each(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
+    """``given`` as :func:`numbers`, or one number for all ``size``."""
+    return numbers(who, name, np.full(size, given) if np.ndim(given) == 0 else given, size)
+
+
 def finite(who: str, **given: float) -> None:
-    """Raise :class:`NotFinite` for the first number that is not finite, by its name."""
+    """Raise :class:`NotFinite` for the first number that is not finite, :class:`InputError` for what is none, by its name."""
     for name, value in given.items():
-        if not math.isfinite(value):
+        try:
+            good = math.isfinite(value)
+        except TypeError:
+            raise InputError(f"{who}: '{name}' needs one finite number, got {value!r}") from None
+        if not good:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from wheels_on_paper import ring
 
 from toys import robot
+from wbmpc.control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import (
     BallFilter,
@@ -19,17 +22,23 @@ from wbmpc.estimation import (
     ContactMonitor,
     DisturbanceObserver,
     DoorFilter,
+    FusedOdometry,
     JointTracker,
     MomentumObserver,
     PayloadEstimator,
     PushEstimator,
+    ReleaseOdometry,
     RezeroEstimator,
+    WheelCalibration,
+    WheelOdometry,
 )
 from wbmpc.estimation.fused import AHEAD
 from wbmpc.estimation.rezero import HISTORY
 
 H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")
+FOUR = ring(4)
+KNOWN = WheelCalibration.unknown(FOUR)
 HOME, _ = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOVING = np.concatenate([HOME[:8], np.ones(8)])
 ARM, UP, ZERO = HOME[ROBOT.state["arm"]], np.array([0.0, 0.0, 9.81]), np.zeros(3)
@@ -210,6 +219,26 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
     [
         (lambda: RezeroEstimator(ROBOT, NAN * HOME), "'start' needs 16"),
         (lambda: RezeroEstimator(ROBOT, HOME[:5]), "'start' needs 16"),
+        (lambda: WheelOdometry(FOUR, wheel_radius=NAN), "'wheel_radius' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, wheel_radius=[0.1, 0.1]), "'wheel_radius' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, wheel_radius=-1.0), "'wheel_radius' must be positive"),
+        (lambda: WheelOdometry(FOUR, steer_zero=NAN), "'steer_zero' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, leg_zero="a"), "'leg_zero' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, [0.0, 0.0]), "'pose0' needs 3 finite"),
+        (lambda: ReleaseOdometry(FOUR, [0.0, 0.0, 0.0], 0.0), "'period' and 'refresh' must be positive"),
+        (lambda: ReleaseOdometry(FOUR, [0.0, NAN, 0.0], 0.01), "'pose0' needs 3 finite"),
+        (lambda: WheelCalibration.unknown(FOUR, NAN), "'zero' must be finite"),
+        (lambda: WheelCalibration.unknown(FOUR, -1e-3), "must not be negative"),
+        (lambda: replace(KNOWN, wheel_radius=np.zeros(4)), "'wheel_radius' must be positive"),
+        (lambda: replace(KNOWN, steer_zero=np.full(4, NAN)), "'steer_zero' needs 4 finite"),
+        (lambda: replace(KNOWN, leg_zero=np.zeros(3)), "'leg_zero' needs 4 finite"),
+        (lambda: replace(KNOWN, covariance=-KNOWN.covariance), "no variance of it may be negative"),
+        (lambda: replace(KNOWN, covariance=np.ones((4, 16))), "8 rows of 8"),
+        (lambda: FusedOdometry(FOUR, calibration=WheelCalibration.unknown(ring(3))), "of 3 modules, the base has 4"),
+        (
+            lambda: BrakeControl(robot("swerve-ur10"), start="abc"),
+            r"4 numbers, 0 \(closed\) or 1 \(open\), are needed, got 'abc'",
+        ),
         (lambda: BallNoise(gyro=-1.0), "'gyro' is too small"),
         (lambda: BallNoise(encoder=NAN), "'encoder' must be finite"),
         (lambda: BallNoise(scale_time=0.0), "'scale_time' is too small"),
@@ -223,6 +252,17 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
 def test_what_no_estimator_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()
+
+
+def test_weights_of_wheels_may_be_a_list() -> None:
+    """Of four the last is left out: as with an array, to the bit."""
+    poses = []
+    for weights in ([1, 1, 1, 0], np.array([1.0, 1.0, 1.0, 0.0])):
+        odometry = FusedOdometry(FOUR)
+        odometry.update(0.0, *np.zeros((3, 4)))
+        poses.append(odometry.update(0.01, np.zeros(4), np.zeros(4), [0.01, 0.02, 0.03, 0.5], weights=weights))
+    np.testing.assert_array_equal(*poses)
+    assert np.any(poses[0])
 
 
 def test_a_force_needs_a_jacobian_of_all_coordinates() -> None:

@@ -260,6 +260,10 @@ ROLLING = np.tile(np.linspace(0.0, 1.0, 11)[:, None], (1, 4))
         ({"steer": np.zeros(11)}, "'steer': one row"),
         ({"steer": np.array([["a"] * 4] * 11)}, "'steer': finite numbers"),
         ({"steer.time": TIMES[::-1]}, "'steer.time'"),
+        ({"wheel.time": TIMES + 0.5}, "'wheel.time' must be the same as 'steer.time', and is up to 0.5 s beside it"),
+        ({"leg.time": TIMES + 0.01 * (TIMES == 0.5)}, "'leg.time' must be .* up to 0.01 s beside"),
+        ({"gyro.time": TIMES[1:]}, "'gyro.time' must be the same .* 11 times, got .10,."),
+        ({"brake": np.zeros((11, 4)), "brake.time": -TIMES}, "'brake.time' must be the same"),
         # a survey long before or after, and one beside a record whose wheels turn
         ({"place.time": np.array([-2.5, 0.5, 1.0])}, "1 of 3 global poses are before .* 2.5 s, more than 2 s"),
         ({"place.time": np.array([0.0, 1.02, 1.03]), "wheel": ROLLING}, "2 of 3 global poses are after .* moves"),
@@ -278,6 +282,39 @@ def test_another_base_and_poses_that_do_not_fit_are_refused() -> None:
     far = SOUND["place"] + np.array([[0.0] * 6, [3.0] + [0.0] * 5, [5.0] + [0.0] * 5])
     with pytest.raises(InputError, match="1 of 3 global poses fit"):
         calibrate(UNEVEN, WheelRecord.of({**SOUND, "place": far}))
+
+
+def test_times_that_differ_by_rounding_are_the_same() -> None:
+    assert (
+        len(
+            WheelRecord.of(
+                {**SOUND, "wheel.time": np.float32(TIMES + 500.0), "steer.time": TIMES + 500.0, **LATER}
+            ).times
+        )
+        == 11
+    )
+
+
+LATER = {f"{name}.time": SOUND[f"{name}.time"] + 500.0 for name in ("leg", "gyro", "place")}
+
+
+@pytest.mark.parametrize(
+    ("hinged", "changed", "message"),
+    [
+        (False, {"leg": ROLLING}, "legs are fixed, and those of the channel 'leg' turn by 1 rad"),
+        (False, {"brake": np.ones((11, 4))}, "legs are fixed, and those of the channel 'brake' have open brakes"),
+        (True, {"leg": np.zeros((11, 0))}, "legs have hinges, and there is no channel 'leg'"),
+    ],
+)
+def test_a_log_of_a_robot_with_other_legs_is_refused(
+    hinged: bool, changed: dict[str, np.ndarray], message: str
+) -> None:
+    """The same number of modules is not the same base; legs that stand, as encoders say it, may be fixed ones."""
+    geometry = ring(4, hinged=hinged)
+    with pytest.raises(InputError, match=message):
+        replay(geometry, WheelRecord.of({**SOUND, **changed}))
+    standing = 3e-4 * (np.arange(44).reshape(11, 4) % 3 == 0)
+    assert replay(geometry, WheelRecord.of({**SOUND, "leg": standing})).taken == 3
 
 
 def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
@@ -339,6 +376,14 @@ def test_a_survey_of_two_poses_shows_errors_that_nobody_expected(zero: float, ra
     assert len(left) >= 2
     np.testing.assert_allclose(weights.sum(axis=1), 0.0, atol=0.05)
     np.testing.assert_allclose(left, fit.before.std[0].max(), rtol=0.06)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 180.0 / np.pi])
+def test_a_gyro_that_contradicts_the_rest_is_named(factor: float) -> None:
+    """With the sign reversed, or in degrees: nothing is wrong with angles or poses."""
+    base, data = far_off(1, 2e-3, 6.0)
+    with pytest.raises(InputError, match=r"channel 'gyro' contradicts .* in rad/s"):
+        fit_wheels(base.geometry, replace(data, gyro=factor * data.gyro))
 
 
 def test_records_that_no_wheels_explain_are_refused() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from toys import robot
 from wbmpc.cli import main
@@ -17,6 +18,7 @@ from wbmpc.experiments.swerve_calibrate import OPENING, SwerveCalibrateSettings,
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 from wbmpc.plant import SwervePlant
 from wbmpc.report import write_run
+from wbmpc.robots.description import DATA
 
 ROBOT, SEED = robot("swerve-ur10"), 5
 SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, rest=2.0)
@@ -132,6 +134,24 @@ def test_bad_input_is_one_sentence(
     assert main(["calibrate", *[a.format(**paths) for a in arguments]]) == 2
     out = capsys.readouterr()
     assert out.out == "" and message in out.err and len(out.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("swerve-fixed-ur10", "this was 'swerve-ur10', whose base"), ("own", "steer")]
+)
+def test_a_robot_with_another_base_than_that_of_the_run_is_refused(
+    name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of one's own with the same base is taken: the next thing that is wrong is the log."""
+    np.savez(tmp_path / "log.npz", hand=np.zeros(3))
+    (tmp_path / "metrics.json").write_text(json.dumps({"settings": {"robot": "swerve-ur10"}}))
+    own = tmp_path / "own.yaml"
+    data = yaml.safe_load((DATA / "swerve-ur10.yaml").read_text())
+    data["base"]["wheel_radius"] *= 1.004
+    own.write_text(yaml.safe_dump({**data, "model": str(DATA / data["model"])}))
+    assert main(["calibrate", str(tmp_path), "--robot", str(own) if name == "own" else name]) == 2
+    err = capsys.readouterr().err
+    assert message in err and len(err.strip().splitlines()) == 1 and not (tmp_path / "calibration.yaml").exists()
 
 
 def test_unknown_file_as_a_setting(

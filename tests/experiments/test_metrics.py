@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from wbmpc.experiments.rezero_steps import STEPS, RezeroStepsSettings
 from wbmpc.experiments.swerve_track import SwerveTrackSettings
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
+from wbmpc.result import Metric
 
 BALL = robot("rezero")
 
@@ -106,10 +108,12 @@ def test_a_step_that_stays_short_has_no_rise_time() -> None:
 TRACK = SwerveTrackSettings(periods=1)
 
 
-def tracking(estimated: np.ndarray, world: np.ndarray, drift: float) -> dict[str, float]:
+def tracking(
+    estimated: np.ndarray, world: np.ndarray, drift: float, settings: SwerveTrackSettings = TRACK
+) -> dict[str, Metric]:
     """Metrics of a hand beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
     and odometries that end ``drift``, 2 drift and 3 drift [m] off."""
-    references, log = swerve_track._References(TRACK, robot("swerve-ur10")), Log()
+    references, log = swerve_track._References(settings, robot("swerve-ur10")), Log()
     for t in np.arange(0.0, references.duration, 0.02):
         reference, gone = references.hand(np.array([t]))[0], references.base(np.array([t]))[0][0]
         factor, share = (10.0 if t < 2.0 else 1.0), t / references.duration
@@ -122,11 +126,34 @@ def tracking(estimated: np.ndarray, world: np.ndarray, drift: float) -> dict[str
         for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
             log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
         log.add("wheel_slip", t, factor * np.array([0.01, 0.02, 0.03, 0.0]))
-    return {n: m.value for n, m in swerve_track._metrics(log, references).items()}
+    return swerve_track._metrics(log, references)
+
+
+def values(metrics: dict[str, Metric]) -> dict[str, float]:
+    return {name: m.value for name, m in metrics.items()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "hand", "base"),
+    [
+        ({}, 20.53, 15.96),
+        ({"variant": "vertical"}, 20.53, 15.96),
+        ({"variant": "peaks"}, None, 15.96),
+        ({"amplitude": 0.3}, None, 15.96),
+        ({"periods": 1}, None, None),
+    ],
+)
+def test_the_papers_lengths_stand_beside_its_path_only(
+    changes: dict[str, Any], hand: float | None, base: float | None
+) -> None:
+    m = tracking(np.zeros(3), np.zeros(3), 0.0, SwerveTrackSettings(**{"speed": 0.8, **changes}))
+    assert (m["path_length"].paper, m["base_path_length"].paper) == (hand, base)
+    if hand is not None:
+        assert m["path_length"].value == pytest.approx(hand, rel=1e-3)
 
 
 def test_metrics_of_a_track_with_known_errors() -> None:
-    m = tracking(np.array([0.0, 0.0, 0.003]), np.array([0.003, 0.004, 0.012]), drift=0.02)
+    m = values(tracking(np.array([0.0, 0.0, 0.003]), np.array([0.003, 0.004, 0.012]), drift=0.02))
     assert m["hand_error_mean_odometry"] == pytest.approx(0.003)
     assert m["hand_error_max_odometry"] == pytest.approx(0.003)
     assert m["hand_error_mean_nearest"] == pytest.approx(0.003, rel=1e-3)  # across the plane of the path
@@ -143,7 +170,7 @@ def test_metrics_of_a_track_with_known_errors() -> None:
 
 def test_an_error_along_the_path_is_not_one_to_its_nearest_point() -> None:
     """A hand 1 cm ahead along x is 1 cm off in time, but nearer to the path."""
-    m = tracking(np.array([0.01, 0.0, 0.0]), np.zeros(3), drift=0.0)
+    m = values(tracking(np.array([0.01, 0.0, 0.0]), np.zeros(3), drift=0.0))
     assert m["hand_error_mean_odometry"] == pytest.approx(0.01)
     assert 0.004 < m["hand_error_mean_nearest"] < 0.009
     assert m["odometry_drift_ratio"] == 0.0

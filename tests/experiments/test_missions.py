@@ -147,6 +147,43 @@ def test_what_the_way_of_the_legs_does_not_read_is_refused(legs: str, given: str
     configure(settings, [f"legs={other}", given], "swerve-unified")
 
 
+FILE = "calibration=wheels.yaml"
+
+
+@pytest.mark.parametrize(
+    ("experiment", "given", "words"),
+    [
+        ("swerve-track", ["variant=peaks", "amplitude=0.1"], "amplitude: nothing uses it with variant=peaks"),
+        ("swerve-track", [FILE, "localisation.position=0.5"], "localisation: nothing uses it without global_poses"),
+        (
+            "swerve-plaster",
+            [FILE, "sensors=false", "localisation.rate=5"],
+            "localisation: nothing uses it without sensors",
+        ),
+        ("swerve-fixed", ["motions=[]", "random=0"], "motions: none is left, and random is 0"),
+        ("swerve-fixed", ["random=10", "motions=[forward,turning,forward]"], "motions: 'forward' stands there twice"),
+    ],
+)
+def test_what_nothing_reads_or_nobody_can_follow_is_refused(experiment: str, given: list[str], words: str) -> None:
+    settings = REGISTRY[experiment].config_type
+    with pytest.raises(InputError, match=words):
+        configure(settings, given, experiment)
+    configure(settings, given[:1], experiment)  # read
+
+
+@pytest.mark.parametrize(
+    ("experiment", "given"),
+    [
+        ("swerve-track", ["localisation.position=0.5"]),
+        ("swerve-track", [FILE, "global_poses=true", "localisation.position=0.5"]),
+        ("swerve-plaster", [FILE, "localisation.rate=5"]),
+        ("swerve-plaster", ["sensors=false", "localisation.rate=5"]),
+    ],
+)
+def test_a_localisation_that_the_run_or_its_reference_drive_has_is_taken(experiment: str, given: list[str]) -> None:
+    configure(REGISTRY[experiment].config_type, given, experiment)
+
+
 def test_fixed_legs_are_refused() -> None:
     for name in ("swerve-unified", "swerve-drive"):
         experiment = REGISTRY[name]

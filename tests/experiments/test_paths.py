@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from wbmpc import lie
 from wbmpc.experiments import swerve_track as track
 from wbmpc.experiments.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
-from wbmpc.model import load_robot
+from wbmpc.model import RobotModel, load_robot
 
 PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
 
@@ -70,27 +70,48 @@ def test_approach_comes_from_home_to_the_path_within_its_speeds() -> None:
     np.testing.assert_allclose(Approach(start, start).offset(t)[0], 0.0)
 
 
-def test_peaks_are_out_of_reach_of_a_base_on_its_line() -> None:
-    """By inverse kinematics, led outwards: the peaks are 20 to 40 mm beyond where it ends."""
-    robot = load_robot("swerve-ur10")
-    path = track._References(track.SwerveTrackSettings(variant="peaks", periods=1), robot).curve()
-    arm, x, farthest = robot.state["arm"], robot.home.copy(), 0.0
+def led(robot: RobotModel, goals: np.ndarray) -> int:
+    """How many of the goals (k, 3) [m] the hand reaches one after the other, its axis to the left, the base at the origin: by
+    inverse kinematics (damped least squares, derivatives by differences)."""
+    arm, x = robot.state["arm"], robot.home.copy()
 
-    def error(y: float) -> np.ndarray:
+    def error(goal: np.ndarray) -> np.ndarray:
         position, orientation = robot.pose(x)
         turn = track.HAND_ROTATION @ lie.quaternion_to_rotation(orientation).T
         spin = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        return np.concatenate([[track.AHEAD, y, track.HEIGHT] - position, spin])
+        return np.concatenate([goal - position, spin])
 
-    for y in np.concatenate([np.arange(0.65, 1.22, 0.02), np.arange(1.22, 1.30, 0.002)]):
+    for reached, goal in enumerate(goals):
         for _ in range(12):
-            e, jacobian = error(y), np.empty((6, 6))
+            e, jacobian = error(goal), np.empty((6, 6))
             for k in range(6):
                 x[arm.start + k] += 1e-6
-                jacobian[:, k] = (e - error(y)) / 1e-6
+                jacobian[:, k] = (e - error(goal)) / 1e-6
                 x[arm.start + k] -= 1e-6
             x[arm] += np.linalg.solve(jacobian.T @ jacobian + 1e-6 * np.eye(6), jacobian.T @ e)
-        if np.linalg.norm(error(y)) > 1e-3:
-            break
-        farthest = y
-    assert 0.020 < path[:, 1].max() - farthest < 0.040
+        if np.linalg.norm(error(goal)) > 1e-3:
+            return reached
+    return len(goals)
+
+
+def test_peaks_are_out_of_reach_of_a_base_on_its_line() -> None:
+    """Led outwards: the peaks are 20 to 40 mm beyond where it ends."""
+    robot = load_robot("swerve-ur10")
+    path = track._References(track.SwerveTrackSettings(variant="peaks", periods=1), robot).curve()
+    y = np.concatenate([np.arange(0.65, 1.22, 0.02), np.arange(1.22, 1.30, 0.002)])
+    reached = led(robot, np.stack([np.full(y.size, track.AHEAD), y, np.full(y.size, track.HEIGHT)], axis=1))
+    assert 0.020 < path[:, 1].max() - y[reached - 1] < 0.040
+
+
+def test_the_upright_sine_is_as_long_as_the_other_and_within_reach() -> None:
+    """The paper's 20.53 m and 0.498 m up and down, and no other amplitude than the one that was asked for; led down, then up."""
+    robot = load_robot("swerve-ur10")
+    references = track._References(track.SwerveTrackSettings(variant="vertical"), robot)
+    path = references.curve()
+    assert references.path.arc_length == pytest.approx(20.53, abs=0.01)
+    assert np.ptp(path, axis=0) == pytest.approx([15.96, 0.0, 2 * 0.498], abs=1e-4)
+    small = track._References(track.SwerveTrackSettings(variant="vertical", amplitude=0.1), robot)
+    assert np.ptp(small.curve()[:, 2]) == pytest.approx(0.2, abs=1e-4)
+    way = [np.linspace(track.HEIGHT, end, 12) for end in (path[:, 2].min(), path[:, 2].max())]
+    for z in way:
+        assert led(robot, np.stack([np.full(12, track.AHEAD), np.full(12, track.SIDE), z], axis=1)) == 12

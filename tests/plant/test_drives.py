@@ -13,6 +13,7 @@ from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
 from wbmpc.plant.drives import HEAD_ROOM, ElasticDrives
+from wbmpc.robots import load_description
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
@@ -193,6 +194,16 @@ def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
 def test_bad_drives() -> None:
     with pytest.raises(InputError, match=r"plant\.wheel_rotor"):
         RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
-    for name in ("dead_time", "wheel_spring", "arm_spring"):
-        with pytest.raises(InputError, match=f"plant.{name}: is for ball robots only"):
-            SwervePlant(load_robot("swerve-ur10").description, perturbation=Perturbation.none(**{name: 0.1}))
+
+
+#: What no line of the swerve robot's plant reads, by going through it.
+OF_BALL_ROBOTS = ("dead_time", "wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor", "spring_damping") + (
+    *("torque_gain", "torque_damping", "spin_friction"),
+    *("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
+)
+
+
+@pytest.mark.parametrize("name", OF_BALL_ROBOTS)
+def test_swerve_robots_refuse_what_their_plant_does_not_read(name: str) -> None:
+    with pytest.raises(InputError, match=rf"plant\.{name}: is for ball robots only; .*'plant\."):
+        SwervePlant(load_description("swerve-ur10"), perturbation=Perturbation(**{name: 0.1}))

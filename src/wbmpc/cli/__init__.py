@@ -197,7 +197,9 @@ def _attempt(
 def _table(results: list[RunResult]) -> None:
     from wbmpc.report import figure_text, goal_notes, goal_text, number
 
-    table = plain_table("Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values.")
+    table = plain_table(
+        "Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values, or ranges."
+    )
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from wbmpc.estimation import WheelCalibration, WheelFit
+    from wbmpc.model import RobotModel
 
     Array = NDArray[np.float64]
 
@@ -36,15 +37,46 @@ def _channels(path: Path) -> tuple[dict[str, Any], Path]:
         raise InputError(f"{file}: this is not the log of a run (log.npz)") from error
 
 
-def _robot_of(file: Path, given: str | None) -> str:
-    """The robot of a log: as given, or from the metrics.json beside it."""
-    if given is not None:
-        return given
+#: Bases whose places [m] and directions [rad] differ by less are the same: descriptions are measured, and measured again.
+SAME_BASE = 0.02
+
+
+def _robot_of(file: Path, given: str | None) -> RobotModel:
+    """The robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other bases."""
+    from wbmpc.experiments.swerve_calibrate import swerve_robot
+
     metrics = file.with_name("metrics.json")
     try:
-        return str(json.loads(metrics.read_text())["settings"]["robot"])
+        said = str(json.loads(metrics.read_text())["settings"]["robot"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
+        if given is None:
+            raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
+        return swerve_robot(given)
+    if given is None or given == said:
+        return swerve_robot(said)
+    robot = swerve_robot(given)
+    try:
+        there = swerve_robot(said)
+    except InputError:  # a file that is not there any more
+        return robot
+    if not _same_base(robot, there):
+        raise InputError(
+            f"--robot: {metrics} says that this was '{said}', whose base is another than that of '{given}'; leave --robot out, or "
+            "give the log.npz without the metrics.json beside it"
+        )
+    return robot
+
+
+def _same_base(a: RobotModel, b: RobotModel) -> bool:
+    """Whether the modules of two robots hang at the same places in the same way; their radii are what a calibration finds."""
+    import numpy as np
+
+    one, other = a.base.geometry, b.base.geometry
+    if one.modules != other.modules or one.has_hinge != other.has_hinge:
+        return False
+    places = lambda g: np.concatenate([g.hinge, g.steer_axes(np.zeros(g.modules))], axis=1)
+    turned = np.abs(np.angle(np.exp(1j * (one.wheel_heading - other.wheel_heading))))
+    return bool(np.allclose(places(one), places(other), atol=SAME_BASE) and turned.max() < SAME_BASE)
 
 
 def calibrate(
@@ -72,11 +104,11 @@ def calibrate(
     contradicts, or does not show at all, are not written.
     """
     from wbmpc import estimation
-    from wbmpc.experiments.swerve_calibrate import steer_joints, swerve_robot
+    from wbmpc.experiments.swerve_calibrate import steer_joints
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
-    model = swerve_robot(_robot_of(file, robot))
+    model = _robot_of(file, robot)
     geometry, names = model.base.geometry, steer_joints(model)
     record = estimation.WheelRecord.of(channels, str(file))
     prior = estimation.WheelCalibration.unknown(geometry, zero_std, 0.5 * radius_std, radius_std)

@@ -115,9 +115,12 @@ class BrakeControl:
         self._tell()
 
     def _checked(self, brake: ArrayLike) -> Array:
-        state = np.asarray(brake, float)
+        try:
+            state = np.asarray(brake, float)
+        except (TypeError, ValueError):
+            state = np.empty(0)  # no numbers
         if state.shape != (len(self.legs),) or not np.isin(state, (0.0, 1.0)).all():
-            raise InputError(f"brakes: {len(self.legs)} numbers, 0 (closed) or 1 (open), are needed, got {state}")
+            raise InputError(f"brakes: {len(self.legs)} numbers, 0 (closed) or 1 (open), are needed, got {brake!r}")
         return state.copy()
 
     def set(self, t: float, brake: ArrayLike, leg: ArrayLike | None = None) -> None:

@@ -21,6 +21,8 @@ from wbmpc.estimation.wheels import WheelCalibration
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
+#: Times of channels that differ by less [s] are the same (a microsecond's rounding, or single precision, is no other time).
+SAME = 1e-4
 #: A pose so little [s] before the first message or after the last counts there if the base stands: over so long [s] of messages
 #: its wheels and legs turn by less than this [rad].
 BESIDE, STANDS, STILL = 2.0, 0.2, 2e-3
@@ -46,8 +48,9 @@ class WheelRecord:
     @classmethod
     def of(cls, channels: Mapping[str, Array], where: str = "log") -> WheelRecord:
         """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` and ``brake`` (may be
-        missing), and ``place`` with rows (x, y, yaw, standard deviations), each with its ``.time``, in any order. A pose up to 2 s
-        before the first message or after the last, as of a survey, counts there if the base stands. Raises :class:`InputError`."""
+        missing), all with the times ``steer.time``, and ``place`` with rows (x, y, yaw, standard deviations) and its own times, in
+        any order. A pose up to 2 s before the first message or after the last, as of a survey, counts there if the base stands.
+        Raises :class:`InputError`."""
         for name in ("steer", "wheel", "place"):
             if name not in channels or f"{name}.time" not in channels:
                 known = sorted(c for c in channels if not c.endswith(".time"))
@@ -76,6 +79,9 @@ class WheelRecord:
                     f"{where}: channel '{name}' must have the same times as 'steer', and its shape be {shapes[name][0]}, "
                     f"got {values.shape}"
                 )
+        for name in ("wheel", "leg", "gyro", "brake"):
+            if f"{name}.time" in channels:
+                _refuse_other_times(read(f"{name}.time"), times, name, where)
         place, at = read("place"), read("place.time")
         if place.ndim != 2 or place.shape[1] != 6 or len(place) < 2 or at.shape != (len(place),):
             raise InputError(
@@ -100,6 +106,20 @@ def _read(channels: Mapping[str, Array], name: str, where: str) -> Array:
     if not np.isfinite(values).all():
         raise InputError(f"{where}: channel '{name}': finite numbers are needed")
     return values
+
+
+def _refuse_other_times(own: Array, times: Array, name: str, where: str) -> None:
+    """Raise :class:`InputError` for a channel whose ``own`` times [s] are not the ``times`` (k) of the steering."""
+    if own.shape != times.shape:
+        raise InputError(
+            f"{where}: channel '{name}.time' must be the same as 'steer.time': {times.size} times, got {own.shape}"
+        )
+    apart = float(np.max(np.abs(own - times)))
+    if apart > SAME:
+        raise InputError(
+            f"{where}: channel '{name}.time' must be the same as 'steer.time', and is up to {apart:.3g} s beside it; bring both to "
+            "the same times first"
+        )
 
 
 def _beside(at: Array, times: Array, turned: Array, where: str) -> Array:
@@ -130,12 +150,13 @@ def replay(
     """The filter once over a record: its ``calibration``, and how many poses were ``taken``. They come as soon as they are true.
 
     ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out). Raises :class:`InputError` for a record of
-    another base.
+    another base: another number of modules, hinges that swing where the robot has none, or no leg angles where it has hinges.
     """
     if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
         raise InputError(
             f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}"
         )
+    _refuse_other_legs(geometry, record)
     doubt = np.maximum(10.0 * record.place_std[0], 0.05)
     odometry = FusedOdometry(geometry, record.places[0], calibration=prior, noise=noise, pose_std=doubt)
     place = 0
@@ -149,6 +170,24 @@ def replay(
             )
             place += 1
     return odometry
+
+
+def _refuse_other_legs(geometry: SwerveGeometry, record: WheelRecord) -> None:
+    """Raise :class:`InputError` for legs that are not those of this base."""
+    if geometry.has_hinge:
+        if record.leg.shape[1] == 0:
+            raise InputError(
+                "log: the robot's legs have hinges, and there is no channel 'leg' with their angles; valid: such a channel, or a "
+                "robot with fixed legs"
+            )
+        return
+    swung = float(np.ptp(record.leg, axis=0).max(initial=0.0))
+    if swung > STILL or np.any(record.brake > 0.5):
+        what = f"turn by {swung:.3g} rad" if swung > STILL else "have open brakes"
+        raise InputError(
+            f"log: the robot's legs are fixed, and those of the channel '{'leg' if swung > STILL else 'brake'}' {what}: this is a "
+            "log of a robot with hinged legs"
+        )
 
 
 @dataclass(frozen=True)
@@ -230,8 +269,36 @@ def fit_wheels(
 
     The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
     found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record
-    that still contradicts itself then, or shows nothing; other arguments and errors as of :func:`replay`.
+    that still contradicts itself then (by its channel 'gyro', where it does not without it), or shows nothing; other arguments and
+    errors as of :func:`replay`.
     """
+    try:
+        return _fitted(geometry, record, prior, noise)
+    except InputError:
+        if _fits_without_gyro(geometry, record, prior, noise):
+            raise InputError(
+                "log: the channel 'gyro' contradicts wheels and global poses, which fit each other without it; the mean yaw rate "
+                "since the row before is needed, in rad/s, positive to the left; or leave the channel out"
+            ) from None
+        raise
+
+
+def _fits_without_gyro(
+    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+) -> bool:
+    if not record.gyro.any():
+        return False
+    try:
+        _fitted(geometry, replace(record, gyro=np.zeros(0)), prior, noise)
+    except InputError:
+        return False
+    return True
+
+
+def _fitted(
+    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+) -> WheelFit:
+    """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
     before, start, widened = prior, prior, False
     for _ in range(PASSES):

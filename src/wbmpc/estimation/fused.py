@@ -48,7 +48,8 @@ class FusedOdometry:
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``refused``: how
     many global poses did and did not fit; ``misfit``: mean of the normalised squared errors of those that did (3 is expected);
-    ``contradiction``: by how much of their way the wheels contradicted each other.
+    ``contradiction``: by how much of their way the wheels contradicted each other. Raises :class:`InputError` for a calibration of
+    another number of modules, and for numbers that are not finite, of another length or negative.
     """
 
     def __init__(
@@ -65,6 +66,8 @@ class FusedOdometry:
         self.geometry, self.noise = geometry, noise or OdometryNoise()
         self._prior = calibration or WheelCalibration.unknown(geometry)
         known = self._prior
+        if known.modules != n:
+            raise InputError(f"odometry: 'calibration' is of {known.modules} modules, the base has {n}")
         self._reader = WheelOdometry(geometry, leg_zero=known.leg_zero, steer_zero=known.steer_zero)
         p = np.zeros((WHEELS + 2 * n, WHEELS + 2 * n))
         p[:3, :3] = np.diag(np.square(_not_negative("pose_std", numbers("odometry", "pose_std", pose_std, 3))))
@@ -155,7 +158,7 @@ class FusedOdometry:
         wheel: ArrayLike,
         gyro: float | None = None,
         brake: ArrayLike | None = None,
-        weights: Array | None = None,
+        weights: ArrayLike | None = None,
     ) -> Array:
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
         message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
@@ -170,13 +173,12 @@ class FusedOdometry:
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
-        if weights is not None:
-            self._check_weights(weights)
+        weighed = None if weights is None else self._checked_weights(weights)
         h, is_open = t - self._state.t, self._opened(brake)
         if self._last is None:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            step = self._step(h, self._last, now, gyro, self._open & is_open, weights)
+            step = self._step(h, self._last, now, gyro, self._open & is_open, weighed)
             self._past.append((self._state, step))
             self._state = advanced(self._state, step, self.noise)
             self.twist = step.twist / h
@@ -185,10 +187,12 @@ class FusedOdometry:
         self._last, self._open = now, is_open
         return self.pose
 
-    def _check_weights(self, weights: Array) -> None:
-        right = np.shape(weights) == (self._n,) and np.isfinite(weights).all() and (weights >= 0.0).all()
-        if not right or np.sum(weights > 0.0) < 2:
+    def _checked_weights(self, given: ArrayLike) -> Array:
+        """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""
+        weights = numbers("odometry", "weights", given, self._n)
+        if (weights < 0.0).any() or np.sum(weights > 0.0) < 2:
             raise InputError(f"odometry: 'weights' needs {self._n} numbers, none negative, two above 0, got {weights}")
+        return weights
 
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.checks import numbers
+from wbmpc.checks import each, finite, numbers
+from wbmpc.errors import InputError
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
@@ -130,8 +131,8 @@ class WheelOdometry:
 
     ``pose`` (x, y, yaw) starts at ``pose0``, yaw not wrapped; ``increment`` (dx, dy, dyaw): integral of the body twist
     over the last update; ``residual`` (n, 2) [m]: by what each wheel's displacement differs from it. Calibration:
-    ``wheel_radius`` [m], one or one per wheel (the geometry's when left out); ``leg_zero``, ``steer_zero`` (n) [rad]:
-    true angle = measured − zero.
+    ``wheel_radius`` [m], one or one per wheel (the geometry's when left out); ``leg_zero``, ``steer_zero`` (n, or one for all)
+    [rad]: true angle = measured − zero. Raises :class:`InputError` for what is not finite, of another length, or no radius.
     """
 
     def __init__(
@@ -144,11 +145,13 @@ class WheelOdometry:
         steer_zero: ArrayLike = 0.0,
     ) -> None:
         n = self._n = geometry.modules
-        self.geometry, self.pose = geometry, np.array(pose0, float)
+        self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
-        self.radius = np.broadcast_to(np.asarray(radius, float), n)
-        self._leg_zero = np.broadcast_to(np.asarray(leg_zero, float), n)
-        self._steer_zero = np.broadcast_to(np.asarray(steer_zero, float), n)
+        self.radius = each("odometry", "wheel_radius", radius, n)
+        if (self.radius <= 0.0).any():
+            raise InputError(f"odometry: 'wheel_radius' must be positive, got {radius}")
+        self._leg_zero = each("odometry", "leg_zero", leg_zero, n)
+        self._steer_zero = each("odometry", "steer_zero", steer_zero, n)
         self._last: Sample | None = None
         self.increment: Array = np.zeros(3)
         self.residual: Array = np.zeros((n, 2))
@@ -183,10 +186,15 @@ class WheelOdometry:
 
 class ReleaseOdometry:
     """The odometry of leggedrobotics/swerve_steering, as a baseline: angles of steering and legs are refreshed every
-    ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates."""
+    ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
+    :class:`InputError` for times that are not positive."""
 
     def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
-        self._fit, self.pose = WheelOdometry(geometry), np.array(pose0, float)
+        finite("odometry", period=period, refresh=refresh)
+        if min(period, refresh) <= 0.0:
+            raise InputError(f"odometry: 'period' and 'refresh' must be positive, got {period} s, {refresh} s")
+        self._fit = WheelOdometry(geometry, pose0)
+        self.pose = self._fit.pose
         self._every, self._count = max(1, round(refresh / period)), 0
         self._held: tuple[Array, Array] | None = None
         self._last: tuple[Array, Array] | None = None

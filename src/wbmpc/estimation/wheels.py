@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from wbmpc.checks import finite, is_covariance, numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.swerve import SwerveGeometry
 
@@ -26,13 +27,26 @@ class WheelCalibration:
 
     ``steer_zero``, ``leg_zero`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
     zeros [rad] and of the radii (relative), in this order. The heading of a wheel shows only the sum of both zeros:
-    a calibration from driving leaves the legs' as they are and has the sum in ``steer_zero``.
+    a calibration from driving leaves the legs' as they are and has the sum in ``steer_zero``. Raises :class:`InputError` for
+    numbers that are not finite, of another length, radii that are not positive, and a covariance that is none.
     """
 
     steer_zero: Array
     leg_zero: Array
     wheel_radius: Array
     covariance: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.steer_zero)
+        for name in ("steer_zero", "leg_zero", "wheel_radius"):
+            object.__setattr__(self, name, numbers("wheel calibration", name, getattr(self, name), n))
+        if (self.wheel_radius <= 0.0).any():
+            raise InputError(f"wheel calibration: 'wheel_radius' must be positive, got {self.wheel_radius}")
+        numbers("wheel calibration", "covariance", np.ravel(self.covariance), 4 * n * n)
+        if np.shape(self.covariance) != (2 * n, 2 * n) or not is_covariance(self.covariance):
+            raise InputError(
+                f"wheel calibration: 'covariance' needs {2 * n} rows of {2 * n} numbers, and no variance of it may be negative"
+            )
 
     @classmethod
     def unknown(
@@ -43,6 +57,11 @@ class WheelCalibration:
         common_radius: float = COMMON_RADIUS_STD,
     ) -> WheelCalibration:
         """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
+        finite("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
+        if min(zero, radius, common_radius) < 0.0:
+            raise InputError(
+                f"wheel calibration: standard deviations must not be negative, got {zero}, {radius}, {common_radius}"
+            )
         n = geometry.modules
         covariance = np.diag(np.repeat([zero**2, radius**2], n))
         covariance[n:, n:] += common_radius**2

@@ -23,6 +23,13 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    def refuse_unread(self, where: str, *names: str) -> None:
+        """Raise :class:`ValueError` for the first of the settings of these names that is not its default: nothing uses it
+        ``where`` (such as "with legs=targets")."""
+        for name in names:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name}: nothing uses it {where}")
+
 
 class MpcSettings(Settings):
     """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc.control import FourWheelSteeringAgent, RollingAgent, SwerveAgent
 from wbmpc.experiments.base_path import BasePath, Segment, in_turn, random_twists
@@ -55,9 +55,9 @@ LEVER = 0.4
 
 
 class SwerveFixedSettings(ExperimentSettings):
-    """``motions``: which, in this order; ``random`` [s] of random twists after them (600 is the ten minutes of the protocol),
-    up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``rest`` [s] of standing first, for the gyro's bias; ``drive_lag`` [s]
-    that the MPC's controller assumes."""
+    """``motions``: which, in this order, each once at most; ``random`` [s] of random twists after them (600 is the ten minutes of
+    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``rest`` [s] of standing first, for the gyro's bias;
+    ``drive_lag`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
         hand=HandCost(weight=0.0, orientation=0.0),
@@ -71,6 +71,16 @@ class SwerveFixedSettings(ExperimentSettings):
     yaw_rate: float = Field(0.4, ge=0, le=1.0)
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+    @model_validator(mode="after")
+    def _something_to_compare(self) -> Self:
+        """A base that is asked nothing compares no controllers; of a motion twice the figures would be of the second alone."""
+        if not self.motions and self.random == 0.0:
+            raise ValueError("motions: none is left, and random is 0: there is nothing to follow")
+        twice = [name for k, name in enumerate(self.motions) if name in self.motions[:k]]
+        if twice:
+            raise ValueError(f"motions: '{twice[0]}' stands there twice; valid: each once at most")
+        return self
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc import lie
 from wbmpc.control import SwerveAgent
@@ -72,6 +72,13 @@ class SwervePlasterSettings(ExperimentSettings):
     localisation: LocalisationSettings = LocalisationSettings()
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        """A localisation that neither the passes nor a reference drive have is refused."""
+        if not self.sensors and self.calibration != "drive":
+            self.refuse_unread("without sensors or calibration=drive", "localisation")
+        return self
 
 
 @dataclass(frozen=True)

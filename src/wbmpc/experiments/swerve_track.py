@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc import lie
 from wbmpc.control import SwerveAgent
@@ -36,8 +36,9 @@ IDEALISATIONS = [
 
 
 class SwerveTrackSettings(ExperimentSettings):
-    """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``peaks``: horizontal,
-    with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
+    """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
+    ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude, which
+    is refused; ``localisation`` is refused where neither a reference drive nor the run has it); ``speed`` along it [m/s]
     (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
     standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
     ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
@@ -59,6 +60,15 @@ class SwerveTrackSettings(ExperimentSettings):
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
 
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        """What the chosen variant, or a run without global poses, does not read is refused."""
+        if self.variant == "peaks":
+            self.refuse_unread("with variant=peaks", "amplitude")
+        if not self.global_poses and self.calibration != "drive":
+            self.refuse_unread("without global_poses or calibration=drive", "localisation")
+        return self
+
 
 #: Groups of joints whose speeds are logged and drawn against their limits.
 SPEEDS = ("leg", "steer", "wheel", "arm")
@@ -76,8 +86,7 @@ class _References:
 
     def __init__(self, settings: SwerveTrackSettings, robot: RobotModel) -> None:
         s = settings
-        amplitudes = {"vertical": min(s.amplitude, 0.3), "peaks": REACH + BEYOND - SIDE}
-        amplitude = amplitudes.get(s.variant, s.amplitude)
+        amplitude = REACH + BEYOND - SIDE if s.variant == "peaks" else s.amplitude
         self.vertical = s.variant == "vertical"
         self.approach = Approach(robot.pose(robot.home), (np.array([AHEAD, SIDE, HEIGHT]), HAND_ORIENTATION))
         begin = self.approach.duration + 0.5
@@ -235,8 +244,10 @@ def _metrics(log: Log, references: _References) -> dict[str, Metric]:
         "hand_error_mean_nearest": Metric(float(nearest.mean()), "m", paper=0.0167),
         "hand_error_mean_world": Metric(float(world[use].mean()), "m", goal=0.020),
         "hand_orientation_error_max": Metric(float(log.array("hand_rotation")[use].max()), "rad"),
-        "path_length": Metric(hand_travel, "m", paper=20.53),
-        "base_path_length": Metric(travelled, "m", paper=15.96),
+        "path_length": Metric(
+            hand_travel, "m", paper=20.53 if abs(references.path.arc_length - 20.53) < 0.01 else None
+        ),
+        "base_path_length": Metric(travelled, "m", paper=15.96 if abs(references.path.length - 15.96) < 0.01 else None),
         "base_error_rms_world": Metric(float(np.sqrt(np.mean(np.sum((odometry - base)[:, :2] ** 2, axis=1)))), "m"),
         "odometry_drift_ratio": Metric(drift(odometry), "1", paper=0.161 / 15.96, goal=0.003),
         "odometry_drift_ratio_wheels": Metric(drift(wheels), "1", paper=0.161 / 15.96),

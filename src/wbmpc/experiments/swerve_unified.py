@@ -75,9 +75,8 @@ class SwerveUnifiedSettings(ExperimentSettings):
     @model_validator(mode="after")
     def _read(self) -> Self:
         """What the chosen way of the legs does not read is refused."""
-        for name in ("leg_goal",) if self.legs == "support" else ("support", "reserve"):
-            if getattr(self, name) != type(self).model_fields[name].default:
-                raise ValueError(f"{name}: nothing uses it with legs={self.legs}")
+        unread = ("leg_goal",) if self.legs == "support" else ("support", "reserve")
+        self.refuse_unread(f"with legs={self.legs}", *unread)
         return self
 
 

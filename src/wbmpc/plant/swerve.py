@@ -49,6 +49,19 @@ TYRE = [0.01, 1.0]
 #: Gain [N m s/rad] of the wheel and steer servos; of the arm's per N m of effort limit, but not below its floor.
 _VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
+#: Settings of the plant that are for ball robots, and what swerve robots have in their place.
+_UNREAD = (
+    (
+        ("dead_time", "wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor")
+        + ("spring_damping", "torque_gain", "torque_damping"),
+        "a swerve robot's drives have 'plant.drive_lag'",
+    ),
+    (
+        ("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
+        "a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', 'plant.gyro_noise'",
+    ),
+    (("spin_friction",), "a swerve robot's wheels hold the floor by 'plant.friction' alone"),
+)
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
 
@@ -93,11 +106,7 @@ class SwervePlant(InWorld):
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         if self.perturbation.cables > 0.0:
             raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
-        for name in ("dead_time", "wheel_spring", "arm_spring"):
-            if getattr(self.perturbation, name) > 0.0:
-                raise InputError(
-                    f"plant.{name}: is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
-                )
+        self._refuse_unread()
         self._refuse_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
@@ -120,6 +129,14 @@ class SwervePlant(InWorld):
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
         self._set_sensors(self.draw)
         self._place(self._groups(state), lift, settle)
+
+    def _refuse_unread(self) -> None:
+        """Refuse what is for ball robots only. 0 says what is so: there is no such noise, spring or torque here."""
+        for names, instead in _UNREAD:
+            for name in names:
+                value = getattr(self.perturbation, name)
+                if value not in (0.0, Perturbation.model_fields[name].default):
+                    raise InputError(f"plant.{name}: is for ball robots only; {instead}")
 
     def _refuse_brake_fault(self) -> None:
         p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
