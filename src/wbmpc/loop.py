@@ -126,8 +126,9 @@ def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
 
 
 @contextmanager
-def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
-    """Gives a function that says whether Ctrl-C was pressed: a tick is finished first, so that the log stays whole.
+def interrupt_noted() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C was pressed: what is being done (a tick, a run's files) is finished first, so
+    that it stays whole.
 
     The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
     Nothing is changed outside the main thread, or where somebody else handles the signals.
@@ -164,7 +165,7 @@ def watched(
     """
     watchers, name = _watchers(progress)
     plans, ending = Plans(), Ending("an error of the program")
-    with _interrupt_between_ticks() as interrupted:
+    with interrupt_noted() as interrupted:
         timing = Timing(period, round(period / plant.timestep), 1, 0)
         for watcher in watchers:
             watcher.begin(Running(plant, agent, None, timing, duration, interrupted, name))
@@ -207,7 +208,7 @@ def run_lockstep(
     plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
     watchers, name = _watchers(progress)
     # what is not finite is found by its value; NumPy's warnings would only repeat it
-    with _interrupt_between_ticks() as interrupted, np.errstate(over="ignore", invalid="ignore"):
+    with interrupt_noted() as interrupted, np.errstate(over="ignore", invalid="ignore"):
         for watcher in watchers:
             watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted, name))
         for i in range(ticks):
