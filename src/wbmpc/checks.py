@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError, NotFinite
 
+#: More units than this in one period or delay are a mistake in the settings.
+_MOST = 1_000_000
+
 
 def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
     """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
@@ -50,3 +53,22 @@ def covariance(who: str, given: ArrayLike) -> NDArray[np.float64]:
     if not is_covariance(value):
         raise InputError(f"{who}: a covariance is needed, a variance of this one is negative")
     return value
+
+
+def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
+    """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
+    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
+    if length != math.inf:
+        finite(key, time=length)
+    if length / unit >= _MOST:
+        raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
+    count = round(length / unit)
+    if count < least or abs(length - count * unit) > 1e-9:
+        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
+        if rate is None:
+            valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
+        else:
+            valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
+        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
+        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
+    return count

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from wbmpc.checks import whole
 from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, PushedAway, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
@@ -20,8 +20,6 @@ _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early.
 STOP_TIME = 0.5
-#: More units than this in one period or delay are a mistake in the settings.
-_MOST = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -55,23 +53,6 @@ class Timing:
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
         return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
-
-
-def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
-    """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
-    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
-    if not (math.isfinite(length) and length / unit < _MOST):
-        raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
-    count = round(length / unit)
-    if count < least or abs(length - count * unit) > 1e-9:
-        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
-        if rate is None:
-            valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
-        else:
-            valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
-        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
-        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
-    return count
 
 
 @dataclass(frozen=True)

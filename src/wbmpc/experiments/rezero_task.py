@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 
 from wbmpc import lie
+from wbmpc.checks import whole
 from wbmpc.control import Leaning, RezeroAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BallFilter, PushEstimator, RezeroEstimator
@@ -27,7 +28,7 @@ from wbmpc.experiments.rezero_rivals import (
 )
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, run_lockstep, whole
+from wbmpc.loop import Ending, Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference

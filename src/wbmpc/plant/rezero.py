@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.checks import numbers
+from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
 from wbmpc.plant.burden import add_payload, lay_cables
 from wbmpc.plant.drives import ElasticDrives
@@ -65,18 +65,6 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
             -s * pitch_rate + c * np.cos(pitch) * yaw_rate,
         ]
     )
-
-
-def whole_steps(key: str, time: float, timestep: float) -> int:
-    """How many physics steps [s] a ``time`` [s] is; :class:`InputError` for what is no whole number of them."""
-    count = round(time / timestep)
-    if abs(time - count * timestep) > 1e-9:
-        below = int(time / timestep) * timestep
-        raise InputError(
-            f"{key}: {time:g} s is not a whole number of physics steps of {timestep * 1e3:g} ms; valid: e.g. {below:g} or "
-            f"{below + timestep:g} s"
-        )
-    return count
 
 
 class RezeroPlant(InWorld):
@@ -140,7 +128,8 @@ class RezeroPlant(InWorld):
         self._last: RezeroMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        self._commands: deque[Array] = deque(maxlen=1 + whole_steps("plant.dead_time", p.dead_time, timestep))
+        dead = whole("plant.dead_time", p.dead_time, timestep, "physics steps", least=0)
+        self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
         self._place(numbers("command", "state", home if state is None else state, 10 + 2 * n), torque)
