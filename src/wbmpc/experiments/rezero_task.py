@@ -65,6 +65,11 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
+#: What the filter alone reads of the simulated sensors, and what only the state of the simulator has [of ``plant``].
+INERTIAL = tuple(f"plant.{sensor}_{kind}" for sensor in ("gyro", "accel") for kind in ("noise", "bias", "walk"))
+STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "speed", "rate"))
+
+
 def refuse_unlearnt(observer: bool, changed: bool) -> None:
     """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
     if changed and not observer:
@@ -107,6 +112,23 @@ class RezeroSettings(ExperimentSettings):
         usual = reduce(getattr, rest, type(self).model_fields[first].default)
         return bool(reduce(getattr, rest, getattr(self, first)) != usual)
 
+    def _asked(self, name: str) -> bool:
+        """Whether somebody wants this: it is not as by default, and not 0, nothing of it."""
+        value = reduce(getattr, name.split("."), self)
+        return self._changed(name) and (value is False or value != 0)
+
+    def idle(self) -> dict[str, str]:
+        """Settings that nothing reads as the others are, by name, and which other one makes them so."""
+        sensors = STATE_NOISE if self.estimator == "filter" else (*INERTIAL, "brace")
+        out = dict.fromkeys(sensors, f"estimator={self.estimator}")
+        if self.cost.lean == 0.0:
+            out["brace"] = "cost.lean=0"
+        if self.mpc.limits == "soft":
+            out["cost.speed_slack"] = "mpc.limits=soft"
+        if not self.observer:
+            out |= dict.fromkeys(("weigh", "pushed_speed"), "observer=false")
+        return out
+
     def controllers(self) -> tuple[Controller, ...]:
         """Those that run."""
         return (self.controller,)
@@ -119,14 +141,9 @@ class RezeroSettings(ExperimentSettings):
         for name in filter(self._changed, sorted(idle - set(self.own))):
             with_ = " and tracking.kind=actuators" if self.controller == "mpc" and name == "drive_dead_time" else ""
             raise ValueError(f"{name}: with controller={self.controller}{with_} nothing uses it")
-        refuse_unlearnt(self.observer, self._changed("pushed_speed"))
-        if self._changed("brace") and self.brace > 0.0:
-            for name, without in (
-                ("estimator=truth", self.estimator == "truth"),
-                ("cost.lean=0", self.cost.lean == 0.0),
-            ):
-                if without:
-                    raise ValueError(f"brace: with {name} nothing uses it")
+        for name, other in self.idle().items():
+            if self._asked(name):
+                raise ValueError(f"{name}: with {other} nothing uses it")
         return self
 
 

@@ -21,7 +21,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.plant.brakes import Brakes
 from wbmpc.plant.burden import PAYLOAD, add_load, add_payload, incline
 from wbmpc.plant.localisation import Localisation
-from wbmpc.plant.perturbation import Draw, Perturbation, quantise
+from wbmpc.plant.perturbation import BALL_ONLY, Draw, Perturbation, quantise
 from wbmpc.plant.protocol import SwerveCommand, SwerveMeasurement, Truth
 from wbmpc.plant.world import (
     ROBOT,
@@ -93,11 +93,9 @@ class SwervePlant(InWorld):
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         if self.perturbation.cables > 0.0:
             raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
-        for name in ("dead_time", "wheel_spring", "arm_spring"):
-            if getattr(self.perturbation, name) > 0.0:
-                raise InputError(
-                    f"plant.{name}: is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
-                )
+        drives = ("dead_time", "wheel_spring", "arm_spring")
+        self.perturbation.refuse(drives, "is for ball robots only; a swerve robot's drives have 'plant.drive_lag'")
+        self.perturbation.refuse(BALL_ONLY, "is for ball robots only")
         self._refuse_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
@@ -228,7 +226,7 @@ class SwervePlant(InWorld):
             given = {}
         else:
             sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
-            vector, stops = numbers("command", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
+            vector, stops = numbers("start", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
             given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
         for group, values in given.items():
             if group not in groups:
@@ -236,7 +234,7 @@ class SwervePlant(InWorld):
             if group == "base" and values.size == 7:
                 yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(values[3:7]))[0]
                 values = np.array([values[0], values[1], yaw])
-            groups[group] = numbers("command", f"state.{group}", values, groups[group].size)
+            groups[group] = numbers("start", f"state.{group}", values, groups[group].size)
         return groups
 
     def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:
