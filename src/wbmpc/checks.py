@@ -30,6 +30,30 @@ def finite(who: str, **given: float) -> None:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 
 
+def not_negative(who: str, **given: float) -> None:
+    """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or below 0, by its name."""
+    finite(who, **given)
+    for name, value in given.items():
+        if value < 0.0:
+            raise InputError(f"{who}: '{name}' must not be negative, got {value}")
+
+
+def positive(who: str, **given: float) -> None:
+    """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or not above 0, by its name."""
+    finite(who, **given)
+    for name, value in given.items():
+        if value <= 0.0:
+            raise InputError(f"{who}: '{name}' must be positive, got {value}")
+
+
+def scales(who: str, name: str, given: ArrayLike) -> NDArray[np.float64]:
+    """``given`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
+    value = np.asarray(given, float)
+    if not (value > 0.0).all():
+        raise InputError(f"{who}: '{name}' needs positive numbers, got {value.tolist()}")
+    return value
+
+
 def positive_time(who: str, interval: float) -> None:
     """Raise :class:`InputError` (:class:`NotFinite`) for an ``interval`` [s] in which no time has passed."""
     finite(who, interval=interval)

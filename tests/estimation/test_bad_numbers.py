@@ -19,17 +19,24 @@ from wbmpc.estimation import (
     ContactMonitor,
     DisturbanceObserver,
     DoorFilter,
+    DoorNoise,
+    DriftObserver,
+    EncoderMonitor,
     JointTracker,
     MomentumObserver,
     PayloadEstimator,
     PushEstimator,
+    ReleaseOdometry,
     RezeroEstimator,
+    WheelCalibration,
+    WheelOdometry,
+    rockings,
 )
 from wbmpc.estimation.fused import AHEAD
 from wbmpc.estimation.rezero import HISTORY
 
 H, NAN = 0.0025, float("nan")
-ROBOT = robot("rezero")
+ROBOT, GEOMETRY = robot("rezero"), robot("swerve-ur10").base.geometry
 HOME, _ = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOVING = np.concatenate([HOME[:8], np.ones(8)])
 ARM, UP, ZERO = HOME[ROBOT.state["arm"]], np.array([0.0, 0.0, 9.81]), np.zeros(3)
@@ -213,6 +220,38 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: BallNoise(gyro=-1.0), "'gyro' is too small"),
         (lambda: BallNoise(encoder=NAN), "'encoder' must be finite"),
         (lambda: BallNoise(scale_time=0.0), "'scale_time' is too small"),
+        (lambda: RezeroEstimator(ROBOT, HOME, balance=NAN), "'balance' must be finite"),
+        (lambda: RezeroEstimator(ROBOT, HOME, balance=0.0), "'balance' must be positive"),
+        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(0, 0)), "'calm' needs positive"),
+        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(1,)), "'calm' needs 2"),  # type: ignore[arg-type]
+        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, gate=np.array([NAN])), "'gate' needs"),
+        (
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, hold=-1.0),
+            "'hold' must not be negative",
+        ),
+        (lambda: PayloadEstimator(ROBOT.tool_weight, rate=-1.0), "'rate' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.tool_weight, most=-3.0), "'most' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
+        (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
+        (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),
+        (lambda: PushEstimator(ROBOT, ARM, NAN), "push estimator: 'brace' must be finite"),
+        (lambda: PushEstimator(ROBOT, ARM[:2], 0.3), "push estimator: 'arm' needs 3"),
+        (lambda: JointTracker([0.0], -1e-5, 1e-3, 7e-4), "joint tracker: 'encoder' must not be negative"),
+        (lambda: JointTracker([NAN], 1e-5, 1e-3, 7e-4), "joint tracker: 'angles' needs 1"),
+        (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
+        (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
+        (lambda: ContactMonitor(on=np.inf), "contact: 'on' must be finite"),
+        (lambda: DriftObserver(np.inf), "drift observer: 'time_constant' must be finite"),
+        (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
+        (
+            lambda: BallFilter(BallGeometry(0.1, np.eye(3), ZERO), [0, NAN], np.eye(3), BallNoise()),
+            "'position' needs 2",
+        ),
+        (lambda: WheelOdometry(GEOMETRY, wheel_radius=-0.1), "odometry: 'wheel_radius' must be positive"),
+        (lambda: WheelOdometry(GEOMETRY, [0.0, NAN, 0.0]), "odometry: 'pose0' needs 3"),
+        (lambda: ReleaseOdometry(GEOMETRY, ZERO, 0.0), "odometry: 'period' must be positive"),
+        (lambda: WheelCalibration.unknown(GEOMETRY, zero=NAN), "wheel calibration: 'zero' must be finite"),
+        (lambda: rockings([0.0, 0.1], [0.0, 0.0], fast=0.0), "rocking: 'fast' must be positive"),
         (
             lambda: MomentumObserver(ROBOT.mass_matrix, lambda q, v: ZERO).force(np.zeros((3, 8)), np.ones(8)),
             "first update",

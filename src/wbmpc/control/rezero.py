@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wbmpc.checks import whole
+from wbmpc.checks import not_negative, numbers, positive, whole
 from wbmpc.control.fall import FallForecast
 from wbmpc.control.leaning import Leaning
 from wbmpc.errors import EncodersFailed, InputError, NotFinite
@@ -47,6 +47,9 @@ class RezeroAgent:
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
         estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None, dead_time: float = 0.0,
     ) -> None:  # fmt: skip
+        positive("ball robot's agent", period=period)
+        not_negative("ball robot's agent", lag=lag)
+        numbers("ball robot's agent", "torque", torque, np.size(torque))
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limit = robot.limits.input_upper[: torque.size]

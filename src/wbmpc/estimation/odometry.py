@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.checks import numbers
+from wbmpc.checks import numbers, positive
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
@@ -144,11 +144,11 @@ class WheelOdometry:
         steer_zero: ArrayLike = 0.0,
     ) -> None:
         n = self._n = geometry.modules
-        self.geometry, self.pose = geometry, np.array(pose0, float)
-        radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
-        self.radius = np.broadcast_to(np.asarray(radius, float), n)
-        self._leg_zero = np.broadcast_to(np.asarray(leg_zero, float), n)
-        self._steer_zero = np.broadcast_to(np.asarray(steer_zero, float), n)
+        self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
+        each = lambda name, given: numbers("odometry", name, np.asarray(given, float) + np.zeros(n), n)
+        self.radius = each("wheel_radius", geometry.wheel_radius if wheel_radius is None else wheel_radius)
+        positive("odometry", wheel_radius=float(self.radius.min()))
+        self._leg_zero, self._steer_zero = each("leg_zero", leg_zero), each("steer_zero", steer_zero)
         self._last: Sample | None = None
         self.increment: Array = np.zeros(3)
         self.residual: Array = np.zeros((n, 2))
@@ -186,7 +186,8 @@ class ReleaseOdometry:
     ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates."""
 
     def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
-        self._fit, self.pose = WheelOdometry(geometry), np.array(pose0, float)
+        positive("odometry", period=period, refresh=refresh)
+        self._fit, self.pose = WheelOdometry(geometry), numbers("odometry", "pose0", pose0, 3).copy()
         self._every, self._count = max(1, round(refresh / period)), 0
         self._held: tuple[Array, Array] | None = None
         self._last: tuple[Array, Array] | None = None

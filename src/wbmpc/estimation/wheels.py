@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from wbmpc.checks import not_negative
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.swerve import SwerveGeometry
 
@@ -43,6 +44,7 @@ class WheelCalibration:
         common_radius: float = COMMON_RADIUS_STD,
     ) -> WheelCalibration:
         """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
+        not_negative("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
         n = geometry.modules
         covariance = np.diag(np.repeat([zero**2, radius**2], n))
         covariance[n:, n:] += common_radius**2
