@@ -31,11 +31,12 @@ ENDS = {
 }  # fmt: skip
 #: So many messages in a row it takes at least, however seldom they come.
 IN_A_ROW = 3
-#: The sentences of what is found, by part and kind.
+#: The sentences of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
+#: the ball, or an inertial unit that is off (its zero, its scale): the messages are the same.
 SENTENCES = {
     "encoder stalled": "the encoder of {} stands still", "encoder jumps": "the encoder of {} jumps",
     "imu exceeds": "the inertial unit exceeds its range", "imu repeats": "the inertial unit stands still",
-    "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips",
+    "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips or the inertial unit is wrong",
 }  # fmt: skip
 
 
