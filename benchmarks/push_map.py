@@ -250,15 +250,21 @@ def main() -> None:
         everything = [p for chosen in todo.values() for p in chosen]
         for point in {(p.mode, p.length, p.given): p for p in everything}.values():
             check(point)
-        read(file)
-        given.out.mkdir(parents=True, exist_ok=True)
+        done = read(file)
+        if not given.draw:
+            given.out.mkdir(parents=True, exist_ok=True)
+        elif not any(p.key in done for p in everything):
+            raise InputError(f"--draw: there are no such pushes in '{file}'")
     except WbmpcError as error:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"--out: '{given.out}' cannot be a folder ({error.strerror})")
     if not given.draw:
         processes = given.processes or os.cpu_count() or 1
-        run(everything, file, Workers(processes), processes, given.fine, given.criteria)
+        try:
+            run(everything, file, Workers(processes), processes, given.fine, given.criteria)
+        except WbmpcError as error:  # what only the plant refuses, in the process of a push
+            parser.error(str(error))
     done = read(file)
     print("\n".join(summary(todo, done, given.fine, given.criteria)))
     try:

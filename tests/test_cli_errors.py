@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +16,9 @@ import pytest
 
 from command_line import FAKE_MAIN, call, shell
 from fake_experiment import REGISTRY
+from wbmpc import report
 from wbmpc.cli import main
+from wbmpc.result import RunResult
 
 pytestmark = pytest.mark.usefixtures("empty_directory")
 
@@ -73,6 +77,31 @@ def test_an_interrupted_demo_does_not_go_on(capsys: pytest.CaptureFixture[str]) 
     one = SimpleNamespace(name="x", config_type=fake.config_type, run=run)
     assert main(["demo", "--json"], {"swerve-track": one, "rezero-steps": one}) == 130  # type: ignore[dict-item]
     assert begun == ["run"]
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_files_are_written_waits_for_them(
+    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All files that metrics.json names are there; a second signal ends the writing, and then no metrics.json says that the
+    run is complete."""
+    page = report.page
+
+    def interrupted(result: RunResult, times: int = 1) -> str:
+        for _ in range(times):
+            os.kill(os.getpid(), number)
+        return page(result)
+
+    monkeypatch.setattr(report, "page", interrupted)
+    assert call("run", "fake", "--out", str(tmp_path / "a")) == status
+    assert capsys.readouterr().err == "wbmpc: interrupted\n"
+    said = json.loads((tmp_path / "a" / "metrics.json").read_text())
+    assert said["completed"] is True and {Path(f).name for f in said["files"].values()} == {
+        p.name for p in (tmp_path / "a").iterdir()
+    }
+    monkeypatch.setattr(report, "page", lambda result: interrupted(result, 2))
+    assert call("run", "fake", "--out", str(tmp_path / "b")) == status
+    assert not (tmp_path / "b" / "metrics.json").exists()
 
 
 def test_sigterm_is_ctrl_c_from_another_process(tmp_path: Path) -> None:

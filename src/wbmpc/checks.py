@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError, NotFinite
 
+#: More units than this in one period or delay are a mistake in the settings.
+_MOST = 1_000_000
+
 
 def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
     """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
@@ -39,6 +42,30 @@ def finite(who: str, **given: float) -> None:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 
 
+def not_negative(who: str, **given: float) -> None:
+    """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or below 0, by its name."""
+    finite(who, **given)
+    for name, value in given.items():
+        if value < 0.0:
+            raise InputError(f"{who}: '{name}' must not be negative, got {value}")
+
+
+def positive(who: str, **given: float) -> None:
+    """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or not above 0, by its name."""
+    finite(who, **given)
+    for name, value in given.items():
+        if value <= 0.0:
+            raise InputError(f"{who}: '{name}' must be positive, got {value}")
+
+
+def scales(who: str, name: str, given: ArrayLike) -> NDArray[np.float64]:
+    """``given`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
+    value = np.asarray(given, float)
+    if not (value > 0.0).all():
+        raise InputError(f"{who}: '{name}' needs positive numbers, got {value.tolist()}")
+    return value
+
+
 def positive_time(who: str, interval: float) -> None:
     """Raise :class:`InputError` (:class:`NotFinite`) for an ``interval`` [s] in which no time has passed."""
     finite(who, interval=interval)
@@ -62,3 +89,22 @@ def covariance(who: str, given: ArrayLike) -> NDArray[np.float64]:
     if not is_covariance(value):
         raise InputError(f"{who}: a covariance is needed, a variance of this one is negative")
     return value
+
+
+def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
+    """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
+    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
+    if length != math.inf:
+        finite(key, time=length)
+    if length / unit >= _MOST:
+        raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
+    count = round(length / unit)
+    if count < least or abs(length - count * unit) > 1e-9:
+        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
+        if rate is None:
+            valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
+        else:
+            valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
+        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
+        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
+    return count

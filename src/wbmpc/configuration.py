@@ -124,8 +124,11 @@ def parse_yaml(text: str) -> Any:
 
 def describe(error: ValidationError) -> str:
     """All faults of a validation as one sentence, without web links: ``key=value: what is wrong; ...``."""
-    faults = []
-    for fault in error.errors(include_url=False, include_context=False):
+    faults, found = [], error.errors(include_url=False, include_context=False)
+    for fault in found:
+        place = fault["loc"]
+        if fault["type"] == "too_short" and any(f["loc"][: len(place)] == place != f["loc"] for f in found):
+            continue  # what is left when its bad entries are taken away
         key = ".".join(str(k) for k in fault["loc"])
         # a fault between several settings carries its whole section, and a missing one has no value of its own
         shown = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from wbmpc.checks import whole
 from wbmpc.errors import EncodersFailed, EndedByUser, FallForeseen, InputError, NotFinite, PushedAway, RunAborted
 from wbmpc.mpc import MPC, Agent, Plans
 
@@ -20,8 +20,6 @@ _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early.
 STOP_TIME = 0.5
-#: More units than this in one period or delay are a mistake in the settings.
-_MOST = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -55,23 +53,6 @@ class Timing:
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
         return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
-
-
-def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
-    """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
-    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
-    if not (math.isfinite(length) and length / unit < _MOST):
-        raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
-    count = round(length / unit)
-    if count < least or abs(length - count * unit) > 1e-9:
-        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
-        if rate is None:
-            valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
-        else:
-            valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
-        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
-        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
-    return count
 
 
 @dataclass(frozen=True)
@@ -126,8 +107,9 @@ def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
 
 
 @contextmanager
-def _interrupt_between_ticks() -> Iterator[Callable[[], bool]]:
-    """Gives a function that says whether Ctrl-C was pressed: a tick is finished first, so that the log stays whole.
+def interrupt_noted() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C was pressed: what is being done (a tick, a run's files) is finished first, so
+    that it stays whole.
 
     The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
     Nothing is changed outside the main thread, or where somebody else handles the signals.
@@ -164,7 +146,7 @@ def watched(
     """
     watchers, name = _watchers(progress)
     plans, ending = Plans(), Ending("an error of the program")
-    with _interrupt_between_ticks() as interrupted:
+    with interrupt_noted() as interrupted:
         timing = Timing(period, round(period / plant.timestep), 1, 0)
         for watcher in watchers:
             watcher.begin(Running(plant, agent, None, timing, duration, interrupted, name))
@@ -207,7 +189,7 @@ def run_lockstep(
     plans, ticks, ending = Plans(), round(duration / timing.period), Ending()
     watchers, name = _watchers(progress)
     # what is not finite is found by its value; NumPy's warnings would only repeat it
-    with _interrupt_between_ticks() as interrupted, np.errstate(over="ignore", invalid="ignore"):
+    with interrupt_noted() as interrupted, np.errstate(over="ignore", invalid="ignore"):
         for watcher in watchers:
             watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted, name))
         for i in range(ticks):

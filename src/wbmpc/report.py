@@ -154,7 +154,10 @@ def outcome(result: RunResult) -> dict[str, Any]:
 
 
 def write_run(result: RunResult, directory: Path) -> dict[str, str]:
-    """Write all files of a run into ``directory`` (made if missing); returns their paths by kind."""
+    """Write all files of a run into ``directory`` (made if missing); returns their paths by kind.
+
+    metrics.json comes last and as a whole: where it is, all that it names is there.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     files = {
         n: str(directory / f) for n, f in (("metrics", "metrics.json"), ("log", "log.npz"), ("report", "report.html"))
@@ -172,9 +175,11 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         "faults": result.faults,
         "versions": versions(),
     }
-    Path(files["metrics"]).write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
     result.log.save(Path(files["log"]))
     Path(files["report"]).write_text(page(result))
+    part = directory / "metrics.json.part"
+    part.write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
+    part.replace(files["metrics"])
     return files
 
 

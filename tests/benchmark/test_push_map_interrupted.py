@@ -18,6 +18,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import push_map
 from workers import Workers
 
+from wbmpc.errors import InputError
 from wbmpc.experiments.push_map import MOST, Point
 from wbmpc.experiments.rezero_push import Outcome
 
@@ -55,6 +56,35 @@ def test_ctrl_c_ends_the_map_with_a_sentence_and_keeps_what_is_done(
     assert "1 of 1 left" in told.out and "320 N s: no" in told.out
     assert {k: list(v) for k, v in json.loads(file.read_text()).items()} == {point.key: [str(MOST)]}
     assert not multiprocessing.active_children()
+
+
+def refused(point: Point, impulse: float) -> Outcome:
+    raise InputError("mpc.rate: 77 Hz is not a whole number of periods")
+
+
+def test_what_a_run_refuses_is_a_sentence_and_status_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where only the process of a push finds it."""
+    monkeypatch.setattr(push_map, "simulated", refused)
+    monkeypatch.setattr(push_map, "Workers", lambda count: Workers(1, "fork"))
+    monkeypatch.setattr(sys, "argv", ["push_map.py", "--directions", "2", "--lengths", "0.2", "--out", str(tmp_path)])
+    with pytest.raises(SystemExit, match="2"):
+        push_map.main()
+    assert capsys.readouterr().err.endswith("error: mpc.rate: 77 Hz is not a whole number of periods\n")
+    assert not multiprocessing.active_children()
+
+
+def test_there_has_to_be_something_to_draw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that is not there is not made."""
+    place = tmp_path / "nowhere"
+    monkeypatch.setattr(sys, "argv", ["push_map.py", "--draw", "--out", str(place)])
+    with pytest.raises(SystemExit, match="2"):
+        push_map.main()
+    assert f"--draw: there are no such pushes in '{place / 'pushes.json'}'" in capsys.readouterr().err
+    assert not place.exists()
 
 
 def test_ctrl_c_before_the_first_push_names_no_file(

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 
 from toys import robot
 from wbmpc.control import Leaning, Plans, RezeroAgent
-from wbmpc.errors import NotFinite
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation import PushEstimator
 from wbmpc.estimation.push import DEAD
 from wbmpc.model.balance import Balance
@@ -93,6 +93,33 @@ def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float)
         assert observation.t == pytest.approx((tick + dead) * PERIOD)
         np.testing.assert_allclose(observation.x, states[tick + dead], atol=1e-10)
         assert np.abs(states[tick] - states[tick - 4]).max() > 1e-3  # the delay mattered
+
+
+def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
+    """More of them than are remembered for late messages alone, and such a message. Truth: the same torques, step by step."""
+    dead, late, x = 100, 5, 0.1 * np.ones(2 * N)
+    agent, sent = ball_agent(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
+    for torque in sent:
+        agent._drive(torque)
+    agent.measure(RezeroMeasurement(1.0, x, late * PERIOD))
+    for torque in sent[-dead - late :]:
+        x = linear_step(x, torque, PERIOD)
+    np.testing.assert_allclose(agent.ahead(), x, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("dead", "said"),
+    [
+        (0.0012, r"0\.0012 s is not a whole number of controller periods of 2\.5 ms; valid: e\.g\. 0 or 0\.0025 s"),
+        (0.0137, r"valid: e\.g\. 0\.0125 or 0\.015 s"),
+        (-0.01, r"valid: e\.g\. 0 s"),
+        (1.0, "must be at most 0.5 s"),
+        (np.nan, "must be finite"),
+    ],
+)
+def test_a_dead_time_that_cannot_be_predicted_over_is_refused(dead: float, said: str) -> None:
+    with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
+        RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, 0.02, dead_time=dead)  # type: ignore[arg-type]
 
 
 def test_ball_robot_clips_torques_and_stops_without() -> None:

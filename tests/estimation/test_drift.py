@@ -28,7 +28,7 @@ def test_a_constant_drift_is_found() -> None:
 
 
 def test_bad_time_constant() -> None:
-    with pytest.raises(InputError, match="time constant"):
+    with pytest.raises(InputError, match="time_constant"):
         DriftObserver(0.0)
 
 

@@ -120,7 +120,7 @@ def test_rates_after_a_surprise_are_not_believed() -> None:
 @pytest.mark.parametrize(
     ("said", "seconds", "why"),
     [
-        ("ball slips", 0.4, "the ball slips for 0.4 s"),
+        ("ball slips", 0.4, "the ball slips or the inertial unit is wrong for 0.4 s"),
         ("imu exceeds", 0.02, "the inertial unit exceeds its range for 0.02 s"),
         ("imu jumps", 0.02, "the inertial unit jumps for 0.02 s"),
         ("imu repeats", 0.1, "the inertial unit stands still for 0.1 s"),

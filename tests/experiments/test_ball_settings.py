@@ -45,8 +45,8 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         ("controller=lqr weigh=false", "weigh"),
         ("controller=lqr tracking.kind=actuators", "tracking.kind"),
         ("controller=lqr rival.scheduled_lqr.torque=3", "rival.scheduled_lqr"),
-        ("controller=separate drive_dead_time=0.002", "drive_dead_time"),
-        ("tracking.kind=actuators drive_dead_time=0.002", "drive_dead_time"),
+        ("controller=separate drive_dead_time=0.005", "drive_dead_time"),
+        ("tracking.kind=actuators drive_dead_time=0.005", "drive_dead_time"),
         ("tracking.gains.wheel_damping=0.1", "tracking.gains"),
         ("rival.lqr.torque=3", "rival.lqr"),
         ("controller=lqr mpc.horizon=2", "mpc.horizon"),
@@ -63,6 +63,34 @@ def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> N
     """What :func:`make_controller` does not hand to the agent that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "unread", "other"),
+    [
+        ("rezero-steps", "estimator=truth plant.gyro_noise=1e-3", "plant.gyro_noise", "estimator=truth"),
+        ("rezero-steps", "estimator=truth plant.accel_bias=0.1", "plant.accel_bias", "estimator=truth"),
+        ("rezero-steps", "plant.position_noise=0.1", "plant.position_noise", "estimator=filter"),
+        ("rezero-frequency", "plant.rate_noise=0.1", "plant.rate_noise", "estimator=filter"),
+        ("rezero-steps", "mpc.limits=soft cost.speed_slack=3", "cost.speed_slack", "mpc.limits=soft"),
+        ("rezero-steps", "observer=false weigh=false", "weigh", "observer=false"),
+        ("rezero-door", "observer=false weigh=false", "weigh", "observer=false"),
+        ("rezero-door", "scheme.row=false scheme.door_rate=0.1", "scheme.door_rate", "scheme.row=false"),
+        ("rezero-door", "scheme.row=false scheme.baumgarte=3", "scheme.baumgarte", "scheme.row=false"),
+        ("rezero-door", "scheme.cone=false scheme.friction=0.9", "scheme.friction", "scheme.cone=false"),
+        ("rezero-door", "scheme.cone=false scheme.least=2", "scheme.least", "scheme.cone=false"),
+        ("rezero-door", "cost.lean=0 hold=0.9", "hold", "cost.lean=0"),
+        ("rezero-frequency", "variants=['plain'] filters.arm_zero=30", "filters.arm_zero", r"variants=\[plain\]"),
+        ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=free"),
+    ],
+)
+def test_what_another_setting_makes_idle_is_refused(name: str, given: str, unread: str, other: str) -> None:
+    """Each of the two alone is taken."""
+    kind, (*first, last) = REGISTRY[name].config_type, given.split()
+    with pytest.raises(InputError, match=f"{name}: --set {unread}: with {other} nothing uses it"):
+        configure(kind, given.split(), name)
+    configure(kind, first, name)
+    configure(kind, [last] if first else ["estimator=truth", last], name)
 
 
 def leaves(part: Settings, name: str = "cost") -> list[str]:
@@ -114,10 +142,10 @@ def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt()
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-push-hand", "controller=scheduled-lqr rival.scheduled_lqr.torque=3 drive_dead_time=0.002"),
+        ("rezero-push-hand", "controller=scheduled-lqr rival.scheduled_lqr.torque=3 drive_dead_time=0.005"),
         ("rezero-push-hand", "tracking.kind=actuators tracking.gains.wheel_damping=0.1"),
-        ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.002"),
-        ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.002"),
+        ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.005"),
+        ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.005"),
         ("rezero-taskspace", "mpc.horizon=2 cost.hand.weight=10"),
         ("rezero-push-hand", "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 observer=false"),
         ("rezero-push-hand", "controller=separate cost.hand.weight=10 cost.body.arm=2 cost.body.yaw=3"),
@@ -139,6 +167,7 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
         ("rezero-push-ball", ["length=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
         ("rezero-door", ["forces=[0]"], "forces"),
         ("rezero-door", ["forces=[-8]"], "forces"),
+        ("rezero-frequency", ["plant.wheel_spring=0", "plant.wheel_rotor=0.1"], "wheel_rotor: nothing uses it without"),
         ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
         ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
@@ -150,6 +179,16 @@ def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: st
     with pytest.raises(InputError) as error:
         configure(REGISTRY[name].config_type, given, name)
     assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_bad_entry_is_told_once() -> None:
+    """Not that a tuple without its only entry is too short as well."""
+    for name, force in (("rezero-push-hand", -10), ("rezero-door", 0)):
+        with pytest.raises(InputError) as error:
+            configure(REGISTRY[name].config_type, [f"forces=[{force}]"], name)
+        assert "forces.0=" in str(error.value) and "at least 1 item" not in str(error.value)
+    with pytest.raises(InputError, match=r"forces=.*at least 1 item"):
+        configure(RezeroPushHandSettings, ["forces=[]"], "rezero-push-hand")
 
 
 @pytest.mark.parametrize("name", BALL)

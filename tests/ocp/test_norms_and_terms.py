@@ -90,7 +90,15 @@ def test_smooth_l1_is_quadratic_near_and_linear_far() -> None:
 
 
 @pytest.mark.parametrize(
-    "make", [lambda: SmoothL1(0.0), lambda: RelaxedBarrier(0.0, 1.0), lambda: RelaxedBarrier(1.0, -1.0)]
+    "make",
+    [
+        lambda: SmoothL1(0.0),
+        lambda: SmoothL1(np.inf),
+        lambda: RelaxedBarrier(0.0, 1.0),
+        lambda: RelaxedBarrier(1.0, -1.0),
+        lambda: RelaxedBarrier(1.0, np.inf),
+        lambda: AugmentedLagrangian(np.inf),
+    ],
 )
 def test_bad_norms(make) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match="positive"):
@@ -155,6 +163,20 @@ def test_bad_constraints() -> None:
         (lambda: Cost("a", ROW, terminal_weight=[1.0]), "one number or 2"),
         (lambda: residuals.State(robot("rezero"), ["arn"]), r"did you mean 'arm'\?"),
         (lambda: residuals.FramePose(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
+        (
+            lambda: residuals.FramePose(robot("rezero"), "tool", "quaternion"),
+            "unknown orientation .* valid: log, vector",
+        ),
+        (
+            lambda: residuals.FramePose(robot("rezero"), "tool", axes="wrld"),
+            r"axes.* 'world'\?\); valid: world, reference",
+        ),
+        (lambda: residuals.Limits(robot("rezero"), "inputs"), r"did you mean 'input'\?\); valid: state, input, both"),
+        (lambda: residuals.CapturePoint(robot("rezero"), 0.0), "capture point: pole must be positive"),
+        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
+        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
+        (lambda: residuals.PanelContact(None, -1.0), "panel contact: rate must not be negative"),
+        (lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan), "'least' must be finite"),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
         (lambda: residuals.FrameWrench(robot("rezero"), "tool"), "loaded with contact='force' or contact='wrench'"),
         (lambda: residuals.FrameWrench(robot("swerve-ur10"), "tool0"), "inputs are speeds it has no effect"),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.model import load_robot
 from wbmpc.plant import Perturbation, RezeroPlant, SwerveCommand, SwervePlant
+from wbmpc.plant.perturbation import SWERVE_ONLY
 from wbmpc.robots import load_description
 
 ROBOT = load_robot("swerve-ur10")
@@ -79,7 +82,24 @@ def test_every_seed_slopes_another_way() -> None:
     assert min(ways) < -2.8 and max(ways) > 2.8
 
 
-@pytest.mark.parametrize("name", ["payload", "load", "slope"])
+@pytest.mark.parametrize("name", ["payload", *SWERVE_ONLY])
 def test_a_ball_robot_refuses_them(name: str) -> None:
-    with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only"):
-        RezeroPlant(load_description("rezero"), perturbation=Perturbation.none(**{name: 0.1}))
+    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is told where it can be set."""
+    with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only") as error:
+        RezeroPlant(
+            load_description("rezero"), perturbation=Perturbation.none(**{name: 7 if name == "encoder_counts" else 0.4})
+        )
+    assert ("'payload'" in str(error.value)) == (name == "payload")
+
+
+@pytest.mark.parametrize("name", ["wheel_rotor", "arm_rotor", "spring_damping", "torque_gain", "torque_damping"])
+def test_rigid_drives_have_no_rotors(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: nothing uses it without .*_spring"):
+        Perturbation(**{name: 0.7})
+    Perturbation(wheel_spring=40.0, arm_spring=300.0, **{name: 0.7})
+
+
+@pytest.mark.parametrize(("plant", "robot"), [(RezeroPlant, "rezero"), (SwervePlant, "swerve-ur10")])
+def test_a_refused_start_is_no_command(plant: Any, robot: str) -> None:
+    with pytest.raises(InputError, match=r"^start: 'state"):
+        plant(load_description(robot), np.zeros(3))

@@ -197,8 +197,7 @@ def test_bad_drives() -> None:
 
 
 #: What no line of the swerve robot's plant reads, by going through it.
-OF_BALL_ROBOTS = ("dead_time", "wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor", "spring_damping") + (
-    *("torque_gain", "torque_damping", "spin_friction"),
+OF_BALL_ROBOTS = ("dead_time", "wheel_spring", "arm_spring", "spin_friction") + (
     *("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
 )
 

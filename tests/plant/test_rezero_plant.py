@@ -253,6 +253,12 @@ def test_wheel_encoders_follow_the_kinematics_of_the_model() -> None:
     assert p.measure().wheel == pytest.approx(turned, rel=5e-3, abs=1e-3)
 
 
+@pytest.mark.parametrize(("fault", "said"), [({"kind": "stall"}, "valid: slip, stalled"), ({"of": "whel"}, "'wheel'")])
+def test_a_fault_that_would_never_act_is_refused(fault: dict[str, str], said: str) -> None:
+    with pytest.raises(InputError, match=f"fault of a sensor: unknown .*{said}"):
+        SensorFault(**{"kind": "slip", "number": 0, "start": 0.0, "stop": 1.0, **fault})  # type: ignore[arg-type]
+
+
 def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
     p = plant(Perturbation.none(drive_lag=0.0, state_age=0.005))
     p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)

@@ -163,7 +163,7 @@ def _attempt(
     show: bool,
     view: View | None,
 ) -> tuple[RunResult, dict[str, str]]:
-    from wbmpc.loop import Watch
+    from wbmpc.loop import Watch, interrupt_noted
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult
@@ -176,17 +176,20 @@ def _attempt(
         # the view first: if it cannot open, nothing has been written
         watchers = (recorder,) if view is None else (view, recorder)
         try:
-            with progress_bar(name, show) as progress:
-                try:
+            try:
+                with progress_bar(name, show) as progress:
                     result = experiment.run(settings, seed, Watch(progress, watchers))
-                except (EndedByUser, KeyboardInterrupt) as error:
-                    result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
-                except RunAborted as error:
-                    result = RunResult.aborted(name, seed, str(error), plain)
-            if view is not None and view.steered:
-                result.idealisations = [*result.idealisations, STEERED]
-            recorder.close(outcome(result))
-            files = write_run(result, directory)
+            except (EndedByUser, KeyboardInterrupt) as error:
+                result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
+            except RunAborted as error:
+                result = RunResult.aborted(name, seed, str(error), plain)
+            with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
+                if view is not None and view.steered:
+                    result.idealisations = [*result.idealisations, STEERED]
+                recorder.close(outcome(result))
+                files = write_run(result, directory)
+            if pressed():
+                raise KeyboardInterrupt
         finally:
             recorder.close({"completed": "false", "reason": "an error of the program"})
     for kind, path in files.items():

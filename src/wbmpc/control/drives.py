@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import not_negative, positive
+
 Array = NDArray[np.float64]
 
 #: Time [s] of turning over which friction is learned; the most that is taken for it, speeds below which a drive may stick and
@@ -23,6 +25,8 @@ class DryFriction:
     """
 
     def __init__(self, count: int, period: float, lag: float) -> None:
+        positive("dry friction", period=period)
+        not_negative("dry friction", lag=lag)
         self.droop: Array = np.zeros(count)
         self._told, self._rate, self._mean = np.zeros((3, count))
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
@@ -54,6 +58,7 @@ class Smoothing:
     """
 
     def __init__(self, time: float) -> None:
+        positive("smoothing", time=time)
         self.time = time
         self.value: Array | None = None
 

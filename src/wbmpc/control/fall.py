@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wbmpc.errors import FallForeseen
+from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.errors import FallForeseen, InputError
 from wbmpc.model import RobotModel
 from wbmpc.model.balance import Balance, load_offset
 from wbmpc.mpc import Policy
@@ -22,14 +23,18 @@ class FallForecast:
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
     floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
     input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
-    :class:`wbmpc.control.Leaning`).
+    :class:`wbmpc.control.Leaning`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
     def __init__(
         self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 8, seconds: float = 0.05,
         ahead: float = 0.1,
     ) -> None:  # fmt: skip
-        balance = Balance.of(robot, arm)
+        positive("forecast of a fall", share=share)
+        not_negative("forecast of a fall", seconds=seconds, ahead=ahead)
+        if not isinstance(plans, int | np.integer) or plans < 1:
+            raise InputError(f"forecast of a fall: 'plans' must be a whole number, at least 1, got {plans}")
+        balance = Balance.of(robot, numbers("forecast of a fall", "arm", arm, len(robot.state.groups["arm"])))
         given = "force" in robot.input
         self._force = robot.input["force"] if given else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0

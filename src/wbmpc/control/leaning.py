@@ -7,6 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import PushedAway
 from wbmpc.model import RobotModel
 from wbmpc.model.balance import BASE, Balance
@@ -30,6 +31,9 @@ class Leaning:
     """
 
     def __init__(self, robot: RobotModel, arm: ArrayLike, share: float, speed: float) -> None:
+        not_negative("leaning", share=share)
+        positive("leaning", speed=speed)
+        arm = numbers("leaning", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
         self.reach = float(self.balance.reach.min())
         self._room = max(MOST - share, 0.0) * self.reach

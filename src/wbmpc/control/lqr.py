@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import expm, solve_discrete_are
 
+from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.model import RobotModel
 from wbmpc.mpc import Policy
@@ -35,11 +36,18 @@ class LqrWeights:
     state: Array
     torque: Array
 
+    def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        for name, size in (("hand", 6), ("twist", 6), ("state", np.size(self.state)), ("torque", np.size(self.torque))):
+            least = float(numbers("regulator's weights", name, getattr(self, name), size).min())
+            (positive if name == "torque" else not_negative)("regulator's weights", **{name: least})
+
 
 class RegulatorGains:
     """Gains K (nu, nx) of u = u₀ − K (x − x₀), discrete at ``period`` [s], about the equilibrium for some arm angles."""
 
     def __init__(self, robot: RobotModel, weights: LqrWeights, period: float) -> None:
+        positive("regulator", period=period)
         self.robot, self.weights, self.period = robot, weights, period
         dynamics, n = robot.dynamics(), robot.base.nq
         x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size)

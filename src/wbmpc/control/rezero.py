@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
+from wbmpc.checks import not_negative, numbers, positive, whole
 from wbmpc.control.fall import FallForecast
 from wbmpc.control.leaning import Leaning
-from wbmpc.errors import EncodersFailed, NotFinite
+from wbmpc.errors import EncodersFailed, InputError, NotFinite
 from wbmpc.estimation import DisturbanceObserver, EncoderMonitor, PayloadEstimator, PushEstimator, RezeroEstimator
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Observation, Plans, Policy
@@ -19,6 +21,10 @@ from wbmpc.plant import RezeroCommand, RezeroMeasurement
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
+#: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
+_MEMORY, _TICKS = 0.16, 64
+#: A longer dead time [s] is a mistake: no robot stands so long without a command.
+MOST_DEAD_TIME = 0.5
 
 
 class RezeroAgent:
@@ -28,8 +34,9 @@ class RezeroAgent:
     the hand where the model has it as a parameter;
     ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
     when the plans, or the lean that is felt, say that the robot will fall. ``dead_time`` [s] between command and drive that the
-    controller believes in: its commands are for the state in which they will act. Too long a one costs little, too short a
-    one the margin of stability.
+    controller believes in (in settings: ``drive_dead_time``), whole periods, at most :data:`MOST_DEAD_TIME`: its commands are
+    for the state in which they will act. Too long a one costs little, too short a one the margin of stability. Raises
+    :class:`InputError` for what is none.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``leaning``: lets the robot lean
     against forces that it has learnt (None: as if there were none).
@@ -40,6 +47,9 @@ class RezeroAgent:
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
         estimator: RezeroEstimator | None = None, forecast: FallForecast | None = None, dead_time: float = 0.0,
     ) -> None:  # fmt: skip
+        positive("ball robot's agent", period=period)
+        not_negative("ball robot's agent", lag=lag)
+        numbers("ball robot's agent", "torque", torque, np.size(torque))
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limit = robot.limits.input_upper[: torque.size]
@@ -47,7 +57,11 @@ class RezeroAgent:
         self._spin_length = np.linalg.norm(self._spin)
         self._along = self._spin / self._spin_length
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
-        self._torques: deque[np.ndarray] = deque([torque.copy()] * 64, maxlen=64)
+        self.dead = whole("drive_dead_time", dead_time, period, "controller periods", least=0)  # the same in ticks
+        if dead_time > MOST_DEAD_TIME:
+            raise InputError(f"drive_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {dead_time:g} s")
+        known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
+        self._torques: deque[np.ndarray] = deque([torque.copy()] * known, maxlen=known)
         self.observer: DisturbanceObserver | None = None
         if observer:
             self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
@@ -55,7 +69,6 @@ class RezeroAgent:
         self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
         self.shoves: PushEstimator | None = None
         self.leaning: Leaning | None = None
-        self.dead = round(dead_time / period)  # the same in ticks
         self.measured: RezeroMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
         if estimator is not None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.checks import not_negative
 from wbmpc.control.swerve import SwerveAgent
 from wbmpc.model import RobotModel, rolling_inverse_kinematics
 from wbmpc.mpc import Plans
@@ -46,6 +47,7 @@ class RollingAgent(SwerveAgent):
         look_ahead: float = 0.0,
         **agent: Any,
     ) -> None:
+        not_negative("rolling agent", base_gain=base_gain, leg_gain=leg_gain, lead=lead, look_ahead=look_ahead)
         super().__init__(robot, pose, period, steer_gain=steer_gain, **agent)
         self.goals, self.base_gain, self.leg_gain = goals, base_gain, leg_gain
         self.lead, self.look_ahead = lead, look_ahead

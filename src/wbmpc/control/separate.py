@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.estimation import DisturbanceObserver
 from wbmpc.model import RobotModel
@@ -42,6 +43,8 @@ class HandInverse:
     """
 
     def __init__(self, robot: RobotModel, weight: Array, posture: float) -> None:
+        not_negative("inverse kinematics", weight=float(numbers("inverse kinematics", "weight", weight, 6).min()))
+        positive("inverse kinematics", posture=posture)
         limits, arm = robot.limits, robot.state["arm"]
         self._root, self._posture = np.sqrt(weight), posture
         self._arm, self._lower, self._upper = arm, limits.state_lower[arm], limits.state_upper[arm]
@@ -80,6 +83,9 @@ class ArmLoop:
     most: float = 0.3
 
     def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        positive("arm's loop", pace=self.pace, most=self.most)
+        not_negative("arm's loop", integral=self.integral)
         self._sum: Array | float = 0.0
 
     def torque(self, mass: Array, weight: Array, error: Array, rate: Array, period: float = 0.0) -> Array:

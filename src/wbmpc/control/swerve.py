@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.checks import not_negative, positive
 from wbmpc.control.brakes import BrakeControl
 from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.control.leg_guard import LegGuard
@@ -99,6 +100,8 @@ class SwerveAgent:
         friction: bool = False,
         smoothing: float = 0.0,
     ) -> None:
+        positive("swerve robot's agent", period=period)
+        not_negative("swerve robot's agent", steer_gain=steer_gain, lag=lag, smoothing=smoothing)
         self.robot, self.period, self.steer_gain = robot, period, steer_gain
         self.planned_steering = planned_steering
         geometry = robot.base.geometry

@@ -17,6 +17,7 @@ from scipy.linalg import solve_continuous_are
 from scipy.optimize import lsq_linear
 
 from wbmpc import lie
+from wbmpc.checks import positive
 from wbmpc.control.rezero import RezeroAgent
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC, Policy
@@ -45,6 +46,10 @@ class TaskGains:
     wheel_torque: float = 1.0
     balance: float = 1.0
     torque: float = 1e-4
+
+    def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that are not positive."""
+        positive("task-space gains", **vars(self))
 
 
 class TaskSpaceAgent(RezeroAgent):

@@ -37,10 +37,10 @@ class ActuatorGains:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not value >= 0.0 or (name == "bleed" and value == 0.0):
-                raise InputError(
-                    f"tracking: {name} must be {'positive' if name == 'bleed' else 'at least 0'}, got {value}"
-                )
+            if name == "bleed" and not value > 0.0:
+                raise InputError(f"tracking: {name} must be positive, got {value}")
+            if name != "bleed" and not 0.0 <= value < np.inf:
+                raise InputError(f"tracking: {name} must be at least 0 and finite, got {value}")
 
 
 class TrackingAgent(RezeroAgent):

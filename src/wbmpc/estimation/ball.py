@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from wbmpc import lie
 from wbmpc.checks import covariance as checked_covariance
-from wbmpc.checks import finite, numbers
+from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
 from wbmpc.robots import InertialDescription
@@ -40,6 +40,13 @@ class BallGeometry:
     radius: float
     turn: Array
     mount: Array
+
+    def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        positive("ball filter", radius=self.radius)
+        numbers("ball filter", "mount", self.mount, 3)
+        for row in self.turn:
+            numbers("ball filter", "turn", row, 3)
 
 
 @dataclass(frozen=True)
@@ -148,7 +155,8 @@ class BallFilter:
     ) -> None:  # fmt: skip
         n = self._n = len(geometry.turn)
         self.geometry, self.noise = geometry, noise
-        position = np.array([*np.asarray(position, float)[:2], 0.0])
+        position = np.array([*numbers("ball filter", "position", np.asarray(position)[:2], 2), 0.0])
+        numbers("ball filter", "rotation", np.ravel(rotation), 9)
         self.state = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
         s = noise
         spread = np.concatenate([

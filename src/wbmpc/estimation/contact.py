@@ -18,6 +18,7 @@ class ContactMonitor:
     debounce: float = 0.010
 
     def __post_init__(self) -> None:
+        finite("contact", on=self.on, off=self.off, debounce=self.debounce)
         if not 0.0 <= self.off < self.on:
             raise InputError(f"contact: thresholds need 0 <= off < on, got {self.off:g} and {self.on:g} N")
         if not self.debounce >= 0.0:

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wbmpc.checks import finite, numbers, positive_time
+from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
+from wbmpc.errors import InputError
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
 STEADY = 0.35
@@ -44,6 +45,15 @@ class DisturbanceObserver:
     calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
 
     def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; ``gate`` and ``calm`` may be infinite."""
+        who = "disturbance observer"
+        not_negative(who, speed_gain=self.speed_gain, force_gain=self.force_gain, hold=self.hold)
+        not_negative(who, longest=self.longest, settled=self.settled)
+        self.gate = scales(who, "gate", self.gate)
+        if scales(who, "calm", self.calm).shape != (2,) or not 1 <= self.gate.size <= self.size:
+            raise InputError(
+                f"{who}: 'calm' needs 2 numbers, 'gate' 1 to {self.size}, got {self.calm} and {self.gate.tolist()}"
+            )
         self.force = np.zeros(self.size)
         self._speed: np.ndarray | None = None
         self._held_until, self._lasts_until = -np.inf, -np.inf

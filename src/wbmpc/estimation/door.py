@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.checks import finite, positive_time
+from wbmpc.checks import finite, not_negative, positive, positive_time
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -29,6 +29,10 @@ class DoorNoise:
     torque: float = 0.05
     walk: float = 0.02
     guess: float = 0.7
+
+    def __post_init__(self) -> None:
+        positive("door filter's noise", angle=self.angle, rate=self.rate)
+        not_negative("door filter's noise", torque=self.torque, walk=self.walk, guess=self.guess)
 
 
 class DoorFilter:

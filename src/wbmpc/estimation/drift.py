@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import InputError
+from wbmpc.checks import numbers, positive
 
 
 @dataclass
@@ -22,8 +22,8 @@ class DriftObserver:
     drift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        if not self.time_constant > 0.0:
-            raise InputError(f"drift observer: the time constant must be positive, got {self.time_constant}")
+        positive("drift observer", time_constant=self.time_constant)
+        self.drift = numbers("drift observer", "drift", self.drift, 3)
         self._pose: np.ndarray | None = None
 
     def update(self, pose: np.ndarray, twist: np.ndarray, h: float) -> np.ndarray:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import not_negative, positive
+
 Array = NDArray[np.float64]
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
 LEAST_WHEELS = 2
@@ -29,11 +31,12 @@ ENDS = {
 }  # fmt: skip
 #: So many messages in a row it takes at least, however seldom they come.
 IN_A_ROW = 3
-#: The sentences of what is found, by part and kind.
+#: The sentences of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
+#: the ball, or an inertial unit that is off (its zero, its scale): the messages are the same.
 SENTENCES = {
     "encoder stalled": "the encoder of {} stands still", "encoder jumps": "the encoder of {} jumps",
     "imu exceeds": "the inertial unit exceeds its range", "imu repeats": "the inertial unit stands still",
-    "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips",
+    "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips or the inertial unit is wrong",
 }  # fmt: skip
 
 
@@ -76,6 +79,9 @@ class EncoderMonitor:
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
         expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
     ) -> None:  # fmt: skip
+        who = "encoder monitor"
+        positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
+        not_negative(who, wheels=wheels, crawl=crawl, least=least)
         self.joints, self.wheels, self.still, self.expected = list(joints), wheels, still, expected
         self.crawl, self.doubt, self.least, self.patience = crawl, doubt, least, patience
         self.faults: list[EncoderFault] = []

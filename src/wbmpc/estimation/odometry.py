@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.checks import each, finite, numbers
-from wbmpc.errors import InputError
+from wbmpc.checks import each, numbers, positive
 from wbmpc.model.swerve import SwerveGeometry
 
 Array = NDArray[np.float64]
@@ -148,8 +147,7 @@ class WheelOdometry:
         self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
         self.radius = each("odometry", "wheel_radius", radius, n)
-        if (self.radius <= 0.0).any():
-            raise InputError(f"odometry: 'wheel_radius' must be positive, got {radius}")
+        positive("odometry", wheel_radius=float(self.radius.min()))
         self._leg_zero = each("odometry", "leg_zero", leg_zero, n)
         self._steer_zero = each("odometry", "steer_zero", steer_zero, n)
         self._last: Sample | None = None
@@ -190,9 +188,7 @@ class ReleaseOdometry:
     :class:`InputError` for times that are not positive."""
 
     def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
-        finite("odometry", period=period, refresh=refresh)
-        if min(period, refresh) <= 0.0:
-            raise InputError(f"odometry: 'period' and 'refresh' must be positive, got {period} s, {refresh} s")
+        positive("odometry", period=period, refresh=refresh)
         self._fit = WheelOdometry(geometry, pose0)
         self.pose = self._fit.pose
         self._every, self._count = max(1, round(refresh / period)), 0

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import numbers
 from wbmpc.errors import InputError, NotFinite
 
 Array = NDArray[np.float64]
@@ -46,14 +47,15 @@ class OffsetObserver:
         labels = dynamics.state.names if measured is None else tuple(measured)
         self.measured = np.array([dynamics.state.index(name) for name in labels], int)
         nx, nd = dynamics.state.size, len(self.names)
-        m = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else np.asarray(mode, float)
+        given = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else mode
+        m = numbers("offset observer", "mode", given, dynamics.mode.size)
         self.mode, self.labels = m, labels
         self.noise = _positive("noise", noise, len(labels)) ** 2
         self._walk = np.concatenate([_positive("process", process, nx), _positive("walk", walk, nd)]) ** 2
-        self.mean = np.concatenate([np.asarray(x, float), np.zeros(nd)])
+        self.mean = np.concatenate([numbers("offset observer", "x", x, nx), np.zeros(nd)])
         self.covariance = np.diag(_positive("spread", spread, nx + nd) ** 2)
         self._step, self._rates = self._functions()
-        self._refuse_what_cannot_be_told(np.asarray(u, float))
+        self._refuse_what_cannot_be_told(numbers("offset observer", "u", u, dynamics.input.size))
 
     @property
     def offset(self) -> Array:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.checks import finite, numbers
+from wbmpc.checks import finite, not_negative, numbers, positive
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -41,6 +41,14 @@ class PayloadEstimator:
     most: float = 3.0
     sure: float = 0.5
     mass: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
+        who = "payload estimator"
+        not_negative(who, rate=self.rate, most=self.most, mass=self.mass)
+        positive(who, sure=self.sure)
+        base, arm = numbers(who, "spread", self.spread, 2)
+        positive(who, spread=min(base, arm))
 
     def update(self, q: Array, force: Array, h: float) -> Array:
         """Weigh for ``h`` [s] (0: nothing is learnt) at joint positions q (nq); the disturbance ``force`` (nq) without what became

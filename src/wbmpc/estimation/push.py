@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.checks import numbers, positive_time
+from wbmpc.checks import not_negative, numbers, positive_time
 from wbmpc.errors import NotFinite
 from wbmpc.model import RobotModel
 from wbmpc.model.balance import Balance, load_offset
@@ -28,9 +28,12 @@ class PushEstimator:
     lasts for ``brace`` [s] more will move the component, to be kept free by the limit of the lean. Unlike the disturbance
     observer's force it is there within some 20 ms and gone as fast.
     ``arm`` (m) [rad]: angles for which the pole is taken. Needs :meth:`update` once for every new state.
+    Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
     def __init__(self, robot: RobotModel, arm: ArrayLike, brace: float) -> None:
+        not_negative("push estimator", brace=brace)
+        arm = numbers("push estimator", "arm", arm, len(robot.state.groups["arm"]))
         n, q = robot.base.nq, ca.SX.sym("q", robot.base.nq)
         offset = load_offset(robot.base, q, ca.SX.zeros(robot.parameters.size))
         pole = Balance.of(robot, arm).pole

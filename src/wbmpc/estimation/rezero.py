@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.checks import covariance as checked_covariance
-from wbmpc.checks import finite, numbers, positive_time
+from wbmpc.checks import finite, not_negative, numbers, positive, positive_time, scales
 from wbmpc.errors import InputError
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
 from wbmpc.estimation.fused import AHEAD
@@ -48,7 +48,10 @@ class JointTracker:
         self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
         speed: ArrayLike = np.inf,
     ) -> None:  # fmt: skip
-        self.angle = np.array(angles, float)
+        who = "joint tracker"
+        not_negative(who, encoder=encoder, age=age, jitter=jitter)
+        positive(who, acceleration=acceleration)
+        self.angle = numbers(who, "angles", angles, np.size(angles)).copy()
         self.rate = np.zeros_like(self.angle)
         self._encoder, self._age, self._jitter, self._density = encoder, age, jitter, acceleration
         one = np.ones_like(self.angle)
@@ -60,7 +63,7 @@ class JointTracker:
             self.angle.copy(),
             np.zeros(one.shape),
         )  # the last reading, and its distance from the one before
-        self._speed = np.asarray(speed, float)
+        self._speed = scales(who, "speed", speed)
         self._fastest = SPEED_FACTOR * self._speed
 
     @property
@@ -111,6 +114,7 @@ class RezeroEstimator:
         if not isinstance(robot.base, BallBase):
             raise InputError(f"{robot.description.name}: this estimator needs a ball base")
         base, self.noise = robot.base, noise or BallNoise()
+        positive("ball robot's estimator", balance=balance)
         x = numbers("ball robot's estimator", "start", start, 2 * base.nq)
         geometry = BallGeometry(base.radius, base.wheel_torque_map().T, base.mount)
         self.filter = BallFilter(geometry, x[0:2], lie.euler_zyx_to_rotation(*x[2:5]), self.noise, base.base.imu)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -39,6 +40,7 @@ def rockings(times: ArrayLike, rate: ArrayLike, growth: float = GROWTH, fast: fl
     ``growth`` [1/s]: k of the pendulum; ``fast`` [rad/s]: what counts as rocking. Raises :class:`InputError` for times that are not
     evenly spaced and rates that are not finite.
     """
+    positive("rocking", growth=growth, fast=fast)
     t, w = np.asarray(times, float), np.asarray(rate, float)
     if t.ndim != 1 or t.size < 2 or w.shape != t.shape or not (np.isfinite(t).all() and np.isfinite(w).all()):
         raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from wbmpc.checks import finite, is_covariance, numbers
+from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.swerve import SwerveGeometry
 
@@ -57,11 +57,7 @@ class WheelCalibration:
         common_radius: float = COMMON_RADIUS_STD,
     ) -> WheelCalibration:
         """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
-        finite("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
-        if min(zero, radius, common_radius) < 0.0:
-            raise InputError(
-                f"wheel calibration: standard deviations must not be negative, got {zero}, {radius}, {common_radius}"
-            )
+        not_negative("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
         n = geometry.modules
         covariance = np.diag(np.repeat([zero**2, radius**2], n))
         covariance[n:, n:] += common_radius**2

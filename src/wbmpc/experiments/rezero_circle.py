@@ -39,6 +39,9 @@ class RezeroCircleSettings(AccurateSettings):
     settle: float = Field(3.0, ge=0.5, le=60.0)
     yaw: Literal["held", "free"] = "held"
 
+    def idle(self) -> dict[str, str]:
+        return super().idle() | ({"cost.body.yaw": "yaw=free"} if self.yaw == "free" else {})
+
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
     """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular

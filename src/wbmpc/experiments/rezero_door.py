@@ -92,6 +92,16 @@ class RezeroDoorSettings(RezeroSettings):
         *RezeroSettings.unused, "controller", "rival", "tracking", "brace", "pushed_speed", "cost.hand.turn_limit",
     )  # fmt: skip
 
+    def idle(self) -> dict[str, str]:
+        scheme, out = self.scheme, super().idle()
+        if not scheme.row:
+            out |= dict.fromkeys(("scheme.door_rate", "scheme.baumgarte"), "scheme.row=false")
+        if not scheme.cone:
+            out |= dict.fromkeys(("scheme.friction", "scheme.least"), "scheme.cone=false")
+        if self.cost.lean == 0.0:
+            out["hold"] = "cost.lean=0"
+        return out
+
 
 def make_plant(
     settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int

@@ -78,6 +78,10 @@ class RezeroFrequencySettings(RezeroSettings):
         *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "brace", "pushed_speed", "drive_dead_time",
     )  # fmt: skip
 
+    def idle(self) -> dict[str, str]:
+        filters = [f"filters.{name}" for name in FilterSettings.model_fields]
+        return super().idle() | ({} if "shaped" in self.variants else dict.fromkeys(filters, "variants=[plain]"))
+
     @field_validator("step")
     @classmethod
     def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:

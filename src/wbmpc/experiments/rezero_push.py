@@ -8,6 +8,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from wbmpc.checks import whole
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_task import (
     STEPS_AND_PUSHES,
@@ -22,7 +23,7 @@ from wbmpc.experiments.rezero_task import (
     run_task,
 )
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, whole
+from wbmpc.loop import Ending, Progress
 from wbmpc.result import Metric, Plot, RunResult, Series
 
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from scipy.optimize import least_squares
 
 from wbmpc import lie
+from wbmpc.checks import whole
 from wbmpc.control import Leaning, RezeroAgent
 from wbmpc.errors import InputError
 from wbmpc.estimation import BallFilter, PushEstimator, RezeroEstimator
@@ -27,7 +28,7 @@ from wbmpc.experiments.rezero_rivals import (
 )
 from wbmpc.experiments.settings import ExperimentSettings, MpcSettings, finished
 from wbmpc.log import Log
-from wbmpc.loop import Ending, Progress, Timing, run_lockstep, whole
+from wbmpc.loop import Ending, Progress, Timing, run_lockstep
 from wbmpc.model import RobotModel, load_robot
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -62,6 +63,11 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     return MpcSettings(
         rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, start_anew=False
     )
+
+
+#: What the filter alone reads of the simulated sensors, and what only the state of the simulator has [of ``plant``].
+INERTIAL = tuple(f"plant.{sensor}_{kind}" for sensor in ("gyro", "accel") for kind in ("noise", "bias", "walk"))
+STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "speed", "rate"))
 
 
 def refuse_unlearnt(observer: bool, changed: bool) -> None:
@@ -106,6 +112,23 @@ class RezeroSettings(ExperimentSettings):
         usual = reduce(getattr, rest, type(self).model_fields[first].default)
         return bool(reduce(getattr, rest, getattr(self, first)) != usual)
 
+    def _asked(self, name: str) -> bool:
+        """Whether somebody wants this: it is not as by default, and not 0, nothing of it."""
+        value = reduce(getattr, name.split("."), self)
+        return self._changed(name) and (value is False or value != 0)
+
+    def idle(self) -> dict[str, str]:
+        """Settings that nothing reads as the others are, by name, and which other one makes them so."""
+        sensors = STATE_NOISE if self.estimator == "filter" else (*INERTIAL, "brace")
+        out = dict.fromkeys(sensors, f"estimator={self.estimator}")
+        if self.cost.lean == 0.0:
+            out["brace"] = "cost.lean=0"
+        if self.mpc.limits == "soft":
+            out["cost.speed_slack"] = "mpc.limits=soft"
+        if not self.observer:
+            out |= dict.fromkeys(("weigh", "pushed_speed"), "observer=false")
+        return out
+
     def controllers(self) -> tuple[Controller, ...]:
         """Those that run."""
         return (self.controller,)
@@ -118,14 +141,9 @@ class RezeroSettings(ExperimentSettings):
         for name in filter(self._changed, sorted(idle - set(self.own))):
             with_ = " and tracking.kind=actuators" if self.controller == "mpc" and name == "drive_dead_time" else ""
             raise ValueError(f"{name}: with controller={self.controller}{with_} nothing uses it")
-        refuse_unlearnt(self.observer, self._changed("pushed_speed"))
-        if self._changed("brace") and self.brace > 0.0:
-            for name, without in (
-                ("estimator=truth", self.estimator == "truth"),
-                ("cost.lean=0", self.cost.lean == 0.0),
-            ):
-                if without:
-                    raise ValueError(f"brace: with {name} nothing uses it")
+        for name, other in self.idle().items():
+            if self._asked(name):
+                raise ValueError(f"{name}: with {other} nothing uses it")
         return self
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.checks import finite
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.model.balance import load_offset
@@ -47,6 +48,13 @@ class CapturePoint:
     directions: int = 4
     answer: float = 0.0
     pushed: bool = False
+
+    def __post_init__(self) -> None:
+        finite("capture point", pole=self.pole, answer=self.answer)
+        if self.pole <= 0.0:
+            raise InputError(f"capture point: pole must be positive, got {self.pole}")
+        if not isinstance(self.directions, int | np.integer) or self.directions < 1:
+            raise InputError(f"capture point: directions must be a whole number, at least 1, got {self.directions}")
 
     @property
     def reference(self) -> int:
@@ -114,6 +122,11 @@ class PanelContact:
     size, reference = 3, 0
     groups = {"normal": slice(0, 1), "stick": slice(1, 3)}  # noqa: RUF012
 
+    def __post_init__(self) -> None:
+        finite("panel contact", rate=self.rate)
+        if self.rate < 0.0:
+            raise InputError(f"panel contact: rate must not be negative, got {self.rate}")
+
     def __call__(self, s: Symbols) -> ca.SX:
         place, speed, acceleration = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
         pull = ca.vertcat(self.rate**2 * place[0], 0.0, 0.0)
@@ -167,6 +180,7 @@ class FrictionCone:
     def __post_init__(self) -> None:
         if self.group not in self.robot.input:
             raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
+        finite("friction cone", friction=self.friction, least=self.least)
         if not self.friction > 0.0:
             raise InputError(f"friction cone: friction must be positive, got {self.friction}")
 

@@ -13,6 +13,8 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
+_CHOICES = {"orientation": ("log", "vector"), "axes": ("world", "reference")}
+
 
 @dataclass(frozen=True)
 class FramePose:
@@ -34,6 +36,9 @@ class FramePose:
     def __post_init__(self) -> None:
         if self.frame not in self.robot.frames:
             raise unknown_name("frame", self.frame, self.robot.frames, where=self.robot.description.name)
+        for key, choices in _CHOICES.items():
+            if getattr(self, key) not in choices:
+                raise unknown_name(key, getattr(self, key), choices, where=f"pose of '{self.frame}'")
 
     def __call__(self, s: Symbols) -> ca.SX:
         pose = self.robot.frame_pose(s.x, self.frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -43,8 +44,8 @@ class SmoothL1:
 
     def __post_init__(self) -> None:
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
-        if not (scales and all(s > 0.0 for s in scales)):
-            raise InputError(f"SmoothL1: scale must be positive, got {self.scale}")
+        if not (scales and all(0.0 < s < math.inf for s in scales)):
+            raise InputError(f"SmoothL1: scale must be positive and finite, got {self.scale}")
 
     def _root(self, r: ca.SX) -> ca.SX:
         return ca.sqrt(1.0 + (r / ca.DM(self.scale)) ** 2)
@@ -70,8 +71,10 @@ class RelaxedBarrier:
     delta: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not (self.mu > 0.0 and self.delta > 0.0):
-            raise InputError(f"RelaxedBarrier: mu and delta must be positive, got {self.mu} and {self.delta}")
+        if not (0.0 < self.mu < math.inf and 0.0 < self.delta < math.inf):
+            raise InputError(
+                f"RelaxedBarrier: mu and delta must be positive and finite, got {self.mu} and {self.delta}"
+            )
 
     def value(self, h: ca.SX) -> ca.SX:
         near = self.mu * (0.5 * (((h - 2 * self.delta) / self.delta) ** 2 - 1.0) - ca.log(self.delta))
@@ -97,5 +100,5 @@ class AugmentedLagrangian:
     rho: float = 1e3
 
     def __post_init__(self) -> None:
-        if not self.rho > 0.0:
-            raise InputError(f"AugmentedLagrangian: rho must be positive, got {self.rho}")
+        if not 0.0 < self.rho < math.inf:
+            raise InputError(f"AugmentedLagrangian: rho must be positive and finite, got {self.rho}")

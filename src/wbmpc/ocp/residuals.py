@@ -213,6 +213,8 @@ class Limits:
     reference = 0
 
     def __post_init__(self) -> None:
+        if self.of not in ("state", "input", "both"):
+            raise unknown_name("kind", self.of, ("state", "input", "both"), where="limits, of")
         limits = self.robot.limits
         rows: list[tuple[str, int, float, float]] = []
         for kind, lower, upper in (

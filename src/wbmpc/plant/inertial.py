@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.errors import unknown_name
 from wbmpc.plant.perturbation import Draw, Perturbation, quantise
 from wbmpc.robots import BallBaseDescription
 
@@ -53,6 +54,11 @@ class SensorFault:
     stop: float
     speed: float = 0.0
     of: Literal["wheel", "arm"] = "wheel"
+
+    def __post_init__(self) -> None:
+        for key, choices in (("kind", ("slip", "stalled")), ("of", ("wheel", "arm"))):
+            if getattr(self, key) not in choices:
+                raise unknown_name(key, getattr(self, key), choices, where="fault of a sensor")
 
     def acts(self, t: float) -> bool:
         return self.start <= t < self.stop

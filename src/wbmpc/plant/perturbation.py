@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from wbmpc.errors import InputError
+
 Array = NDArray[np.float64]
+#: What only swerve robots have, beside what the ball robot's plant refuses with words of its own.
+SWERVE_ONLY = ("load", "slope", "steer_zero", "joint_loss", "brake_delay", "encoder_counts", "steer_noise")
 
 
 class Perturbation(BaseModel):
@@ -107,6 +111,27 @@ class Perturbation(BaseModel):
                 if getattr(self, name):
                     raise ValueError(f"{name}: nothing uses it without brake_fault=open or brake_fault=closed")
         return self
+
+    @model_validator(mode="after")
+    def _rigid_drives(self) -> Self:
+        loop = ("spring_damping", "torque_gain", "torque_damping")
+        for springs, idle in (
+            (("wheel_spring",), ("wheel_rotor",)),
+            (("arm_spring",), ("arm_rotor",)),
+            (("wheel_spring", "arm_spring"), loop),
+        ):
+            for name in filter(self.asked, () if any(getattr(self, s) for s in springs) else idle):
+                raise ValueError(f"{name}: nothing uses it without {' or '.join(springs)}")
+        return self
+
+    def asked(self, name: str) -> bool:
+        """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
+        return getattr(self, name) not in (0, type(self).model_fields[name].default)
+
+    def refuse(self, names: Collection[str], why: str) -> None:
+        """Raise :class:`InputError` for the first of ``names`` that is :meth:`asked` for."""
+        for name in filter(self.asked, names):
+            raise InputError(f"plant.{name}: {why}")
 
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.checks import numbers
+from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
 from wbmpc.plant.burden import add_payload, lay_cables
 from wbmpc.plant.drives import ElasticDrives
 from wbmpc.plant.inertial import Inertial, RezeroSensors, WheelGeometry
-from wbmpc.plant.perturbation import Perturbation
+from wbmpc.plant.perturbation import SWERVE_ONLY, Perturbation
 from wbmpc.plant.protocol import RezeroCommand, RezeroMeasurement, Truth
 from wbmpc.plant.servo import ActuatorServo
 from wbmpc.plant.world import (
@@ -67,18 +67,6 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
     )
 
 
-def whole_steps(key: str, time: float, timestep: float) -> int:
-    """How many physics steps [s] a ``time`` [s] is; :class:`InputError` for what is no whole number of them."""
-    count = round(time / timestep)
-    if abs(time - count * timestep) > 1e-9:
-        below = int(time / timestep) * timestep
-        raise InputError(
-            f"{key}: {time:g} s is not a whole number of physics steps of {timestep * 1e3:g} ms; valid: e.g. {below:g} or "
-            f"{below + timestep:g} s"
-        )
-    return count
-
-
 class RezeroPlant(InWorld):
     """Physics and drives of a ball robot.
 
@@ -107,11 +95,8 @@ class RezeroPlant(InWorld):
         p = self.perturbation = perturbation or Perturbation()
         if self.perturbation.brake_fault != "none":
             raise InputError("plant.brake_fault: is for swerve robots only; a ball robot has no brakes")
-        for name in ("payload", "load", "slope"):
-            if getattr(p, name) > 0.0:
-                raise InputError(
-                    f"plant.{name}: is for swerve robots only; a ball robot's mass at the hand is 'payload'"
-                )
+        p.refuse(["payload"], "is for swerve robots only; a ball robot's mass at the hand is 'payload'")
+        p.refuse(SWERVE_ONLY, "is for swerve robots only")
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
         self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)
@@ -140,10 +125,11 @@ class RezeroPlant(InWorld):
         self._last: RezeroMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        self._commands: deque[Array] = deque(maxlen=1 + whole_steps("plant.dead_time", p.dead_time, timestep))
+        dead = whole("plant.dead_time", p.dead_time, timestep, "physics steps", least=0)
+        self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
-        self._place(numbers("command", "state", home if state is None else state, 10 + 2 * n), torque)
+        self._place(numbers("start", "state", home if state is None else state, 10 + 2 * n), torque)
 
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, payload: float, edit: Edit | None) -> None:
@@ -233,7 +219,7 @@ class RezeroPlant(InWorld):
         d.qvel[self._arm_v] = state[10 + n :]
         mujoco.mj_forward(self.model, d)
         rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
-        d.ctrl[:] = rest if torque is None else numbers("command", "torque", torque, self.model.nu)
+        d.ctrl[:] = rest if torque is None else numbers("start", "torque", torque, self.model.nu)
         d.act[:] = d.ctrl[self.model.actuator_actadr >= 0]
         mujoco.mj_fwdActuation(self.model, d)
         self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))

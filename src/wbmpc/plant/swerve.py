@@ -51,11 +51,7 @@ _VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 #: Settings of the plant that are for ball robots, and what swerve robots have in their place.
 _UNREAD = (
-    (
-        ("dead_time", "wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor")
-        + ("spring_damping", "torque_gain", "torque_damping"),
-        "a swerve robot's drives have 'plant.drive_lag'",
-    ),
+    (("dead_time", "wheel_spring", "arm_spring"), "a swerve robot's drives have 'plant.drive_lag'"),
     (
         ("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
         "a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', 'plant.gyro_noise'",
@@ -106,7 +102,8 @@ class SwervePlant(InWorld):
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         if self.perturbation.cables > 0.0:
             raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
-        self._refuse_unread()
+        for names, instead in _UNREAD:
+            self.perturbation.refuse(names, f"is for ball robots only; {instead}")
         self._refuse_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
@@ -129,14 +126,6 @@ class SwervePlant(InWorld):
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
         self._set_sensors(self.draw)
         self._place(self._groups(state), lift, settle)
-
-    def _refuse_unread(self) -> None:
-        """Refuse what is for ball robots only. 0 says what is so: there is no such noise, spring or torque here."""
-        for names, instead in _UNREAD:
-            for name in names:
-                value = getattr(self.perturbation, name)
-                if value not in (0.0, Perturbation.model_fields[name].default):
-                    raise InputError(f"plant.{name}: is for ball robots only; {instead}")
 
     def _refuse_brake_fault(self) -> None:
         p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
@@ -245,7 +234,7 @@ class SwervePlant(InWorld):
             given = {}
         else:
             sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
-            vector, stops = numbers("command", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
+            vector, stops = numbers("start", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
             given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
         for group, values in given.items():
             if group not in groups:
@@ -253,7 +242,7 @@ class SwervePlant(InWorld):
             if group == "base" and values.size == 7:
                 yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(values[3:7]))[0]
                 values = np.array([values[0], values[1], yaw])
-            groups[group] = numbers("command", f"state.{group}", values, groups[group].size)
+            groups[group] = numbers("start", f"state.{group}", values, groups[group].size)
         return groups
 
     def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:

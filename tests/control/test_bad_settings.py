@@ -1,0 +1,60 @@
+"""Numbers of which no controller can be made. Truth: what they are, by the documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.control import (
+    ActuatorGains,
+    ArmLoop,
+    FallForecast,
+    HandInverse,
+    Leaning,
+    LqrWeights,
+    RegulatorGains,
+    RezeroAgent,
+    SwerveAgent,
+    TaskGains,
+)
+from wbmpc.control.drives import DryFriction, Smoothing
+from wbmpc.errors import InputError
+
+BALL, SWERVE, NAN = robot("rezero"), robot("swerve-ur10"), float("nan")
+ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: FallForecast(BALL, ARM, plans=0), "'plans' must be a whole number, at least 1"),
+        (lambda: FallForecast(BALL, ARM, share=-1.0), "'share' must be positive"),
+        (lambda: FallForecast(BALL, ARM, seconds=NAN), "'seconds' must be finite"),
+        (lambda: FallForecast(BALL, NAN * ARM), "'arm' needs 3"),
+        (lambda: Leaning(BALL, ARM, 0.6, 0.0), "leaning: 'speed' must be positive"),
+        (lambda: Leaning(BALL, ARM, NAN, 2.0), "leaning: 'share' must be finite"),
+        (lambda: RezeroAgent(BALL, None, np.zeros(6), 0.0, 0.02), "'period' must be positive"),  # type: ignore[arg-type]
+        (lambda: RezeroAgent(BALL, None, np.zeros(6), 0.0025, -0.02), "'lag' must not"),  # type: ignore[arg-type]
+        (lambda: RezeroAgent(BALL, None, np.full(6, NAN), 0.0025, 0.02), "'torque' needs 6"),  # type: ignore[arg-type]
+        (lambda: SwerveAgent(SWERVE, np.zeros(3), NAN), "swerve robot's agent: 'period' must be finite"),
+        (lambda: SwerveAgent(SWERVE, np.zeros(3), 0.0025, lag=-1.0), "'lag' must not be negative"),
+        (lambda: ActuatorGains(arm_stiffness=np.inf), "arm_stiffness must be at least 0 and finite"),
+        (lambda: ArmLoop(pace=0.0, integral=1.0), "arm's loop: 'pace' must be positive"),
+        (lambda: HandInverse(BALL, np.full(6, -1.0), 1.0), "inverse kinematics: 'weight' must not be negative"),
+        (lambda: HandInverse(BALL, np.ones(6), 0.0), "inverse kinematics: 'posture' must be positive"),
+        (lambda: replace(WEIGHTS, torque=np.zeros(6)), "regulator's weights: 'torque' must be positive"),
+        (lambda: replace(WEIGHTS, hand=np.ones(3)), "regulator's weights: 'hand' needs 6"),
+        (lambda: RegulatorGains(BALL, WEIGHTS, 0.0), "regulator: 'period' must be positive"),
+        (lambda: TaskGains(torque=NAN), "task-space gains: 'torque' must be finite"),
+        (lambda: DryFriction(4, 0.0, 0.02), "dry friction: 'period' must be positive"),
+        (lambda: Smoothing(0.0), "smoothing: 'time' must be positive"),
+    ],
+)
+def test_what_no_controller_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()
