@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from pydantic import BaseModel, ConfigDict, model_validator
 
@@ -9,6 +11,13 @@ from fake_experiment import FakeSettings
 from wbmpc.configuration import configure, keys
 from wbmpc.errors import InputError
 from wbmpc.experiments import REGISTRY
+
+
+def value_at(tree: Any, key: str) -> Any:
+    """What a nested mapping has at a dotted key; None inside of a section that is left out, the tree at no key."""
+    for part in key.split(".") if key else ():
+        tree = tree and tree[part]
+    return tree
 
 
 def test_keys_are_all_leaves() -> None:
@@ -99,15 +108,43 @@ def test_a_fault_between_settings_does_not_print_the_whole_section() -> None:
     assert str(caught.value) == "here: --set pair: low must not be above high"
 
 
+#: (experiment, section) of all sections that are left out by default.
+LEFT_OUT = sorted(
+    {
+        (name, key.rpartition(".")[0])
+        for name in REGISTRY
+        for key in keys(REGISTRY[name].config_type)
+        if value_at(REGISTRY[name].config_type().model_dump(), key.rpartition(".")[0]) is None
+    }
+)
+
+
+@pytest.mark.parametrize(("name", "section"), LEFT_OUT)
+def test_keys_of_a_section_that_is_left_out_by_default_can_be_given(name: str, section: str) -> None:
+    model = REGISTRY[name].config_type
+    own = [key for key in keys(model) if key.rpartition(".")[0] == section]
+    for key in own:
+        assert value_at(configure(model, [f"{key}=3"], name).model_dump(), key) == 3.0
+
+
+def test_weights_of_a_push_that_are_not_given_are_those_of_the_scheme() -> None:
+    """Two keys, in either order. Without the door's row all force errors count alike and no posture does (PushCost, UNTIED)."""
+    given = ["push.force=2", "scheme.row=false"]
+    model = REGISTRY["rezero-door"].config_type
+    for order in (given, given[::-1]):
+        push = configure(model, order, "rezero-door").push
+        assert (push.force, push.tangential, push.arm) == (2.0, 1.0, 0.0)
+    push = configure(model, given[:1], "rezero-door").push
+    assert (push.force, push.tangential, push.arm) == (2.0, 0.1, 5.0)
+
+
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
     """Each leaf, set to its own default as text, gives the defaults again."""
     model = REGISTRY[name].config_type
     dumped = model().model_dump(mode="json")
     for key in keys(model):
-        value = dumped
-        for part in key.split("."):
-            value = value and value[part]
+        value = value_at(dumped, key)
         if value is None and "." in key:
             continue  # a section that is not there by default
         text = "null" if value is None else str(value)

@@ -97,9 +97,12 @@ def _truths(value: Any) -> bool:
 
 
 def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
+    """Put ``value`` in its place. A section that is left out by default begins empty: its model knows what else is in it."""
     *parents, last = key.split(".")
     for parent in parents:
-        tree = tree.setdefault(parent, {})
+        if tree.get(parent) is None:
+            tree[parent] = {}
+        tree = tree[parent]
     tree[last] = value
 
 

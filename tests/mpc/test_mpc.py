@@ -12,9 +12,10 @@ from toys import Rows, ToyDynamics, pendulum, robot
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model import wheel_velocities
 from wbmpc.mpc import MPC, Observation, SteeringGuess
+from wbmpc.mpc.mpc import STUCK
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver
-from wbmpc.solver.driver import DIVERGED
+from wbmpc.solver.driver import DIVERGED, LIMIT_MISSED
 from wbmpc.solver.solution import COLUMNS
 
 REAL_TIME = SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
@@ -308,6 +309,46 @@ def test_a_plan_that_no_solve_can_go_on_from_is_given_up() -> None:
     fresh = mpc.update(Observation(0.06, START))
     assert not mpc.fault and fresh is not policy and mpc.statistics.failures == 2
     assert np.abs(fresh.x).max() < 10.0
+
+
+def refuse(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None) -> None:
+    """Solves as they are, said to miss a hard limit; ``spoil`` what they leave."""
+    honest = mpc.solver.run
+
+    def missed(*arguments):  # type: ignore[no-untyped-def]
+        _, count = honest(*arguments)
+        spoil()
+        return LIMIT_MISSED, count
+
+    monkeypatch.setattr(mpc.solver, "run", missed)
+
+
+def test_refused_again_and_again_the_next_solve_goes_on_from_its_own_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that leant on a locked door fell: 60 refusals in a row, each from the same plan, with no new feedback."""
+    mpc, left = make(), []
+    last = mpc.update(Observation(0.0, START))
+    with monkeypatch.context() as m:
+        refuse(mpc, m, lambda: left.append(mpc.solver.ws.x.copy()))
+        for k in range(1, STUCK + 2):
+            assert mpc.update(Observation(0.02 * k, START + 0.3)) is last  # none of them is used
+            assert np.abs(left[-1] - last.x).max() > 0.01
+            held = left[-1] if k >= STUCK else last.x
+            np.testing.assert_array_equal(mpc.solver.ws.x, held, err_msg=f"refusal {k}")
+    fresh = mpc.update(Observation(0.02 * k + 0.02, START + 0.3))
+    assert not mpc.fault and fresh is not last and mpc.statistics.failures == STUCK + 1
+    refuse(mpc, monkeypatch)
+    assert mpc.update(Observation(0.02 * k + 0.04, START)) is fresh  # a row anew
+    np.testing.assert_array_equal(mpc.solver.ws.x, fresh.x)
+
+
+def test_what_is_not_finite_is_never_gone_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    mpc = make()
+    last = mpc.update(Observation(0.0, START))
+    bad = iter([*[False] * STUCK, True])
+    refuse(mpc, monkeypatch, lambda: mpc.solver.ws.x.fill(np.nan) if next(bad) else None)
+    for k in range(1, STUCK + 2):
+        assert mpc.update(Observation(0.02 * k, START)) is last
+    np.testing.assert_array_equal(mpc.solver.ws.x, last.x)
 
 
 def test_a_policy_refuses_what_is_not_finite() -> None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from wbmpc import lie
 from wbmpc.control import FallForecast
 from wbmpc.control.door import DoorAgent, Push
 from wbmpc.estimation import RezeroEstimator
-from wbmpc.experiments.rezero_door_problem import UNTIED, DoorScheme, PushCost, door_problem
+from wbmpc.experiments.rezero_door_problem import DoorScheme, PushCost, door_problem, suited
 from wbmpc.experiments.rezero_problem import BodyCost, HandCost, RezeroCost, TorqueCost
 from wbmpc.experiments.rezero_task import (
     IDEALISATIONS,
@@ -65,7 +65,7 @@ class RezeroDoorSettings(RezeroSettings):
     """``forces`` [N] along the normal, a run each, reached ``rise`` [s] after the touch; ``door``: its kind; ``settle`` [s] before
     the hand starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
     ``rest`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
-    (left out: those that suit the scheme); ``misplaced`` [m]: the door's place is not known better; ``hold``: a force beyond this
+    (what is left out: as suits the scheme); ``misplaced`` [m]: the door's place is not known better; ``hold``: a force beyond this
     share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is told."""
 
     cost: RezeroCost = RezeroCost(
@@ -75,8 +75,8 @@ class RezeroDoorSettings(RezeroSettings):
         lean=0.6,
         speed_slack=20.0,
     )
-    push: PushCost | None = None
     scheme: DoorScheme = DoorScheme()
+    push: PushCost | None = None
     door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
     forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
     rise: float = Field(0.3, ge=0, le=10.0)
@@ -101,6 +101,13 @@ class RezeroDoorSettings(RezeroSettings):
         if self.cost.lean == 0.0:
             out["hold"] = "cost.lean=0"
         return out
+
+    @field_validator("push", mode="before")
+    @classmethod
+    def _suit_the_scheme(cls, push: Any, info: ValidationInfo) -> Any:
+        """Some weights as a mapping: the others are those of the scheme."""
+        scheme = info.data.get("scheme")  # missing where it is wrong itself
+        return {**suited(scheme).model_dump(), **push} if isinstance(push, Mapping) and scheme else push
 
 
 def make_plant(
@@ -156,7 +163,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     robot = ball_robot(settings, settings.weigh and settings.observer, contact="force")
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
-    push = settings.push or (PushCost() if settings.scheme.row else UNTIED)
+    push = settings.push or suited(settings.scheme)
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,

@@ -47,6 +47,11 @@ class DoorScheme(Settings):
     door_rate: float = Field(0.8, gt=0)
 
 
+def suited(scheme: DoorScheme) -> PushCost:
+    """The weights while the hand pushes that suit a scheme."""
+    return PushCost() if scheme.row else UNTIED
+
+
 def door_problem(
     robot: RobotModel, settings: MpcSettings, cost: RezeroCost, push: PushCost, scheme: DoorScheme, opening: float
 ) -> OptimalControlProblem:

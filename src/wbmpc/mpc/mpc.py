@@ -19,6 +19,9 @@ from wbmpc.solver.solver import one_jump
 _LOG = logging.getLogger("wbmpc")
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
 Guess = Callable[[Solver, float, np.ndarray], None]
+#: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and the plan
+#: before serves them best; one that is refused again and again grows too old to start from, and the same refusal comes back.
+STUCK = 4
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class MPC:
 
     ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
-    ``guess``: see :data:`Guess`. A solve that fails keeps the last policy and starts the next one from its plan.
+    ``guess``: see :data:`Guess`. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
     """
 
     def __init__(
@@ -132,6 +135,7 @@ class MPC:
         self._outcome = (0, 0, 0.0)
         self._iterations = 0  # of all calls of the solver for the last plan
         self._broken = 0  # passes in a row that ended with numbers that are not finite
+        self._faults = 0  # passes in a row without a plan, whatever the reason
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
@@ -266,6 +270,7 @@ class MPC:
         broken = self._not_finite_part()
         self._broken = self._broken + 1 if broken else 0
         before, self.fault = self.fault, broken or self._refused()
+        self._faults = self._faults + 1 if self.fault else 0
         if self.fault and not before:  # the first of a row of them
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
@@ -300,7 +305,8 @@ class MPC:
     def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
 
-        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. A plan
+        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
+        that misses a hard limit from the :data:`STUCK`-th pass without a plan in a row on. It is not used until it holds them. A plan
         from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from the
         observation.
         """
@@ -308,8 +314,13 @@ class MPC:
             self.solver.guess(np.asarray(observation.x, float))
             self.solver.forget()
             self._t = None
-        elif self.solver.status(self._outcome[0]) is not Status.EQUALITY_MISSED:
+        elif self._broken or not self._goes_on():
             self.resume(x, u, t)
+
+    def _goes_on(self) -> bool:
+        """Whether a finite iterate that was refused is what the next pass starts from."""
+        status = self.solver.status(self._outcome[0])
+        return status is Status.EQUALITY_MISSED or (status is Status.LIMIT_MISSED and self._faults >= STUCK)
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
