@@ -2,10 +2,11 @@
 
 Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
-so; there is no wrench without it. A sensor that says nothing cannot be told from a hand that is free, nor one that says the same
-for ever from a hand that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds
-without it. Before the hand starts it touches nothing, whatever the sensor says: that is its zero. A hand whose sensor is not
-believed lets go, as one does that has found no door in time; the force is zero from then on.
+so; plans made without it have no wrench (one made before, which goes on while newer ones are refused, still has). A sensor that
+says nothing cannot be told from a hand that is free, nor one that says the same for ever from a hand that pushes; so its numbers
+must change, and they are compared with the force that the momentum observer finds without it. Before the hand starts it touches
+nothing, whatever the sensor says: that is its zero. A hand whose sensor is not believed lets go, as one does that has found no
+door in time; the force is zero from then on.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from wbmpc.solver.solver import one_jump
 _LOG = logging.getLogger("wbmpc")
 #: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
 Guess = Callable[[Solver, float, np.ndarray], None]
-#: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and the plan
-#: before serves them best; one that is refused again and again grows too old to start from, and the same refusal comes back.
+#: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and
+#: then the plan before is where to start from; after more it is so old that the same refusal comes back.
 STUCK = 4
 
 
@@ -306,9 +306,9 @@ class MPC:
         """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
 
         An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
-        that misses a hard limit from the :data:`STUCK`-th pass without a plan in a row on. It is not used until it holds them. A plan
-        from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from the
-        observation.
+        that misses a hard limit, from the :data:`STUCK`-th pass without a plan in a row on; it is not used as long as it does.
+        A plan from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from
+        the observation.
         """
         if self._broken > 1:
             self.solver.guess(np.asarray(observation.x, float))
