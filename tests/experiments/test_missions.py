@@ -86,8 +86,8 @@ QUIET = SwerveDriveSettings(rest=1.0, plant=Perturbation.none(encoder_counts=2**
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]
     bench = swerve_drive._Run(QUIET, SWERVE, 0, Log())
-    ending, _, faults, hit = bench.planned("way", *straight(SWERVE, name, is_open), knock=knock)
-    assert not ending.reason and faults == []
+    ending, _, agent, hit = bench.planned("way", *straight(SWERVE, name, is_open), knock=knock)
+    assert not ending.reason and agent.faults == []
     return bench.log, hit
 
 

@@ -59,9 +59,8 @@ def test_what_the_agent_found_is_in_the_result(module: Any, monkeypatch: pytest.
 
 
 def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        swerve_drive._Run, "planned", lambda self, name, *_, **__: (EARLY, no_mpc(), [f"{name}: {FAULT}"], None)
-    )
+    found = SimpleNamespace(faults=[FAULT], holds=0)
+    monkeypatch.setattr(swerve_drive._Run, "planned", lambda self, name, *_, **__: (EARLY, no_mpc(), found, None))
     assert swerve_drive.run(swerve_drive.SwerveDriveSettings(), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: (Ending(), [str(FAULT)] if name == "ik" else []))
@@ -75,7 +74,7 @@ def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: p
 
     def planned(run: Any, name: str, *_: Any, **__: Any) -> Any:
         run.log.add(f"{name}.base", 0.0, np.zeros(3))
-        return Ending(), no_mpc(), [], None
+        return Ending(), no_mpc(), SimpleNamespace(faults=[], holds=0), None
 
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
     monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, *_: counted.append(len(faults)) or {})

@@ -166,7 +166,7 @@ class _Run:
         self, name: str, mission: Mission, duration: float, edit: Any = None, knock: float | None = None,
         progress: Progress | None = None,
     ) -> tuple[Ending, MPC, SwerveAgent, _Knock | None]:  # fmt: skip
-        """With the MPC. The knock, if any, comes at ``knock`` [s]."""
+        """With the MPC. A knock comes at ``knock`` [s], without the guard of open legs, which would stop the leg on its way."""
         s, robot = self.settings, self.robot
         home, plant = self.start(mission, edit)
         mpc = swerve_mpc(robot, s.mpc, s.cost, SteeringGuess(robot, mission.preview))
@@ -177,7 +177,7 @@ class _Run:
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveAgent(
-            robot, plant.truth().pose, timing.period, brakes, lag=s.drive_lag, leg_guard=s.leg_guard,
+            robot, plant.truth().pose, timing.period, brakes, lag=s.drive_lag, leg_guard=s.leg_guard and knock is None,
             use_gyro=s.use_gyro, odd_wheels=s.odd_wheels, faulty=brakes.accept,
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
