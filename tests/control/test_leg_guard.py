@@ -98,12 +98,19 @@ def test_a_brake_that_is_told_to_close_or_does_not_hold_is_left_alone() -> None:
     assert not guard.held(0.3).any() and guard.until[0] == 0.3
     watched(guard, moves, np.zeros(2), 0.2, start=0.4)
     assert list(guard.holds) == [2, 1]
+    guard.give_up(1)  # while it is held: its time is not prolonged until its turn to open has come
+    until = guard.until[1]
+    for t in np.arange(0.6, 1.2, PERIOD):
+        guard.update(float(t), np.zeros(2), np.zeros(2), np.ones(2))
+    assert guard.until[1] == until
 
 
 def test_times_may_start_anew_and_bad_numbers_are_refused() -> None:
     guard = LegGuard(2)
     watched(guard, np.array([0.5, 0.0]), np.zeros(2), 0.2)
-    guard.update(0.0, [3.0, 3.0], np.zeros(2), np.ones(2))
+    assert guard.update(0.0, [3.0, 3.0], np.zeros(2), np.ones(2)), (
+        "the planner has to be told that nothing is held any more"
+    )
     assert not guard.held(0.0).any()
     for bad in ([np.nan, 0.0], [0.0]):
         with pytest.raises(InputError, match="leg guard: 'leg' needs 2 finite numbers"):

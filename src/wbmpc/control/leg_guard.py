@@ -63,7 +63,7 @@ class LegGuard:
 
     def give_up(self, leg: int) -> None:
         """The brake of ``leg`` (index) does not hold: it is left alone until it is next told to be closed."""
-        self._useless[leg] = True
+        self._useless[leg], self._held[leg] = True, False
 
     def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> bool:
         """Take in measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s] since the last look and which
@@ -75,11 +75,11 @@ class LegGuard:
         finite(who, time=t)
         angle, planned = numbers(who, "leg", leg, n), numbers(who, "rate", rate, n)
         told = numbers(who, "brake", is_open, n) > 0.5
+        before = self.until.copy()
         if t < self.time:
             self.restart()
         h, last = (t - self.time, self._last) if self._last is not None else (0.0, angle)
         self.time, self._last = t, angle
-        before = self.until.copy()
         self._end(t, told)
         free = told & ~self._held & ~self._useless
         kept = np.exp(-h / self.window)

@@ -281,9 +281,11 @@ class SwerveAgent:
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
         self._look_before_stop()
-        if self.guard is not None and self.brakes is self._own and np.isfinite(self.guard.until).any():
+        if self.guard is not None and self.brakes is self._own:
+            told = np.isfinite(self.guard.until).any()
             self.guard.restart()
-            self.hold(self.guard.until)
+            if told:
+                self.hold(self.guard.until)
         self._drive_arm(np.zeros(self.sag.size))
         self.wanted, self.sent = np.zeros((2, self.robot.input.size))
         self.clamped = self.aligning = False
@@ -340,7 +342,9 @@ class SwerveAgent:
     def _open(self, t: float) -> np.ndarray:
         """Brakes (n, 1 = open) at t [s]: as commanded, closed where the guard holds a leg."""
         brake = self.brakes(t)
-        return brake if self.guard is None else np.where(self.guard.held(t), 0.0, brake)
+        if self.guard is None or self.brakes is not self._own:
+            return brake
+        return np.where(self.guard.held(t), 0.0, brake)
 
     def _guard_legs(self, t: float) -> None:
         """Hold open legs that go astray from what drives have made of the commands, and tell the planner."""

@@ -329,7 +329,7 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    keep_mechanics(spec, description.base.body)
+    keep_mechanics(spec, description.base.body, path)
     refuse_couplings(spec, description)
     widen(spec, description.limits.position, path)
     for name, angle in description.lock.items():

@@ -29,10 +29,10 @@ _OF_MEMORY = ("memory", "nconmax", "njmax", "nstack")
 _NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata"}
 
 
-def keep_mechanics(spec: mujoco.MjSpec, base: str) -> None:
+def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     """Leave out, in place, what plants have of their own, and the joints of the body ``base``, which the kind of base moves."""
     fresh = mujoco.MjSpec()
-    _fix_masses(spec, fresh)
+    _fix_masses(spec, fresh, path)
     _copy(fresh.option, spec.option)
     spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
     for name in _OF_MEMORY:
@@ -52,12 +52,12 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str) -> None:
     _reset_defaults(spec, fresh)
 
 
-def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
+def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec, path: object) -> None:
     """Masses as the file's compiler makes them, for good: else it would do the same to what plants add or change, as a payload."""
     names = [n for n in _OF_COMPILER if getattr(spec.compiler, n) != getattr(fresh.compiler, n)]
     spec.compiler.fusestatic = False  # all frames are kept
     if set(names) - {"fusestatic"}:
-        model = spec.compile()
+        model = compiled(spec, path)
         for body in spec.bodies[1:]:
             body.explicitinertial, body.fullinertia = True, np.full(6, np.nan)
             body.mass, body.inertia = float(model.body_mass[body.id]), model.body_inertia[body.id]
@@ -79,6 +79,9 @@ def _leave_the_world(spec: mujoco.MjSpec, base: str) -> None:
     world = spec.worldbody
     for element in [*world.geoms, *world.lights, *world.cameras]:
         spec.delete(element)
+    for eye in [*spec.cameras, *spec.lights]:
+        if eye.targetbody and spec.body(eye.targetbody) is None:  # it looks at something of the scene
+            spec.delete(eye)
 
 
 def _reset_defaults(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
