@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.experiments.rezero_door import DOORS, RezeroDoorSettings, push_door, trial_metrics
-from wbmpc.experiments.rezero_door_problem import DoorScheme
 from wbmpc.reproduce import parse_seeds
+from wbmpc.studies.minniti2019.door import DOORS, RezeroDoorSettings, push_door, trial_metrics
+from wbmpc.studies.minniti2019.door_problem import DoorScheme
 
 #: Which parts of the scheme are on. "paper": the wrench is a free input (Minniti et al. 2019).
 SCHEMES = {

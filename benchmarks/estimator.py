@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings, run
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, run
 
 CASES: dict[str, dict[str, object]] = {
     "filter": {},

@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 import wbmpc
+from wbmpc.bases.swerve.plant import STEER_SPEED
 from wbmpc.benchmark.limits import iteration_times
-from wbmpc.loop import run_lockstep
-from wbmpc.plant.swerve import STEER_SPEED
 from wbmpc.report import versions
+from wbmpc.simulation.lockstep import run_lockstep
 from wbmpc.solver.solution import COLUMNS
 
 #: What counts as outside a limit [share of the range].
@@ -115,7 +115,7 @@ class Recorder:
         """Excess of what the drives' commands change by from tick to tick over what accelerations allow (swerve robot)."""
         if not self.swerve:
             return
-        given, most = self.rig.robot.input, self.rig.robot.limits.input_change * self.rig.timing.period
+        given, most = self.rig.robot.input, self.rig.robot.limits.input_rate * self.rig.timing.period
         now = np.concatenate([command.steer, command.wheel, command.arm])
         if self._last is not None:
             allowed = np.concatenate([most[given[g]] for g in ("steer", "wheel", "arm")])

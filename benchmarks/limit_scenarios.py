@@ -11,20 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.control import RezeroAgent, SwerveAgent
-from wbmpc.estimation import RezeroEstimator
-from wbmpc.experiments.paths import SinePath
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, leaning_of, set_home_references
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_problem
-from wbmpc.loop import Timing
-from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import MPC
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.plant import RezeroPlant, SwervePlant
+from wbmpc.settings import MpcSettings
+from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, leaning_of, set_home_references
+from wbmpc.studies.paths import SinePath
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]
@@ -43,7 +45,7 @@ class Variant:
         """The MPC of a problem under this variant."""
         settings = settings.model_copy(update={"limits": self.limits, "iterations": self.iterations})
         solver: SQP = settings.solver()
-        interior = replace(solver.interior_point, reset=self.reset, **({"extra_when_cut": MORE} | self.changes))
+        interior = replace(solver.interior_point, reset=self.reset, **({"max_extra_iterations": MORE} | self.changes))
         return MPC(make(settings), replace(solver, interior_point=interior), settings.rate)
 
 
@@ -54,7 +56,7 @@ VARIANTS = {
     "soft": Variant("soft"),
     "hard, 10 iterations": Variant(iterations=10),
     "hard, slacks kept": Variant(reset=False),
-    "hard, never more": Variant(changes={"extra_when_cut": 0}),
+    "hard, never more": Variant(changes={"max_extra_iterations": 0}),
 }
 #: μ of both robots' limits, hard and relaxed. The ball robot's is larger: it leaves the feedback on noisy speeds a reserve.
 BALL_MU, SWERVE_MU = 0.5, 3e-3
@@ -99,10 +101,10 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
-    plant = RezeroPlant(robot.description, home, torque, settings.plant, seed)
+    plant = BallPlant(robot.description, home, torque, settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.delay)
-    estimator = RezeroEstimator(robot, home)
-    agent = RezeroAgent(robot, mpc, torque, timing.period, settings.drive_lag, estimator=estimator)
+    estimator = BallEstimator(robot, home)
+    agent = BallController(robot, mpc, torque, timing.period, settings.drive_lag, estimator=estimator)
     agent.leaning = leaning_of(settings, robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     rig = Rig(robot, mpc, plant, agent, timing, duration)
@@ -184,7 +186,7 @@ def _swerve(
     if schedule is not None:
         mpc.set_schedule(schedule)
         brakes = lambda t: np.array(schedule.modes[schedule.index(t)].values["brake"])
-    agent = SwerveAgent(robot, plant.truth().pose, timing.period, brakes, lag=0.020)
+    agent = SwerveController(robot, plant.truth().pose, timing.period, brakes, lag=0.020)
     mpc.reset(robot.home)
     return Rig(robot, mpc, plant, agent, timing, duration)
 

@@ -27,7 +27,8 @@ from workers import Workers
 
 from wbmpc.cli.terminal import INTERRUPTED, TERMINATED, terminable
 from wbmpc.errors import InputError, WbmpcError
-from wbmpc.experiments.push_map import (
+from wbmpc.studies.minniti2019.baselines import Controller
+from wbmpc.studies.minniti2019.push_map import (
     CRITERIA,
     FINE,
     MODES,
@@ -42,7 +43,6 @@ from wbmpc.experiments.push_map import (
     simulated,
     wanted,
 )
-from wbmpc.experiments.rezero_rivals import Controller
 
 #: Gains of rivals by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
 GAINS = Path(__file__).with_name("push_map_gains.json")

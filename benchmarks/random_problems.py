@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from random_rival import Rival
 
-from wbmpc.model import Equations
+from wbmpc.model.ode import Ode
 from wbmpc.ocp import (
     AugmentedLagrangian,
     Constraint,
@@ -34,7 +34,7 @@ from wbmpc.ocp import (
     SmoothL1,
     residuals,
     sets,
-)  # fmt: skip
+)
 from wbmpc.solver import ILQR, SQP, Solution, Solver, Status
 
 Rows = residuals.Expression
@@ -53,7 +53,7 @@ class Drawn(NamedTuple):
 
 
 # ---------------------------------------------------------------------- what is drawn
-def _system(r: np.random.Generator, nx: int, nu: int, switched: bool) -> Equations:
+def _system(r: np.random.Generator, nx: int, nu: int, switched: bool) -> Ode:
     a, b = r.normal(size=(nx, nx)), r.normal(size=(nx, nu))
     a *= min(1.0, 2.0 / np.abs(np.linalg.eigvals(a)).max())
     c, d = 0.4 * r.normal(size=(nx, nx)), 0.2 * r.normal(size=(nx, nx)) * r.integers(0, 2)
@@ -63,7 +63,7 @@ def _system(r: np.random.Generator, nx: int, nu: int, switched: bool) -> Equatio
         return ca.DM(a) @ x + gain * (ca.DM(b) @ u) + ca.DM(c) @ ca.sin(x) + ca.DM(d) @ x * u[0]
 
     names = lambda n: [str(i) for i in range(n)]
-    return Equations({"x": names(nx)}, {"u": names(nu)}, f, mode={"m": ["gain"]} if switched else {})
+    return Ode({"x": names(nx)}, {"u": names(nu)}, f, mode={"m": ["gain"]} if switched else {})
 
 
 def _hard(r: np.random.Generator, nx: int, nu: int, slack: float) -> list[Constraint]:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.program import Stages, sampled
-from wbmpc.ocp.rows import Kind, Row
+from wbmpc.ocp.constraint_classification import Kind, Row
 from wbmpc.solver import Solver
 
 _OPTIONS = {

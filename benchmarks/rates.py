@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from study import Figures, Kept, drawing
 
-from wbmpc.experiments.push_map import Point, bracket, measure
 from wbmpc.reproduce import parse_seeds
+from wbmpc.studies.minniti2019.push_map import Point, bracket, measure
 
 RATES = (80.0, 200.0, 400.0, 1000.0)
 DELAYS = {"delay of one period": None, "same delay, 10 ms": 0.010}

@@ -20,17 +20,24 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control import RezeroAgent, SwerveAgent
-from wbmpc.experiments.paths import SinePath
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.rezero_steps import STEPS, target
-from wbmpc.experiments.rezero_task import RezeroSettings, leaning_of, set_home_references
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
-from wbmpc.model import load_robot
-from wbmpc.mpc import MPC, RealTime, Runner, Sizes, WallClock
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.shared_memory import Sizes
+from wbmpc.settings import MpcSettings
+from wbmpc.studies.minniti2019.steps import STEPS, target
+from wbmpc.studies.minniti2019.task import RezeroSettings, leaning_of, set_home_references
+from wbmpc.studies.paths import SinePath
+from wbmpc.types import BallCommand, SwerveCommand
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
@@ -75,18 +82,18 @@ def make_rezero_mpc(rate: float) -> MPC:
     return mpc
 
 
-def make_rezero_plant() -> RezeroPlant:
+def make_rezero_plant() -> BallPlant:
     """Perturbed against the model, sensors with noise, as in the experiments."""
     robot = load_robot("rezero")
-    return RezeroPlant(robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), None, 0)
+    return BallPlant(robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
-def make_rezero_agent(own: MPC, plant: RezeroPlant, rate: float) -> RezeroAgent:
+def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController:
     """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
     robot.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    agent = RezeroAgent(robot, own, robot.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
+    agent = BallController(robot, own, robot.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
     agent.leaning = leaning_of(BALL, robot, arm)
     return agent
 
@@ -95,7 +102,7 @@ def rezero_case() -> Case:
     times, positions, _ = rezero_poses()
     index = lambda t: np.searchsorted(times, t, side="right") - 1
     return Case(
-        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_agent, RezeroCommand(np.zeros(6)),
+        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_agent, BallCommand(np.zeros(6)),
         lambda t: positions[index(t)], lambda t: np.abs(t - times[index(t)] - 3.0) < 0.5,
         "hand error from 2.5 to 3.5 s after each step: later the hand already leans into the next one, which it sees coming",
     )  # fmt: skip
@@ -129,9 +136,9 @@ def make_swerve_plant() -> SwervePlant:
     return SwervePlant(robot.description, robot.state.split(robot.home), None, 0)
 
 
-def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveAgent:
+def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
     """The experiments' controller, odometry of the wheels alone."""
-    return SwerveAgent(load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, lag=0.020)
+    return SwerveController(load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, lag=0.020)
 
 
 def swerve_case(intervals: int) -> Case:
@@ -194,8 +201,8 @@ def run(
     agent = Watched(case.make_agent(own, plant, control))
     parameters = own.solver.problem.constant.slices["parameters"]
     make = partial(case.make_mpc, rate)
-    settings = RealTime(control, max_policy_age=0.25, records=200_000)
-    runner = Runner(
+    settings = RealTimeSettings(control, max_policy_age=0.25, records=200_000)
+    runner = RealTimeRunner(
         robot, agent, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
         parameters=lambda: own.solver.ws.w[parameters], setup=partial(place, last, fifo),
     )  # fmt: skip

@@ -22,13 +22,13 @@ import numpy as np
 from push_map import gains, settings_with, write_gains
 from rezero_rivals import SPACE, Store, candidate
 
-from wbmpc.control import LqrAgent, RegulatorGains
-from wbmpc.experiments.push_map import MODES, Point
-from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_push import LAST, NEAR
-from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
-from wbmpc.experiments.rezero_task import set_home_references
-from wbmpc.model import load_robot
+from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.model.robot import load_robot
+from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
+from wbmpc.studies.minniti2019.lqr import LqrController, RegulatorGains
+from wbmpc.studies.minniti2019.push import LAST, NEAR
+from wbmpc.studies.minniti2019.push_map import MODES, Point
+from wbmpc.studies.minniti2019.task import set_home_references
 
 Gains = dict[str, float]
 CONTROLLERS = ("lqr", "scheduled-lqr")
@@ -68,11 +68,11 @@ class ModelledRobot:
         place = pose.position + pose.rotation @ ca.DM(base.tree.links[BODY].com)
         self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(place[:2], q))])
 
-    def agent(self, scheduled: bool, gains: Gains) -> LqrAgent:
+    def agent(self, scheduled: bool, gains: Gains) -> LqrController:
         """With these factors of the weights."""
         given, own = RegulatorSettings(**gains), copy.copy(self._gains)
         own.weights = regulator_weights(self.robot, self.settings, given)
-        agent = LqrAgent(self.robot, self.mpc, self.torque, self.period, self.settings.drive_lag, observer=False)
+        agent = LqrController(self.robot, self.mpc, self.torque, self.period, self.settings.drive_lag, observer=False)
         agent.regulate(own, lambda t: self.home, scheduled, given.most)
         return agent
 
@@ -81,7 +81,7 @@ class ModelledRobot:
         out: np.ndarray = np.array(self._slope(q)).T @ force
         return out
 
-    def loss(self, agent: LqrAgent, direction: float, impulse: float) -> float:
+    def loss(self, agent: LqrController, direction: float, impulse: float) -> float:
         """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of hand or
         ball, 1 to 2 for a fall, more the earlier."""
         states = self.pushed(agent, direction, impulse, self.settings.pause)
@@ -94,7 +94,7 @@ class ModelledRobot:
         error = float(np.linalg.norm(place - wanted, axis=1).max())
         return error / (1.0 + error)
 
-    def losses(self, agent: LqrAgent, impulse: float, most: float = np.inf) -> list[float]:
+    def losses(self, agent: LqrController, impulse: float, most: float = np.inf) -> list[float]:
         """Over the directions, until their sum is beyond ``most``."""
         found: list[float] = []
         for direction in MODELLED:
@@ -103,7 +103,7 @@ class ModelledRobot:
                 break
         return found
 
-    def pushed(self, agent: LqrAgent, direction: float, impulse: float, seconds: float) -> np.ndarray:
+    def pushed(self, agent: LqrController, direction: float, impulse: float, seconds: float) -> np.ndarray:
         """States (n, nx) from a push on, every period, until it falls."""
         x, torque, n = self.home.copy(), self.torque.copy(), self.robot.base.nq
         blend = 1.0 - np.exp(-self.period / LAG)

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.configuration import configure
-from wbmpc.experiments import REGISTRY
-from wbmpc.experiments.push_map import Point, simulated
 from wbmpc.reproduce import parse_seeds
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019.push_map import Point, simulated
 
 REGULATOR = {
     "hand": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),

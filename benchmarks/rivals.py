@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.control import FourWheelSteeringAgent, RollingAgent
-from wbmpc.experiments import swerve_drive
-from wbmpc.experiments import swerve_fixed as fixed
 from wbmpc.log import Log
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
+from wbmpc.studies.pankert2022 import drive as swerve_drive
+from wbmpc.studies.pankert2022 import fixed
+from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController
 
 _FIXED: dict[str, tuple[float, ...]] = {
     "lead": (0.0, 0.01, 0.02, 0.03),
@@ -42,7 +42,7 @@ GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
 MOTIONS: dict[str, tuple[fixed.Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
 #: The robot stands only so long [s] before a trial.
 REST = 2.0
-KINDS = {"ik": RollingAgent, "four_wheel": FourWheelSteeringAgent}
+KINDS = {"ik": RollingController, "four_wheel": FourWheelSteeringController}
 
 
 def error(name: str, gains: dict[str, float], seeds: range, random: float) -> float:

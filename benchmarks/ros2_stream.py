@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from ros2_processes import Bus, matched
 
-from wbmpc.model import load_robot
-from wbmpc.ros2 import Qos
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import header, pose
 
 

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.experiments.paths import SinePath
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.rezero_task import set_home_references
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
-from wbmpc.model import load_robot
-from wbmpc.mpc import MPC, Observation
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Reference
+from wbmpc.settings import MpcSettings
+from wbmpc.studies.minniti2019.task import set_home_references
+from wbmpc.studies.paths import SinePath
 
 #: Between two solves [s]; the spread of what the state is off its plan.
 PERIOD, NOISE = 0.005, 1e-3

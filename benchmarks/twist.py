@@ -14,8 +14,8 @@ import numpy as np
 from rates import STEP
 from study import Figures, Kept, drawing
 
-from wbmpc.experiments.rezero_frequency import RezeroFrequencySettings
 from wbmpc.reproduce import parse_seeds
+from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
 
 FACTORS = (0.1, 1.0, 10.0, 100.0)
 PANELS = (

@@ -28,8 +28,9 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.mpc import Plans, Runner
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
+from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.view.realtime import RealtimeView
 from wbmpc.view.session import runner_of
 
@@ -52,7 +53,7 @@ class Measured(RealtimeView):
         self.late: list[float] = []
         self.cost: list[float] = []
 
-    def watch(self, t: float, late: float, plans: Plans) -> None:
+    def watch(self, t: float, late: float, plans: PolicyQueue) -> None:
         """The view's own, measured."""
         start = time.perf_counter()
         super().watch(t, late, plans)
@@ -100,7 +101,7 @@ class Guests:
             self.process = None
 
 
-def measure(view: Measured, runner: Runner, guests: Guests, seconds: float) -> dict[str, dict[str, float]]:
+def measure(view: Measured, runner: RealTimeRunner, guests: Guests, seconds: float) -> dict[str, dict[str, float]]:
     """All parts, one after another."""
     found = {}
     for part in PARTS:
@@ -121,7 +122,7 @@ def measure(view: Measured, runner: Runner, guests: Guests, seconds: float) -> d
     return found
 
 
-def circle(runner: Runner, seconds: float) -> None:
+def circle(runner: RealTimeRunner, seconds: float) -> None:
     """The hand goes round and round, so that there is something to see."""
     mpc: Any = runner.mpc
     home, t = mpc.reference["hand"].values[0], np.arange(0.0, seconds, 0.05)

@@ -17,8 +17,8 @@ ocp.add(wb.Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="all"))
 ocp.add(wb.Cost("posture", wb.residuals.State(robot), {"base": [1.0, 1.0, 5.0], "leg": 1.0, "arm": 0.05}, at="all"))
 speeds = {"base": 0.5, "leg": 1.0, "steer": 0.05, "wheel": 0.001, "arm": 0.1}
 ocp.add(wb.Cost("speed", wb.residuals.Input(robot), speeds))
-ocp.add(wb.Constraint("rolling", wb.residuals.WheelRolling(robot)))
-ocp.add(wb.Constraint("brakes", wb.residuals.BrakedLegs(robot)))
+ocp.add(wb.Constraint("rolling", wb.residuals.Rolling(robot)))
+ocp.add(wb.Constraint("brakes", wb.residuals.LockedJoints(robot)))
 box = wb.sets.Box(limits.input_lower, limits.input_upper)
 ocp.add(wb.Constraint("limits", wb.residuals.Input(robot, tracked=False), box, penalty=wb.RelaxedBarrier(1e-3, 0.02)))
 

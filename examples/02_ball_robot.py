@@ -6,11 +6,12 @@ Run: python examples/02_ball_robot.py
 import numpy as np
 
 import wbmpc as wb
-from wbmpc.control import Plans, RezeroAgent
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_mpc
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.loop import Timing, run_lockstep
-from wbmpc.plant import RezeroPlant
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.settings import MpcSettings
+from wbmpc.simulation.lockstep import Timing, run_lockstep
 
 robot = wb.load_robot("rezero")
 home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
@@ -25,13 +26,13 @@ mpc.reference["twist"] = wb.Reference.constant(np.zeros(6))
 mpc.reference["torque"] = wb.Reference.constant(torque)
 mpc.reset(home, torque)
 
-plant = RezeroPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
+plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
 timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.delay)
-agent = RezeroAgent(robot, mpc, torque, timing.period, lag=0.02)
+agent = BallController(robot, mpc, torque, timing.period, lag=0.02)
 hand: list[np.ndarray] = []
 
 
-def record(t: float, command: object, plans: Plans) -> None:
+def record(t: float, command: object, plans: PolicyQueue) -> None:
     """Keep the hand's true position at every controller tick."""
     hand.append(plant.truth().tool)
 

@@ -18,7 +18,7 @@ def crane(x, u):
 
 
 def make_mpc() -> wb.MPC:
-    dynamics = wb.Equations({"x": ["position", "angle", "speed", "rate"]}, {"u": ["acceleration"]}, crane)
+    dynamics = wb.Ode({"x": ["position", "angle", "speed", "rate"]}, {"u": ["acceleration"]}, crane)
     ocp = wb.OptimalControlProblem(dynamics, horizon=3.0, intervals=60)
     error = wb.residuals.Expression(4, lambda s: s.x - np.array([2.0, 0.0, 0.0, 0.0]))
     effort = wb.residuals.Expression(1, lambda s: s.u)
@@ -54,7 +54,7 @@ class Crane:
         self.u = REST
 
 
-class Agent:
+class Controller:
     """From measurements to observations and commands; ``model`` predicts over the computation's latency."""
 
     def __init__(self, model, period):
@@ -76,5 +76,9 @@ class Agent:
 
 clock, model = wb.WallClock(), make_mpc()
 robot = Crane(clock, model)
-print(wb.Runner(robot, Agent(model, 1 / 400), make_mpc(), wb.RealTime(control_rate=400.0), clock).run(4.0))
+print(
+    wb.RealTimeRunner(
+        robot, Controller(model, 1 / 400), make_mpc(), wb.RealTimeSettings(control_rate=400.0), clock
+    ).run(4.0)
+)
 print(f"load at {robot.x[0]:.3f} m, rope at {np.rad2deg(robot.x[1]):.2f} degrees")

@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from wbmpc.experiments import rezero_steps, swerve_track
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, RezeroPlant, SwervePlant
-from wbmpc.plant.render import Camera, Renderer
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.render import Camera, Renderer
+from wbmpc.studies.minniti2019 import steps as rezero_steps
+from wbmpc.studies.pankert2022 import track as swerve_track
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE, FINER = (1200, 700), 2
@@ -23,7 +26,7 @@ def save(name: str, picture: np.ndarray) -> None:
     small.quantize(256).save(IMAGES / name, optimize=True)
 
 
-def draw(plant: SwervePlant | RezeroPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
+def draw(plant: SwervePlant | BallPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
     """The plant with the way that its hand is asked to go."""
     with Renderer(plant, SIZE[0] * FINER, SIZE[1] * FINER) as renderer:
         return renderer.frame(camera, line)
@@ -51,7 +54,7 @@ def rezero() -> None:
     during = (log.times("state") > start) & (log.times("state") < start + 0.7)
     k = int(np.argmax(np.where(during, log.array("tilt"), 0.0)))
     state = log.array("state")[k] * np.where(np.arange(robot.state.size) < 8, 1.0, 0.0)
-    plant = RezeroPlant(robot.description, state, torque, Perturbation.none())
+    plant = BallPlant(robot.description, state, torque, Perturbation.none())
     camera = Camera(target=(0.1, -0.03, 0.47), distance=2.1, azimuth=2.9, elevation=-0.2, field=0.55)
     height = np.array([0.0, 0.0, robot.base.base.ball_radius])
     position, _ = robot.pose(home)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments.rezero_steps import STEPS
 from wbmpc.report import write_run
+from wbmpc.studies.minniti2019.steps import STEPS
 
 
 def archive(result, folder: Path) -> tuple[dict[str, float], dict[str, np.ndarray]]:  # type: ignore[no-untyped-def]

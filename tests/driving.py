@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control import SwerveAgent
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
-from wbmpc.loop import Timing, run_lockstep
-from wbmpc.model import load_robot
-from wbmpc.mpc import SteeringGuess
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
-from wbmpc.plant import Perturbation, SwervePlant
+from wbmpc.settings import MpcSettings
+from wbmpc.simulation.lockstep import Timing, run_lockstep
+from wbmpc.simulation.perturbation import Perturbation
 
 #: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I (signs of LF, RF, LB, RB).
 SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
@@ -101,7 +102,7 @@ def drive(
     mpc.reference["input"] = Reference(t, inputs)
     plant = SwervePlant(robot.description, state.split(home), perturbation, seed)
     timing = Timing.of(plant.timestep, 400.0, 50.0, 0.010)
-    agent = SwerveAgent(robot, plant.truth().pose, timing.period, planned_steering=planned_steering)
+    agent = SwerveController(robot, plant.truth().pose, timing.period, planned_steering=planned_steering)
     mpc.reset(home)
     times, planned, true, steered = [], [], [], []
 

@@ -16,8 +16,12 @@ import casadi as ca
 import numpy as np
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc import MPC, Clock, Observation, Plans, RealTime, Runner, VirtualClock
+from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Cost, OptimalControlProblem
+from wbmpc.runtime.clock import Clock, VirtualClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
 
 START = np.array([1.0, 0.0])
 #: Of the controller [s].
@@ -75,7 +79,7 @@ class ToyAgent:
     def measure(self, measurement: Measured) -> None:
         self.measured = measurement
 
-    def predict(self, t: float, until: float, plans: Plans) -> Observation:
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         x = self.measured.x
         for k in range(round((until - t) / self.period)):
             policy = plans.at(t + k * self.period)
@@ -86,7 +90,7 @@ class ToyAgent:
     def _input(self, policy: Any, t: float, x: np.ndarray) -> float:
         return 0.0 if policy is None else float(np.clip(policy(t, x)[0], -self.limit, self.limit))
 
-    def command(self, t: float, plans: Plans) -> Force:
+    def command(self, t: float, plans: PolicyQueue) -> Force:
         assert plans.current is not None
         self.clamped = bool(abs(plans.current(t, self.measured.x)[0]) > self.limit)
         return Force(np.array([self._input(plans.current, t, self.measured.x)]))
@@ -155,10 +159,12 @@ def make_faulty(fault: str, after: int = 30) -> FaultyMPC:
 
 def virtual(
     computing: float | Callable[[], float] = 0.0, mpc: MPC | None = None, limit: float = np.inf, **settings: Any
-) -> Runner:
+) -> RealTimeRunner:
     """A runner in virtual time; every solve takes ``computing`` [s]."""
     clock = VirtualClock(computing)
-    return Runner(ToyRobot(clock), ToyAgent(PERIOD, limit), mpc or make_mpc(), RealTime(**settings), clock)
+    return RealTimeRunner(
+        ToyRobot(clock), ToyAgent(PERIOD, limit), mpc or make_mpc(), RealTimeSettings(**settings), clock
+    )
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from driving import Motion, drive
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, SwervePlant
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
 
 ROBOT = load_robot("swerve-mabi")
 LOWER, UPPER = np.array([-6.1, -3.0, -2.4, -6.1, -2.2, -4.6]), np.array([6.1, 0.0, 2.4, 6.1, 2.2, 4.6])

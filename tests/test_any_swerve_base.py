@@ -13,16 +13,20 @@ import yaml
 
 from driving import Motion, drive
 from own_bases import write_base
-from wbmpc.control import BrakeControl, RollingAgent
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.model import beyond_range
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeMonitor
-from wbmpc.experiments import swerve_brakes, swerve_unified
-from wbmpc.experiments.directions import refuse_directions
-from wbmpc.experiments.mission import at_home
-from wbmpc.experiments.swerve_unified import SwerveUnifiedSettings, rear_triangles
-from wbmpc.model import beyond_range, load_robot
-from wbmpc.plant import Perturbation, SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
+from wbmpc.studies.minniti2019.directions import refuse_directions
+from wbmpc.studies.pankert2022 import brakes as swerve_brakes
+from wbmpc.studies.pankert2022 import unified as swerve_unified
+from wbmpc.studies.pankert2022.mission import at_home
+from wbmpc.studies.pankert2022.rolling import RollingController
+from wbmpc.studies.pankert2022.unified import SwerveUnifiedSettings, rear_triangles
 
 BASES = {"3 fixed": (3, False), "4 on hinges": (4, True), "6 fixed": (6, False), "6 on hinges": (6, True)}
 SWING = 0.15
@@ -72,7 +76,7 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
 
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
-    agent = RollingAgent(robot, np.zeros(3), period, goals, brakes=brakes.commanded, monitor=monitor)
+    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, monitor=monitor)
     for k in range(1000):
         agent.measure(plant.measure())
         plant.step(agent.drive(k * period), 5)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from driving import CONFIGURATIONS, Motion, drive
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import HandCost, StateCost, SwerveCost, swerve_problem
-from wbmpc.model import load_robot
-from wbmpc.mpc import SteeringGuess
+from wbmpc.bases.swerve.defaults import HandCost, StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
-from wbmpc.plant import Perturbation
+from wbmpc.settings import MpcSettings
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, Solver, Status
 
 #: Quantised encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.

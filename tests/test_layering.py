@@ -91,7 +91,7 @@ def test_the_check_sees_a_wrong_import() -> None:
     assert imported(ast.parse(inside_a_function), "wbmpc.model") == {
         "wbmpc.cli.main",
         "wbmpc.report",
-        "wbmpc.plant.world",
+        "wbmpc.simulation.world",
     }
 
 
@@ -108,7 +108,7 @@ environment, directory = dict(os.environ), set(os.listdir())
 import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
 heavy = [m for m in ('casadi', 'mujoco', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
 assert not heavy, heavy
-import wbmpc.experiments, wbmpc.benchmark
+import wbmpc.studies, wbmpc.benchmark
 assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())
 assert set(os.listdir()) == directory, os.listdir()
 assert 'plotly' not in sys.modules

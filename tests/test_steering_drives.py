@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from driving import Motion, drive
-from wbmpc.plant import Perturbation
+from wbmpc.simulation.perturbation import Perturbation
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,18 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
-from wbmpc.kernel.machine import compile_module, load_object
-from wbmpc.model import Equations, load_robot
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
+from wbmpc.kernel.codegen_target import compile_module, load_object
+from wbmpc.model.ode import Ode
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.workspace import aligned
 
 
-class ToyDynamics(Equations):
+class ToyDynamics(Ode):
     """ẋ = f(x, u, w, m) with numbered names."""
 
     def __init__(self, nx: int, nu: int, f: Callable[..., ca.SX], parameters: int = 0, mode: int = 0) -> None:

@@ -26,15 +26,15 @@ class EndedByUser(RunAborted):
     """The user ended a run: with Ctrl-C, or in a view. Nothing more of it follows. The command line exits with 130."""
 
 
-class FallForeseen(RunAborted):
+class FallPredicted(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
 
-class PushedAway(RunAborted):
+class DisturbanceTooLarge(RunAborted):
     """A force that no lean can hold drives a robot that balances ever faster: the motors are switched off."""
 
 
-class EncodersFailed(RunAborted):
+class SensorFailure(RunAborted):
     """A robot that balances does not know its state any more, for its encoders stand still: the motors are switched off."""
 
 

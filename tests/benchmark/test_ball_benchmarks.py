@@ -15,23 +15,23 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import limit_scenarios
 import realtime
 
-from wbmpc.control import RezeroAgent
-from wbmpc.experiments.rezero_problem import RezeroCost
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings
-from wbmpc.model import load_robot
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.model.robot import load_robot
+from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, RezeroSettings
 
 ROBOT = load_robot("rezero")
 NO_MPC: Any = SimpleNamespace(reference={}, reset=lambda *_: None)  # compiling one takes a second
 STRONG = np.array([400.0, -100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def in_real_time() -> RezeroAgent:
+def in_real_time() -> BallController:
     return realtime.make_rezero_agent(NO_MPC, None, 400.0)  # type: ignore[arg-type]
 
 
-def at_its_limits(cost: RezeroCost) -> RezeroAgent:
+def at_its_limits(cost: RezeroCost) -> BallController:
     variant: Any = SimpleNamespace(mpc=lambda *_: NO_MPC)
-    agent: RezeroAgent = limit_scenarios._rezero(ROBOT, variant, 0, 5.0, cost).agent
+    agent: BallController = limit_scenarios._rezero(ROBOT, variant, 0, 5.0, cost).agent
     return agent
 
 

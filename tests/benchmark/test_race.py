@@ -32,7 +32,8 @@ from wbmpc.benchmark.scaling import limited_arm, slope
 from wbmpc.benchmark.table import text
 from wbmpc.benchmark.yardstick import yardstick
 from wbmpc.kernel.compiled import Sizes
-from wbmpc.zoo import ballbot, cartpole, double_integrator
+from wbmpc.studies.test_problems.ballbot import ballbot
+from wbmpc.studies.test_problems.small import cartpole, double_integrator
 
 
 # ---------------------------------------------------------------------- operation counts

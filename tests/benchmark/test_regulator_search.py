@@ -17,7 +17,7 @@ import push_map
 import regulator_search
 from regulator_search import BODY, MODELLED, RAISE, ModelledRobot, race, search
 
-from wbmpc.experiments.rezero_push import NEAR, Outcome
+from wbmpc.studies.minniti2019.push import NEAR, Outcome
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +179,6 @@ def test_the_summary_compares_direction_by_direction() -> None:
 
 
 def test_gains_from_the_command_line_of_the_search_are_settings() -> None:
-    from wbmpc.experiments.rezero_rivals import RegulatorSettings
+    from wbmpc.studies.minniti2019.baselines import RegulatorSettings
 
     assert set(regulator_search.SPACE["lqr"]) == set(RegulatorSettings.model_fields)

@@ -17,20 +17,21 @@ import ipopt
 from toys import rezero_solver, robot
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
-from wbmpc.zoo import MAKERS, ZooProblem
+from wbmpc.studies.test_problems import MAKERS
+from wbmpc.studies.test_problems.problem import TestProblem
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),
     "sqp-filter": SQP(iterations=400, line_search="filter"),
     "sqp-exact": SQP(iterations=400, hessian="exact"),
-    "sqp-shift": SQP(iterations=400, smallest_step=0.9),  # full steps, or a Levenberg-Marquardt shift
+    "sqp-shift": SQP(iterations=400, min_step=0.9),  # full steps, or a Levenberg-Marquardt shift
     "ilqr": ILQR(iterations=400),
     "ilqr-filter": ILQR(iterations=400, line_search="filter"),
     "slq": SLQ(iterations=400, step=0.04),
 }
 
 
-def hardened(problem: ZooProblem) -> ZooProblem:
+def hardened(problem: TestProblem) -> TestProblem:
     """All inequalities hard."""
     for name, term in problem.ocp.terms.items():
         if isinstance(term, Constraint) and not term.equality:
@@ -38,12 +39,12 @@ def hardened(problem: ZooProblem) -> ZooProblem:
     return problem
 
 
-def rezero_with_a_force() -> ZooProblem:
+def rezero_with_a_force() -> TestProblem:
     """The ball robot pushes with 5 N while its hand stays."""
     base = rezero_solver(10)
     model = robot("rezero", contact="force")
-    from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-    from wbmpc.experiments.settings import MpcSettings
+    from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+    from wbmpc.settings import MpcSettings
 
     settings = MpcSettings(horizon=0.5, intervals=10, first_interval=0.0, barrier_mu=1e-2)
     home, torque = model.equilibrium(model.home[model.state["arm"]])
@@ -52,7 +53,7 @@ def rezero_with_a_force() -> ZooProblem:
         **base.references, "body": Reference.constant(home),
         "torque": Reference.constant(u + np.concatenate([0 * torque, [5.0, 0.0, 0.0]])),
     }  # fmt: skip
-    return ZooProblem(
+    return TestProblem(
         "ball robot with a force", rezero_problem(model, settings, RezeroCost()), home, home, u, references
     )
 
@@ -108,7 +109,7 @@ def test_optimum(name: str, solver: str) -> None:
     check_certificate(made, found.x, found.u, problem)
 
 
-def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: ZooProblem) -> None:
+def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: TestProblem) -> None:
     """Gaps, start and hard limits, evaluated anew."""
     np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
     for k, h in enumerate(np.diff(made.ws.grid)):

@@ -10,20 +10,16 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import (
-    ActuatorGains,
-    ArmLoop,
-    FallForecast,
-    HandInverse,
-    Leaning,
-    LqrWeights,
-    RegulatorGains,
-    RezeroAgent,
-    SwerveAgent,
-    TaskGains,
-)
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.tracking import ActuatorGains
+from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.errors import InputError
+from wbmpc.studies.minniti2019.lqr import LqrWeights, RegulatorGains
+from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse
+from wbmpc.studies.minniti2019.taskspace_control import TaskGains
 
 BALL, SWERVE, NAN = robot("rezero"), robot("swerve-ur10"), float("nan")
 ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), np.ones(6))
@@ -32,17 +28,17 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: FallForecast(BALL, ARM, plans=0), "'plans' must be a whole number, at least 1"),
-        (lambda: FallForecast(BALL, ARM, share=-1.0), "'share' must be positive"),
-        (lambda: FallForecast(BALL, ARM, seconds=NAN), "'seconds' must be finite"),
-        (lambda: FallForecast(BALL, NAN * ARM), "'arm' needs 3"),
-        (lambda: Leaning(BALL, ARM, 0.6, 0.0), "leaning: 'speed' must be positive"),
-        (lambda: Leaning(BALL, ARM, NAN, 2.0), "leaning: 'share' must be finite"),
-        (lambda: RezeroAgent(BALL, None, np.zeros(6), 0.0, 0.02), "'period' must be positive"),  # type: ignore[arg-type]
-        (lambda: RezeroAgent(BALL, None, np.zeros(6), 0.0025, -0.02), "'lag' must not"),  # type: ignore[arg-type]
-        (lambda: RezeroAgent(BALL, None, np.full(6, NAN), 0.0025, 0.02), "'torque' needs 6"),  # type: ignore[arg-type]
-        (lambda: SwerveAgent(SWERVE, np.zeros(3), NAN), "swerve robot's agent: 'period' must be finite"),
-        (lambda: SwerveAgent(SWERVE, np.zeros(3), 0.0025, lag=-1.0), "'lag' must not be negative"),
+        (lambda: FallPredictor(BALL, ARM, plans=0), "'plans' must be a whole number, at least 1"),
+        (lambda: FallPredictor(BALL, ARM, share=-1.0), "'share' must be positive"),
+        (lambda: FallPredictor(BALL, ARM, seconds=NAN), "'seconds' must be finite"),
+        (lambda: FallPredictor(BALL, NAN * ARM), "'arm' needs 3"),
+        (lambda: LeanControl(BALL, ARM, 0.6, 0.0), "leaning: 'speed' must be positive"),
+        (lambda: LeanControl(BALL, ARM, NAN, 2.0), "leaning: 'share' must be finite"),
+        (lambda: BallController(BALL, None, np.zeros(6), 0.0, 0.02), "'period' must be positive"),  # type: ignore[arg-type]
+        (lambda: BallController(BALL, None, np.zeros(6), 0.0025, -0.02), "'lag' must not"),  # type: ignore[arg-type]
+        (lambda: BallController(BALL, None, np.full(6, NAN), 0.0025, 0.02), "'torque' needs 6"),  # type: ignore[arg-type]
+        (lambda: SwerveController(SWERVE, np.zeros(3), NAN), "swerve robot's agent: 'period' must be finite"),
+        (lambda: SwerveController(SWERVE, np.zeros(3), 0.0025, lag=-1.0), "'lag' must not be negative"),
         (lambda: ActuatorGains(arm_stiffness=np.inf), "arm_stiffness must be at least 0 and finite"),
         (lambda: ArmLoop(pace=0.0, integral=1.0), "arm's loop: 'pace' must be positive"),
         (lambda: HandInverse(BALL, np.full(6, -1.0), 1.0), "inverse kinematics: 'weight' must not be negative"),

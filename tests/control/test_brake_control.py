@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import BrakeControl
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeFault
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
-from wbmpc.mpc import Observation
+from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import ModeSchedule, Reference
+from wbmpc.settings import MpcSettings
 
 SWERVE = robot("swerve-ur10")
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import FallForecast
-from wbmpc.errors import FallForeseen
-from wbmpc.model import load_robot
-from wbmpc.model.balance import Balance
-from wbmpc.mpc import Policy
+from wbmpc.bases.ball.balance import Balance
+from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.errors import FallPredicted
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.policy import Policy
 
 ROBOT = robot("rezero")
 ARM = ROBOT.home[ROBOT.state["arm"]]
@@ -32,28 +32,28 @@ def plan(pitch: float, at: float = 0.1) -> Policy:
 
 def test_plans_in_a_row_that_lean_too_far() -> None:
     """The load's centre of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
-    forecast = FallForecast(ROBOT, ARM, plans=4, ahead=0.1001)
+    forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1001)
     for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
         policy = plan(pitch)
         forecast.look(policy)
         forecast.look(policy)  # the same one again
-    with pytest.raises(FallForeseen, match="4 plans in a row"):
+    with pytest.raises(FallPredicted, match="4 plans in a row"):
         forecast.look(plan(0.6))
 
 
 def test_what_a_plan_says_later_is_not_looked_at() -> None:
-    forecast = FallForecast(ROBOT, ARM, plans=4, ahead=0.1)
+    forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1)
     for _ in range(20):
         forecast.look(plan(0.6, at=0.2))
 
 
 def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
-    forecast, t = FallForecast(ROBOT, ARM, seconds=0.05), 0.0
+    forecast, t = FallPredictor(ROBOT, ARM, seconds=0.05), 0.0
     for pitch, seconds in ((0.2, 1.0), (0.6, 0.045), (0.2, 0.1), (-0.6, 0.045)):
         for _ in range(round(seconds / 0.0025)):
             t += 0.0025
             forecast.feel(t, leaning(pitch))
-    with pytest.raises(FallForeseen, match=r"for 50 ms it has leant by \d+ mm .* can stop \d+ mm; motors off"):
+    with pytest.raises(FallPredicted, match=r"for 50 ms it has leant by \d+ mm .* can stop \d+ mm; motors off"):
         for _ in range(4):
             t += 0.0025
             forecast.feel(t, leaning(-0.6))
@@ -61,33 +61,33 @@ def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
 
 def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
     """The pole is 4.7 /s: turning by 2 rad/s counts as a lean of 0.42 rad more."""
-    still, turning = FallForecast(ROBOT, ARM), FallForecast(ROBOT, ARM)
+    still, turning = FallPredictor(ROBOT, ARM), FallPredictor(ROBOT, ARM)
     x = leaning(0.15)
     for k in range(30):
         still.feel(0.0025 * k, x)
     x[ROBOT.base.nq + 3] = 2.0
-    with pytest.raises(FallForeseen):
+    with pytest.raises(FallPredicted):
         for k in range(30):
             turning.feel(0.0025 * k, x)
 
 
 def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
     """What is 40 mm beyond the reach counts as none if a learnt force answers 60 mm of it."""
-    forecast, answered = FallForecast(ROBOT, ARM, seconds=0.02), FallForecast(ROBOT, ARM, seconds=0.02)
+    forecast, answered = FallPredictor(ROBOT, ARM, seconds=0.02), FallPredictor(ROBOT, ARM, seconds=0.02)
     lean = next(
         p for p in np.arange(0.2, 0.8, 0.005) if forecast._most(leaning(p)[None], 0.0, np.zeros(2)) > 1.3 * 0.1256
     )
     away = np.array(forecast._component(leaning(lean), 0.0, np.zeros(2))).ravel()
     for k in range(20):
         answered.feel(0.0025 * k, leaning(lean), shift=-0.06 * away / np.linalg.norm(away))
-    with pytest.raises(FallForeseen):
+    with pytest.raises(FallPredicted):
         for k in range(20):
             forecast.feel(0.0025 * k, leaning(lean))
 
 
 def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     """Balance.answer (tests/model/test_balance.py): a lean that a push of the world answers is none, without it one is lost."""
-    pushed, forecast = load_robot("rezero", contact="force"), FallForecast(ROBOT, ARM)
+    pushed, forecast = load_robot("rezero", contact="force"), FallPredictor(ROBOT, ARM)
     against = -1.2 * forecast.reach / Balance.of(ROBOT, ARM).answer  # N along x
     lean = next(
         p
@@ -96,14 +96,14 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     )
     for k in range(40):
         forecast.feel(0.0025 * k, leaning(lean), force=(against, 0.0))
-    with pytest.raises(FallForeseen):
+    with pytest.raises(FallPredicted):
         for k in range(40, 80):
             forecast.feel(0.0025 * k, leaning(lean))
-    planned, still = FallForecast(pushed, ARM), plan(lean, at=0.05)
+    planned, still = FallPredictor(pushed, ARM), plan(lean, at=0.05)
     u = np.zeros((2, 9))
     u[0, pushed.input["force"]] = [against, 0.0, 0.0]  # the last state of the plan leans no more
     for _ in range(8):
         planned.look(Policy(still.times, still.x, u, np.zeros((2, 9, 16))))
-    with pytest.raises(FallForeseen):
+    with pytest.raises(FallPredicted):
         for _ in range(8):
             planned.look(Policy(still.times, still.x, 0.0 * u, np.zeros((2, 9, 16))))

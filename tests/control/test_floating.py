@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import BrakeControl
-from wbmpc.control.brakes import FLOATING, floating, refuse_floating_way
+from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, refuse_floating_way
+from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.errors import InputError
-from wbmpc.experiments.mission import Mission, Reconfiguration
-from wbmpc.model import wheel_velocities
 from wbmpc.stability import leg_angles
+from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 
 SWERVE = robot("swerve-ur10")
 G, OPEN = SWERVE.base.geometry, np.ones(4)

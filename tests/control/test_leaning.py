@@ -1,4 +1,4 @@
-"""Leaning against forces that last. Truth: statics about the ball's contact with the floor."""
+"""LeanControl against forces that last. Truth: statics about the ball's contact with the floor."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import Leaning
-from wbmpc.control.leaning import MOST
-from wbmpc.errors import PushedAway
+from wbmpc.bases.ball.lean_control import MOST, LeanControl
+from wbmpc.errors import DisturbanceTooLarge
 
 ROBOT = robot("rezero")
 ARM = ROBOT.home[ROBOT.state["arm"]]
-LEANING = Leaning(ROBOT, ARM, 0.6, 2.0)
+LEANING = LeanControl(ROBOT, ARM, 0.6, 2.0)
 HEIGHT = 0.2
 
 
@@ -62,7 +61,7 @@ def test_the_heading_turns_it_all() -> None:
 
 
 def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
-    leaning, x, n = Leaning(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+    leaning, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     x[n] = 1.9
     leaning.check(1.0, pushed(20.0), x)
     x[n] = 0.5
@@ -76,12 +75,12 @@ def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pyt
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
         leaning.check(2.0, pushed(force), x)
         leaning.check(2.25, pushed(force), x)
-    with pytest.raises(PushedAway, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
+    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
         leaning.check(2.31, pushed(50.0), x)
 
 
 def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on() -> None:
-    leaning, x, n = Leaning(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+    leaning, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     for t, speed in ((1.0, -3.0), (1.5, -2.5), (2.0, 2.5), (2.2, 2.5), (2.25, 1.9), (2.4, 2.5), (2.6, 2.5)):
         x[n] = speed
         leaning.check(t, pushed(50.0), x)

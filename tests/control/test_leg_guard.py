@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import BrakeControl, LegGuard, Plans, SwerveAgent
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.leg_guard import LegGuard
+from wbmpc.bases.swerve.ros import BusAgent, SwervePilot
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeFault
-from wbmpc.mpc import Policy
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import ModeSchedule
-from wbmpc.plant import SwerveMeasurement
-from wbmpc.ros2.swerve import BusAgent, SwervePilot
+from wbmpc.types import SwerveMeasurement
 
 PERIOD, CLOSES = 0.0025, 0.1
 SWERVE = robot("swerve-ur10")
@@ -138,9 +141,9 @@ def test_the_plan_holds_a_leg_until_its_brake_has_opened_again() -> None:
             brakes.hold(bad)
 
 
-def standing() -> Plans:
+def standing() -> PolicyQueue:
     """A plan in which nothing moves."""
-    plans, times = Plans(), np.array([0.0, 10.0])
+    plans, times = PolicyQueue(), np.array([0.0, 10.0])
     plans.add(
         0.0,
         Policy(
@@ -154,7 +157,7 @@ def standing() -> Plans:
     return plans
 
 
-def swung(agent: SwerveAgent, seconds: float = 0.2) -> list[float]:
+def swung(agent: SwerveController, seconds: float = 0.2) -> list[float]:
     """The brakes that are commanded at last, while leg 1 turns at 0.5 rad/s though the plan stands."""
     home, plans = SWERVE.state.split(SWERVE.home), standing()
     for t in PERIOD * np.arange(round(seconds / PERIOD)):
@@ -172,7 +175,7 @@ def opened(told: list[ModeSchedule]) -> BrakeControl:
 
 def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
     told: list[ModeSchedule] = []
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, opened(told))
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(told))
     assert swung(agent) == [1, 0, 1, 1] and agent.holds == 1 and not agent.faults
     assert planned(told[-1], 0.2) == [1, 0, 1, 1] and planned(told[-1], 2.0) == [1, 1, 1, 1]
     agent.stop()
@@ -180,11 +183,11 @@ def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, opened([]), leg_guard=False)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), leg_guard=False)
     assert swung(agent) == [1, 1, 1, 1] and agent.holds == 0
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
     assert swung(agent) == [1, 1, 1, 1]
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, opened([]))
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]))
     agent.brakes = lambda t: np.ones(4)  # as a view does
     assert swung(agent) == [1, 1, 1, 1]
 

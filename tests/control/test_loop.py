@@ -1,4 +1,4 @@
-"""Plans and the lockstep loop. Truth: a list of who should be in force when; what reaches the drives when a run fails."""
+"""PolicyQueue and the lockstep loop. Truth: a list of who should be in force when; what reaches the drives when a run fails."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wbmpc.control import Plans
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.loop import Ending, Timing, run_lockstep
-from wbmpc.mpc import Observation
+from wbmpc.mpc.mpc import Observation
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
 
 
 class FakeMPC:
@@ -35,10 +35,10 @@ class FakeAgent:
     def measure(self, measurement) -> None:  # type: ignore[no-untyped-def]
         self.measured += 1
 
-    def predict(self, t: float, until: float, plans: Plans) -> Observation:
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         return Observation(until, np.zeros(1))
 
-    def command(self, t: float, plans: Plans):  # type: ignore[no-untyped-def]
+    def command(self, t: float, plans: PolicyQueue):  # type: ignore[no-untyped-def]
         return SimpleNamespace(drive=plans.current)
 
     def stop(self):  # type: ignore[no-untyped-def]
@@ -57,7 +57,7 @@ class ErringAgent(FakeAgent):
         if self.where == "measure" and self.measured > 20:
             raise NotFinite("the estimate is not finite")
 
-    def command(self, t: float, plans: Plans):  # type: ignore[no-untyped-def]
+    def command(self, t: float, plans: PolicyQueue):  # type: ignore[no-untyped-def]
         if self.where == "command" and t > 0.195:
             return SimpleNamespace(drive=np.array([1.0, np.nan]))
         return SimpleNamespace(drive=np.array([1.0, 1.0]))
@@ -123,7 +123,7 @@ def test_who_is_in_force(every: int, delay: int) -> None:
 
 
 def test_plans_look_ahead() -> None:
-    plans = Plans()
+    plans = PolicyQueue()
     assert plans.at(0.0) is None
     plans.add(0.3, "first")
     assert plans.current == "first"
@@ -215,7 +215,7 @@ def test_ctrl_c_takes_effect_between_ticks_and_stops_the_robot() -> None:
     """The tick in which it comes is finished: recorded and commanded."""
     plant, recorded = fake_plant(), []
 
-    def record(t: float, command: object, plans: Plans) -> None:
+    def record(t: float, command: object, plans: PolicyQueue) -> None:
         if t == pytest.approx(0.1):
             os.kill(os.getpid(), signal.SIGINT)
         recorded.append(t)
@@ -228,7 +228,7 @@ def test_ctrl_c_takes_effect_between_ticks_and_stops_the_robot() -> None:
 
 
 def test_a_second_ctrl_c_acts_at_once() -> None:
-    def record(t: float, command: object, plans: Plans) -> None:
+    def record(t: float, command: object, plans: PolicyQueue) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 

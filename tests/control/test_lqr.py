@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from wbmpc import lie
-from wbmpc.control import LqrAgent, LqrWeights, RegulatorGains
-from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import Plans
-from wbmpc.plant import RezeroMeasurement
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
+from wbmpc.types import BallMeasurement
 
 PERIOD = 0.0025
 HAND, TWIST = np.array([30.0, 20.0, 10.0, 4.0, 3.0, 2.0]), np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
@@ -81,17 +81,17 @@ def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGa
     assert np.linalg.norm(shift - away) < 0.03 * np.linalg.norm(away)
 
 
-def agent(robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float) -> LqrAgent:
+def agent(robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float) -> LqrController:
     u = robot.equilibrium(robot.home[robot.state["arm"]])[1]
-    out = LqrAgent(robot, None, u, PERIOD, 0.02, observer=False)  # type: ignore[arg-type]
+    out = LqrController(robot, None, u, PERIOD, 0.02, observer=False)  # type: ignore[arg-type]
     out.regulate(gains, lambda t: wanted, scheduled, most)
     return out
 
 
-def asked(agent: LqrAgent, x: np.ndarray) -> np.ndarray:
+def asked(agent: LqrController, x: np.ndarray) -> np.ndarray:
     """Torques that the law asks for at x, before they are cut."""
-    agent.measure(RezeroMeasurement(0.0, x, 0.0))
-    agent.command(0.0, Plans())
+    agent.measure(BallMeasurement(0.0, x, 0.0))
+    agent.command(0.0, PolicyQueue())
     return agent.wanted
 
 

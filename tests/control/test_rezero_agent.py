@@ -11,13 +11,14 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from toys import robot
-from wbmpc.control import Leaning, Plans, RezeroAgent
+from wbmpc.bases.ball.balance import Balance
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.push import DEAD, PushEstimator
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import PushEstimator
-from wbmpc.estimation.push import DEAD
-from wbmpc.model.balance import Balance
-from wbmpc.mpc import Policy
-from wbmpc.plant import RezeroMeasurement
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.types import BallMeasurement
 
 PERIOD = 0.0025
 BALL = robot("rezero")
@@ -48,26 +49,26 @@ def feedback_policy(seed: int) -> Policy:
     return Policy(times, rng.normal(size=(51, 2 * N)) * 0.1, rng.normal(size=(50, TORQUES)), gain)
 
 
-def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> RezeroAgent:
+def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> BallController:
     more = {"dead_time": dead * PERIOD}
-    return RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer, **more)  # type: ignore[arg-type]
+    return BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer, **more)  # type: ignore[arg-type]
 
 
 def run_ball(
-    agent: RezeroAgent, late: int, lag: float, ticks: int = 40, dead: int = 0
+    agent: BallController, late: int, lag: float, ticks: int = 40, dead: int = 0
 ) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
     """A plant with drives of a first-order lag (held over a tick), and ``dead`` ticks before it, under the agent: its states, and
     what was predicted.
 
     Predictions are (tick they are for, state); a new policy comes into force every tenth tick, four ticks late.
     """
-    x, torque, states, predictions, plans = 0.1 * np.ones(2 * N), np.zeros(TORQUES), [], [], Plans()
+    x, torque, states, predictions, plans = 0.1 * np.ones(2 * N), np.zeros(TORQUES), [], [], PolicyQueue()
     blend = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
     way = [np.zeros(TORQUES)] * dead
     for k in range(ticks):
         states.append(x)
         age = min(late, k)
-        agent.measure(RezeroMeasurement(k * PERIOD, states[k - age], age * PERIOD))
+        agent.measure(BallMeasurement(k * PERIOD, states[k - age], age * PERIOD))
         t = k * PERIOD
         plans.activate(t)
         if k % 10 == 0:
@@ -101,7 +102,7 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
     agent, sent = ball_agent(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
     for torque in sent:
         agent._drive(torque)
-    agent.measure(RezeroMeasurement(1.0, x, late * PERIOD))
+    agent.measure(BallMeasurement(1.0, x, late * PERIOD))
     for torque in sent[-dead - late :]:
         x = linear_step(x, torque, PERIOD)
     np.testing.assert_allclose(agent.ahead(), x, atol=1e-10)
@@ -119,12 +120,12 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
 )
 def test_a_dead_time_that_cannot_be_predicted_over_is_refused(dead: float, said: str) -> None:
     with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
-        RezeroAgent(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, 0.02, dead_time=dead)  # type: ignore[arg-type]
+        BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, 0.02, dead_time=dead)  # type: ignore[arg-type]
 
 
 def test_ball_robot_clips_torques_and_stops_without() -> None:
-    agent, plans = ball_agent(), Plans()
-    agent.measure(RezeroMeasurement(0.0, np.zeros(2 * N), 0.0))
+    agent, plans = ball_agent(), PolicyQueue()
+    agent.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild = feedback_policy(0)
     plans.add(0.0, Policy(wild.times, wild.x, 1e3 * np.sign(wild.u), wild.gain))
     torque = agent.command(0.0, plans).torque
@@ -147,8 +148,8 @@ def largest_share(lean: np.ndarray) -> float:
 @pytest.mark.parametrize("size", [1.0, 3.0, 8.0, 100.0])
 def test_balance_comes_before_yaw(size: float) -> None:
     """What tilts keeps its direction and as much of its size as some spin allows; what is possible is not touched."""
-    agent, plans = ball_agent(), Plans()
-    agent.measure(RezeroMeasurement(0.0, np.zeros(2 * N), 0.0))
+    agent, plans = ball_agent(), PolicyQueue()
+    agent.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild, rng, untouched = feedback_policy(0), np.random.default_rng(0), 0
     for _ in range(50):
         asked = size * rng.normal(size=3)
@@ -170,11 +171,11 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
     state = np.zeros(2 * N)
     for k in range(3):
         state[N] = 0.01 * k  # it moves without a torque
-        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = agent.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
     assert given is agent.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance observer: 'state'"):
-        agent.measure(RezeroMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+        agent.measure(BallMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
 
 def test_what_makes_the_disturbance_infinite_is_told() -> None:
@@ -184,17 +185,17 @@ def test_what_makes_the_disturbance_infinite_is_told() -> None:
     state[-1] = -17.0
     why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
     with pytest.raises(NotFinite, match=why):
-        agent.measure(RezeroMeasurement(0.0, state, 0.0))
+        agent.measure(BallMeasurement(0.0, state, 0.0))
 
 
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
     """The shift of the limit is that of the disturbance just learnt (tests/control/test_leaning.py), beside a push's room."""
     agent = ball_agent(observer=True)
-    agent.leaning = Leaning(BALL, np.zeros(3), 0.6, 2.0)
+    agent.leaning = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
     state = np.zeros(2 * N)
     for k in range(200):  # half of what 20 N along x would do: 26 kg
         state[N] = 0.9 * k * PERIOD
-        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = agent.mpc.parameters[-1]  # type: ignore[attr-defined]
     np.testing.assert_allclose(given["push"], agent.leaning.centre(agent.disturbance, 0.0))
     assert given["push"][0] > 0.01
@@ -209,14 +210,14 @@ def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     agent, state = ball_agent(), np.zeros(2 * N)
     agent.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
-        agent.measure(RezeroMeasurement(k * PERIOD, state.copy(), 0.0))
+        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
         state = linear_step(state, np.zeros(TORQUES), PERIOD)
         state[N + 3] += 8.0 * PERIOD  # rad/s of pitch
     given = agent.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
     drift = 8.0 * HEIGHT / Balance.of(BALL, np.zeros(3)).pole
     assert given == pytest.approx([0.2 * (drift - DEAD), 0.0], rel=0.02, abs=2e-3)
     with pytest.raises(NotFinite, match="push estimator: 'state' needs 16 finite numbers"):
-        agent.measure(RezeroMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
+        agent.measure(BallMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
 
 
 class Fixed:
@@ -233,9 +234,9 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
     acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
     agent._torques.extend([acted, np.zeros(6), np.zeros(6)])
-    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
+    agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
     assert fixed.turning == pytest.approx(agent.robot.base.wheel_torque_map()[2] @ acted[:3])
-    agent.measure(RezeroMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
+    agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
     np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
     assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)
 
@@ -243,9 +244,9 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
 def test_a_measurement_later_than_all_known_torques_counts_as_from_the_first() -> None:
     """A machine that stalls hands over what is 0.2 s old at 400 Hz: 64 torques are known. Truth: the torques at the start."""
     agent = ball_agent(observer=True)
-    agent.measure(RezeroMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
+    agent.measure(BallMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
     x = 0.2 * np.ones(2 * N)
-    agent.measure(RezeroMeasurement(1.0, x, 1000 * PERIOD))
+    agent.measure(BallMeasurement(1.0, x, 1000 * PERIOD))
     expected = x
     for _ in range(63):
         expected = linear_step(expected, np.zeros(TORQUES), PERIOD)

@@ -9,10 +9,10 @@ import pytest
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.control import ArmLoop, HandInverse
-from wbmpc.experiments import REGISTRY
-from wbmpc.experiments.rezero_push import RezeroPushHandSettings
-from wbmpc.model import ServoedArm
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019.held_arm import ServoedArm
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse
 
 BALL = robot("rezero")
 N = BALL.base.nq

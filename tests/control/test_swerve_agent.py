@@ -7,13 +7,15 @@ import pytest
 from scipy.linalg import expm
 
 from toys import robot
-from wbmpc.control import Plans, SwerveAgent
-from wbmpc.control.swerve import LOOK
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.controller import LOOK, SwerveController
+from wbmpc.bases.swerve.model import aligned_steering
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeFault, BrakeMonitor, WheelCalibration
-from wbmpc.model import RobotModel, aligned_steering
-from wbmpc.mpc import Policy
-from wbmpc.plant import GlobalPose, SwerveMeasurement
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.types import GlobalPose, SwerveMeasurement
 
 PERIOD = 0.0025
 HURRIED = robot("swerve-ur10")
@@ -54,8 +56,8 @@ def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
 def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) -> None:
     """Over the delay the policy in force counts, and from its time on the queued one."""
     pose = np.array([1.0, -2.0, 0.7])
-    agent = SwerveAgent(SWERVE, pose, PERIOD, brakes=lambda t: np.full(4, float(open_brakes)))
-    first, second, plans = swerve_input(1), swerve_input(2), Plans()
+    agent = SwerveController(SWERVE, pose, PERIOD, brakes=lambda t: np.full(4, float(open_brakes)))
+    first, second, plans = swerve_input(1), swerve_input(2), PolicyQueue()
     plans.add(0.0, constant_policy(first, steer=0.3))
     plans.add(0.0150, constant_policy(second))
     agent.measure(message())
@@ -77,9 +79,9 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(scrubbing
     """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
     geometry, agent = (
         SWERVE.base.geometry,
-        SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, scrubbing=scrubbing),
+        SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, scrubbing=scrubbing),
     )
-    u, plans, across = np.zeros(SWERVE.input.size), Plans(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
+    u, plans, across = np.zeros(SWERVE.input.size), PolicyQueue(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
     u[SWERVE.input["base"]] = [0.4, 0.0, 0.0]
     steer = -geometry.wheel_heading + across
     plan = constant_policy(u)
@@ -96,7 +98,7 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(scrubbing
 def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(odd_wheels: bool) -> None:
     """Three wheels roll straight ahead at 0.3 m/s, the fourth turns 0.1 m/s faster. Truth: the base goes as the three do."""
     geometry = SWERVE.base.geometry
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, odd_wheels=odd_wheels)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, odd_wheels=odd_wheels)
     speed = np.array([0.3, 0.3, 0.4, 0.3]) / geometry.wheel_radius
     for k in range(150):
         agent.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
@@ -109,8 +111,8 @@ def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
 
     Truth: arm joints behind first-order drives, integrated by themselves until they stand.
     """
-    lag, u, plans = 0.030, swerve_input(3), Plans()
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag)
+    lag, u, plans = 0.030, swerve_input(3), PolicyQueue()
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=lag)
     plans.add(0.0, constant_policy(u))
     arm, position, speed = SWERVE.input["arm"], np.zeros(6), np.zeros(6)
 
@@ -137,9 +139,9 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
     inputs = np.arange(10.0)[:, None] * np.full(SWERVE.input.size, 0.1)
     x = np.zeros((11, SWERVE.state.size))
     x[:, SWERVE.state["steer"]] = 0.2 * times[:, None]
-    plans = Plans()
+    plans = PolicyQueue()
     plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
     agent.measure(message(steer=np.full(4, 0.6)))
     command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
     np.testing.assert_allclose(command.wheel, 0.3)
@@ -149,12 +151,12 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
 
 def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
     """A wheel that points 0.5 rad beside the plan: the base stands, the wheel turns, and then everything goes on."""
-    u, plans = np.full(SWERVE.input.size, 0.2), Plans()
+    u, plans = np.full(SWERVE.input.size, 0.2), PolicyQueue()
     u[SWERVE.input["steer"]] = 0.0
     times = np.linspace(0.0, 10.0, 11)
     x = np.zeros((11, SWERVE.state.size))
     plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
-    agent, steer, stood = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
+    agent, steer, stood = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
     for k in range(800):
         agent.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
         command = agent.command(k * PERIOD, plans)
@@ -178,8 +180,8 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
         d = SWERVE.description
         slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
         limits = d.limits.model_copy(update={"velocity": slow, "drive_velocity": own})
-        agent = SwerveAgent(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
-        plans, largest = Plans(), 0.0
+        agent = SwerveController(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
+        plans, largest = PolicyQueue(), 0.0
         plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), steer=1.5))
         for k in range(100):
             agent.measure(message(k * PERIOD))
@@ -190,21 +192,21 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
 def test_first_plan_starts_from_wheels_that_agree() -> None:
     """Wheels turned by hand: the state for the first plan has the nearest angles with a common centre, not the measured."""
     crooked = np.array([0.6, -0.3, 0.2, 0.9])
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
     agent.measure(message(steer=crooked))
-    steer = agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]]
+    steer = agent.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]]
     np.testing.assert_allclose(steer, aligned_steering(SWERVE.base.geometry, np.zeros(4), crooked))
     nearly = 0.01 * crooked
     agent.measure(message(steer=nearly))
-    np.testing.assert_array_equal(agent.predict(0.0, 0.0, Plans()).x[SWERVE.state["steer"]], nearly)
+    np.testing.assert_array_equal(agent.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]], nearly)
 
 
 def test_swerve_wheels_are_slowed_together() -> None:
-    u, plans = np.zeros(SWERVE.input.size), Plans()
+    u, plans = np.zeros(SWERVE.input.size), PolicyQueue()
     limit = SWERVE.limits.input_upper[SWERVE.input["wheel"]]
     u[SWERVE.input["wheel"]] = limit * [0.5, 2.0, -1.0, 0.1]
     plans.add(0.0, constant_policy(u))
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
     agent.measure(message())
     np.testing.assert_allclose(agent.command(0.0, plans).wheel, limit * [0.25, 1.0, -0.5, 0.05])
 
@@ -212,11 +214,11 @@ def test_swerve_wheels_are_slowed_together() -> None:
 def test_commands_change_by_what_accelerations_allow() -> None:
     """From rest to a plan: no drive changes faster than its limit, wheels and arm keep to the straight way between two motions,
     and the slowest of them decides when it is there (truth: speed over acceleration)."""
-    u, plans, most = np.zeros(HURRIED.input.size), Plans(), HURRIED.limits.input_change
+    u, plans, most = np.zeros(HURRIED.input.size), PolicyQueue(), HURRIED.limits.input_rate
     given = HURRIED.input
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
-    agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
+    agent = SwerveController(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
     before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
     agent.measure(message())
     ahead = agent.predict(0.0, 8 * PERIOD, plans).x
@@ -241,7 +243,7 @@ def test_commands_change_by_what_accelerations_allow() -> None:
 
 
 def test_swerve_stops_when_its_plan_has_run_out() -> None:
-    plans, agent = Plans(), SwerveAgent(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4))
+    plans, agent = PolicyQueue(), SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4))
     plans.add(0.0, constant_policy(swerve_input(4)))
     agent.measure(message())
     for command in (agent.command(10.1, plans), agent.stop()):
@@ -252,7 +254,10 @@ def test_swerve_stops_when_its_plan_has_run_out() -> None:
 
 def test_gyro_bias_is_found_at_rest() -> None:
     """Wheels at rest show that the base does not turn: the yaw stays, and the bias is the mean of the readings."""
-    agent, deaf = SwerveAgent(SWERVE, np.zeros(3), PERIOD), SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False)
+    agent, deaf = (
+        SwerveController(SWERVE, np.zeros(3), PERIOD),
+        SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False),
+    )
     rng = np.random.default_rng(0)
     readings = 0.008 + 2e-4 / np.sqrt(PERIOD) * rng.normal(size=2000)
     for k, reading in enumerate(readings):
@@ -269,8 +274,8 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
     rng, sag = np.random.default_rng(0), np.array([0.0, 0.03, -0.02, 0.0, 0.01, 0.0])
     u, given = 0.2 * swerve_input(1), SWERVE.input
     u[[i for i in range(u.size) if i not in range(u.size)[given["arm"]]]] = 0.0
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD, lag=0.02)
-    arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), Plans()
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=0.02)
+    arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), PolicyQueue()
     plans.add(0.0, constant_policy(u))
     for k in range(1, 2000):
         t = k * PERIOD
@@ -286,7 +291,7 @@ def test_wheels_and_steering_are_told_what_friction_takes() -> None:
     """Drives that lose 0.03 rad/s, as dry friction makes them. Truth: after a while they turn as planned."""
     u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
     u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
-    agent, plans = SwerveAgent(SWERVE, np.zeros(3), period, friction=True), Plans()
+    agent, plans = SwerveController(SWERVE, np.zeros(3), period, friction=True), PolicyQueue()
     plans.add(0.0, constant_policy(u))
     wheel, steer, behind = np.zeros(4), np.zeros(4), []
     for k in range(300):
@@ -307,7 +312,7 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
     u[given["base"]], u[given["arm"]] = [0.3, 0.0, 0.0], 0.5
     plan, steer = constant_policy(u), -geometry.wheel_heading
     plan.x[:, SWERVE.state["steer"]] = steer
-    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, use_gyro=False, smoothing=0.025), Plans()
+    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, smoothing=0.025), PolicyQueue()
     plans.add(0.0, plan)
     base, arm = [], []
     for k in range(400):
@@ -331,7 +336,7 @@ def test_calibration_corrects_angles_and_wheel_speeds() -> None:
     known = WheelCalibration(
         steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
     )
-    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, calibration=known), Plans()
+    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, calibration=known), PolicyQueue()
     agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
     state = SWERVE.state.split(agent.state())
     np.testing.assert_allclose(state["leg"], 0.1)
@@ -344,7 +349,7 @@ def test_calibration_corrects_angles_and_wheel_speeds() -> None:
 
 
 def test_global_poses_reach_the_odometry() -> None:
-    agent, seen = SwerveAgent(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
+    agent, seen = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
     agent.odometry._state.p[:3, :3] = np.eye(3)
     for k in range(5):
         place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
@@ -354,7 +359,7 @@ def test_global_poses_reach_the_odometry() -> None:
 
 def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
     """A plan runs out at speed, and another comes. Truth: from rest, by the limit times the period."""
-    agent, plans = SwerveAgent(HURRIED, np.zeros(3), PERIOD, lag=0.02), Plans()
+    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lag=0.02), PolicyQueue()
     u = np.zeros(HURRIED.input.size)
     u[HURRIED.input["wheel"]] = 4.0
     plans.add(0.0, constant_policy(u))
@@ -364,7 +369,7 @@ def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
     assert last == pytest.approx(4.0)
     for _ in range(100):
         agent.stop()
-    rise = HURRIED.limits.input_change[HURRIED.input["wheel"]].min() * PERIOD
+    rise = HURRIED.limits.input_rate[HURRIED.input["wheel"]].min() * PERIOD
     assert agent.command(0.3, plans).wheel == pytest.approx(rise)
     assert agent.predict(0.3, 0.3, plans).x[HURRIED.state["wheel"]] == pytest.approx(0.02 * rise, abs=0.02 * rise)
 
@@ -372,7 +377,7 @@ def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
 def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
     """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a sentence. Fixed legs have no brakes."""
     told: list[object] = []
-    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, faulty=told.append), Plans()
+    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, faulty=told.append), PolicyQueue()
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
     for k in range(10):
         agent.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
@@ -380,12 +385,12 @@ def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
     name = SWERVE.state.groups["leg"][2]
     assert len(told) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
     fixed = robot("swerve-fixed-ur10")
-    assert SwerveAgent(fixed, np.zeros(3), PERIOD).monitor is None
+    assert SwerveController(fixed, np.zeros(3), PERIOD).monitor is None
 
 
 def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
     """Open ones would be said not to open after a plan has run out: the legs stand and nothing moves them."""
-    agent, plans = SwerveAgent(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4)), Plans()
+    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4)), PolicyQueue()
     u = np.zeros(SWERVE.input.size)
     u[SWERVE.input["leg"]] = 0.4
     plans.add(0.0, constant_policy(u))
@@ -398,7 +403,7 @@ def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
 
 def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> None:
     """A closed leg moves by 0.1 rad/s: told when it has gone by 10 mrad more than creeps, and at most a look later."""
-    agent, plans, looks = SwerveAgent(SWERVE, np.zeros(3), PERIOD), Plans(), []
+    agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
     assert agent.monitor is not None
     update = agent.monitor.update
@@ -413,7 +418,7 @@ def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
     """A leg slips 0.1 s after the clock has gone back from 1000 s: told as in the first run."""
-    agent = SwerveAgent(SWERVE, np.zeros(3), PERIOD)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
     still = np.zeros(4)
     for start in (1000.0, 0.0):
         for k in range(80):
@@ -430,10 +435,10 @@ def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[Br
     monitor = BrakeMonitor(SWERVE.state.groups["leg"], expected=0.02, patience=0.1)
     told: list[BrakeFault] = []
     brakes = lambda t: np.full(4, float(is_open))
-    agent = SwerveAgent(
+    agent = SwerveController(
         SWERVE, np.zeros(3), PERIOD, brakes, planned_steering=False, monitor=monitor, faulty=told.append
     )
-    u, plans = np.zeros(SWERVE.input.size), Plans()
+    u, plans = np.zeros(SWERVE.input.size), PolicyQueue()
     u[SWERVE.input["leg"].start] = 0.2
     plans.add(0.0, constant_policy(u, start=end - 10.001 if how == "no plan" else 0.0))
     last = round(end / PERIOD)
@@ -459,7 +464,7 @@ def test_a_brake_is_taken_back_although_a_stop_comes_first(how: str) -> None:
 
 
 def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent, plans, looks = SwerveAgent(SWERVE, np.zeros(3), PERIOD), Plans(), []
+    agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), start=-10.1))
     assert agent.monitor is not None
     monkeypatch.setattr(agent.monitor, "update", lambda t, *more: looks.append(t) or [])
@@ -472,7 +477,7 @@ def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("leg", [np.full(4, np.nan), np.zeros(3)])
 def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> None:
     """The loop stops the agent after its odometry has refused the message."""
-    agent, plans = SwerveAgent(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), Plans()
+    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), PolicyQueue()
     plans.add(0.0, constant_policy(swerve_input(3)))
     plans.activate(0.0)
     agent.measure(message())
@@ -484,7 +489,7 @@ def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> No
 
 def test_a_plan_that_is_not_finite_does_not_end_in_the_monitor() -> None:
     """What is commanded is refused by who commands it; the stop after it still looks at the legs."""
-    agent = SwerveAgent(HURRIED, np.zeros(3), PERIOD)
+    agent = SwerveController(HURRIED, np.zeros(3), PERIOD)
     agent.measure(message())
     agent.watch(0.0, np.zeros(4), np.full(4, 0.1))
     agent.watch(LOOK, np.zeros(4), np.full(4, np.nan))

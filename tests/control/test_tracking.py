@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control import ActuatorGains, Plans, TrackingAgent
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
-from wbmpc.experiments.rezero_push import RezeroPushHandSettings
-from wbmpc.mpc import Policy
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroMeasurement, RezeroPlant
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.types import BallCommand, BallMeasurement
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025
@@ -22,17 +25,17 @@ ROLLING = np.zeros(2 * N)
 ROLLING[N] = 0.5  # along x at 0.5 m/s: the wheels' speeds are constant
 
 
-def followed(bleed: float, factor: float, seconds: float) -> tuple[TrackingAgent, np.ndarray]:
+def followed(bleed: float, factor: float, seconds: float) -> tuple[TrackingController, np.ndarray]:
     """Wheel errors (n, 3) [rad] while a plan rolls along x and the true wheels turn ``factor`` times as fast."""
     still = SimpleNamespace(solver=SimpleNamespace(simulate=lambda x, u, h: x, set_parameters=lambda w: None))
     gains = ActuatorGains(bleed=bleed)
-    agent = TrackingAgent(BALL, still, np.zeros(6), PERIOD, 0.0, False, gains=gains)  # type: ignore[arg-type]
-    times, plans = np.array([0.0, 100.0]), Plans()
+    agent = TrackingController(BALL, still, np.zeros(6), PERIOD, 0.0, False, gains=gains)  # type: ignore[arg-type]
+    times, plans = np.array([0.0, 100.0]), PolicyQueue()
     plans.add(0.0, Policy(times, np.stack([ROLLING, ROLLING]), np.zeros((1, 6)), np.zeros((1, 6, 2 * N))))
     speed, errors = agent.speeds(ROLLING)[:3], []
     for k in range(round(seconds / PERIOD)):
         wheel = factor * speed * k * PERIOD
-        agent.measure(RezeroMeasurement(k * PERIOD, ROLLING, 0.0, wheel, np.zeros(3)))
+        agent.measure(BallMeasurement(k * PERIOD, ROLLING, 0.0, wheel, np.zeros(3)))
         agent.command(k * PERIOD, plans)
         errors.append(agent.wheel_error)
     return agent, np.array(errors)
@@ -78,16 +81,16 @@ def test_drives_close_the_loop_between_commands() -> None:
     still = Perturbation(
         mass=0.0, inertia=0.0, com=0.0, joint_offset=0.0, drive_lag=0.002, drive_lag_spread=0.0
     )  # fmt: skip
-    plant = RezeroPlant(BALL.description, home, torque, still, 0)
+    plant = BallPlant(BALL.description, home, torque, still, 0)
     now = np.concatenate([np.zeros(3), home[5:N]])
     wanted = now + [0.0, 0.0, 0.0, 0.0, 0.0, 0.05]
     stiffness, damping = np.array([0.0] * 3 + [40.0] * 3), np.array([0.0] * 3 + [2.0] * 3)
-    plant.step(RezeroCommand(torque, wanted, np.zeros(6), stiffness, damping), 300)
+    plant.step(BallCommand(torque, wanted, np.zeros(6), stiffness, damping), 300)
     moved = plant.state()[5:N] - home[5:N]
     assert moved[2] == pytest.approx(0.05, abs=0.01)  # gravity's torque changes a little on the way
     assert np.abs(moved[:2]).max() < 0.01
-    plant = RezeroPlant(BALL.description, home, torque, still, 0)
-    plant.step(RezeroCommand(torque), 300)
+    plant = BallPlant(BALL.description, home, torque, still, 0)
+    plant.step(BallCommand(torque), 300)
     assert np.abs(plant.state()[5:N] - home[5:N]).max() < 0.01
 
 

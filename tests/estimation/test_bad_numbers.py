@@ -13,31 +13,22 @@ import pytest
 from wheels_on_paper import ring
 
 from toys import robot
-from wbmpc.control import BrakeControl
+from wbmpc.bases.ball.estimator import HISTORY, BallEstimator, JointTracker
+from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise
+from wbmpc.bases.ball.payload import PayloadEstimator
+from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import (
-    BallFilter,
-    BallGeometry,
-    BallNoise,
-    ContactMonitor,
-    DisturbanceObserver,
-    DoorFilter,
-    DoorNoise,
-    DriftObserver,
-    EncoderMonitor,
-    FusedOdometry,
-    JointTracker,
-    MomentumObserver,
-    PayloadEstimator,
-    PushEstimator,
-    ReleaseOdometry,
-    RezeroEstimator,
-    WheelCalibration,
-    WheelOdometry,
-    rockings,
-)
-from wbmpc.estimation.fused import AHEAD
-from wbmpc.estimation.rezero import HISTORY
+from wbmpc.estimation.base_slip import BaseSlipObserver
+from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
+from wbmpc.estimation.momentum import MomentumObserver
+from wbmpc.estimation.rocking import rockings
+from wbmpc.estimation.sensor_faults import EncoderMonitor
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 
 H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")
@@ -79,7 +70,7 @@ def joints() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 
 def rezero() -> tuple[Callable[..., Any], Callable[[], Any]]:
-    estimator = RezeroEstimator(ROBOT, HOME)
+    estimator = BallEstimator(ROBOT, HOME)
     return estimator.update, lambda: estimator.state
 
 
@@ -98,9 +89,9 @@ def push() -> tuple[Callable[..., Any], Callable[[], Any]]:
     return lambda x, h: estimator.update(x, np.zeros(6), h, lambda x, u, h: x), lambda: estimator.drift
 
 
-def stood() -> RezeroEstimator:
+def stood() -> BallEstimator:
     """It stands for 0.1 s, in a place that is known within 0.1 m."""
-    estimator = RezeroEstimator(ROBOT, HOME, BallNoise(start=0.1))
+    estimator = BallEstimator(ROBOT, HOME, BallNoise(start=0.1))
     for k in range(40):
         estimator.update(k * H, *rolling(k, 0.0))
     return estimator
@@ -180,7 +171,7 @@ def rolling(k: int, speed: float = 0.2) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 def test_an_older_message_is_ignored_whole() -> None:
     """Each second message is followed by the one before once more: with it the speed is that of a twin without, to the bit."""
-    late, twin = (RezeroEstimator(ROBOT, HOME) for _ in range(2))
+    late, twin = (BallEstimator(ROBOT, HOME) for _ in range(2))
     for k in range(40):
         for estimator in (late, twin):
             estimator.update(k * H, *rolling(k))
@@ -203,7 +194,7 @@ def test_poses_of_a_past_that_is_forgotten_and_of_a_future_do_not_count(late: fl
 
 
 def test_the_past_is_kept_as_long_as_poses_may_be_late() -> None:
-    estimator = RezeroEstimator(ROBOT, HOME)
+    estimator = BallEstimator(ROBOT, HOME)
     for k in range(8):
         estimator.update(0.11 * k, *rolling(k, 0.0))
     assert [t for t, _ in estimator._places] == pytest.approx([0.11 * k for k in range(2, 8)])
@@ -221,8 +212,8 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: RezeroEstimator(ROBOT, NAN * HOME), "'start' needs 16"),
-        (lambda: RezeroEstimator(ROBOT, HOME[:5]), "'start' needs 16"),
+        (lambda: BallEstimator(ROBOT, NAN * HOME), "'start' needs 16"),
+        (lambda: BallEstimator(ROBOT, HOME[:5]), "'start' needs 16"),
         (lambda: WheelOdometry(FOUR, wheel_radius=NAN), "'wheel_radius' needs 4 finite"),
         (lambda: WheelOdometry(FOUR, wheel_radius=[0.1, 0.1]), "'wheel_radius' needs 4 finite"),
         (lambda: WheelOdometry(FOUR, wheel_radius=-1.0), "'wheel_radius' must be positive"),
@@ -246,8 +237,8 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: BallNoise(gyro=-1.0), "'gyro' is too small"),
         (lambda: BallNoise(encoder=NAN), "'encoder' must be finite"),
         (lambda: BallNoise(scale_time=0.0), "'scale_time' is too small"),
-        (lambda: RezeroEstimator(ROBOT, HOME, balance=NAN), "'balance' must be finite"),
-        (lambda: RezeroEstimator(ROBOT, HOME, balance=0.0), "'balance' must be positive"),
+        (lambda: BallEstimator(ROBOT, HOME, balance=NAN), "'balance' must be finite"),
+        (lambda: BallEstimator(ROBOT, HOME, balance=0.0), "'balance' must be positive"),
         (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(0, 0)), "'calm' needs positive"),
         (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(1,)), "'calm' needs 2"),  # type: ignore[arg-type]
         (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, gate=np.array([NAN])), "'gate' needs"),
@@ -267,7 +258,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
         (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
         (lambda: ContactMonitor(on=np.inf), "contact: 'on' must be finite"),
-        (lambda: DriftObserver(np.inf), "drift observer: 'time_constant' must be finite"),
+        (lambda: BaseSlipObserver(np.inf), "drift observer: 'time_constant' must be finite"),
         (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
         (
             lambda: BallFilter(BallGeometry(0.1, np.eye(3), ZERO), [0, NAN], np.eye(3), BallNoise()),

@@ -14,11 +14,14 @@ from scipy.stats import chi2
 
 from toys import robot
 from wbmpc import lie
+from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
+from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise, BallState
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import BallFilter, BallGeometry, BallNoise, BallState, JointTracker, RezeroEstimator
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
-from wbmpc.plant.inertial import SensorFault
 from wbmpc.robots import InertialDescription
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand
 
 H, SEEDS = 0.0025, 50
 ROBOT = robot("rezero")
@@ -129,11 +132,11 @@ class Balancing:
     """A simulated robot that balances, moves to and fro, and is watched by an estimator."""
 
     def __init__(self, seed: int, *faults: SensorFault, **changes: float) -> None:
-        self.plant = RezeroPlant(
+        self.plant = BallPlant(
             ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, drive_lag=0.01, **changes), seed
         )
         self.plant.sensors.faults = faults
-        self.estimator = RezeroEstimator(ROBOT, HOME)
+        self.estimator = BallEstimator(ROBOT, HOME)
         self.seen: list[tuple[float, str]] = []
 
     def run(self, seconds: float, amplitude: float = 0.1) -> Balancing:
@@ -145,7 +148,7 @@ class Balancing:
             wanted = HOME.copy()
             wanted[0], wanted[2] = amplitude * np.sin(2.0 * m.time), amplitude * np.sin(1.5 * m.time)
             torque = TORQUE - gain @ (self.plant.state() - wanted)
-            self.plant.step(RezeroCommand(np.clip(torque, -limit, limit)), 5)
+            self.plant.step(BallCommand(np.clip(torque, -limit, limit)), 5)
         m = self.plant.measure()
         self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel)
         assert not self.plant.fell
@@ -185,7 +188,7 @@ def twisted(seed: int, told: float) -> Balancing:
         run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
         run.plant.data.xfrc_applied[base, 5] = 1.5 if m.time > 1.0 else 0.0
         torque = np.clip(TORQUE - gain @ (run.plant.state() - HOME), -limit, limit)
-        run.plant.step(RezeroCommand(torque), 5)
+        run.plant.step(BallCommand(torque), 5)
     m = run.plant.measure()
     run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
     return run
@@ -261,8 +264,8 @@ def test_standing_robot_uses_its_balance_once() -> None:
     exact = {"mass": 0.0, "inertia": 0.0, "com": 0.0, "joint_offset": 0.0}
     wrong, right = (Balancing(4, accel_bias=0.4, **exact) for _ in range(2))
     noise = replace(BallNoise(), accel_bias=0.4 / np.sqrt(3.0), tilt=0.1)
-    wrong.estimator = RezeroEstimator(ROBOT, HOME, noise, balance=1.0)
-    right.estimator = RezeroEstimator(ROBOT, HOME, noise, balance=1e-3)
+    wrong.estimator = BallEstimator(ROBOT, HOME, noise, balance=1.0)
+    right.estimator = BallEstimator(ROBOT, HOME, noise, balance=1e-3)
     tilts = [np.abs(r.run(3.5, amplitude=0.0).error()[6:8]).max() for r in (wrong, right)]
     assert tilts[1] < 2e-3 < 3.0 * tilts[1] < tilts[0]
 
@@ -271,7 +274,7 @@ def test_standing_robot_uses_its_balance_once() -> None:
 def test_a_pose_from_elsewhere_is_weighed_by_its_covariance() -> None:
     """Kalman by hand: prior and measurement of the same spread give their mean with half of the variance, here of a robot
     that stands and knows its place within 0.1 m and 0.1 rad; a pose without a covariance is exact."""
-    estimator = RezeroEstimator(ROBOT, HOME, replace(BallNoise(), start=0.1))
+    estimator = BallEstimator(ROBOT, HOME, replace(BallNoise(), start=0.1))
     still = (np.zeros(3), HOME[ROBOT.state["arm"]], np.zeros(3), np.array([0.0, 0.0, 9.81]))
     for k in range(3):
         before = estimator.update(k * H, *still)
@@ -293,7 +296,7 @@ def test_a_late_pose_counts_where_the_robot_was_then() -> None:
     run, offset = Balancing(3), np.array([0.3, -0.2, 0.4])
     wrong = HOME.copy()
     wrong[:3] += offset
-    run.estimator = RezeroEstimator(ROBOT, wrong, replace(BallNoise(), start=1.0))
+    run.estimator = BallEstimator(ROBOT, wrong, replace(BallNoise(), start=1.0))
     run.run(1.0)
     past, before = run.plant.state()[:3].copy(), run.plant.time
     run.run(0.1)
@@ -332,7 +335,7 @@ def test_bad_readings_are_refused() -> None:
     with pytest.raises(InputError, match="positive spread"):
         f.know_lean([0, 0, 1], 0.0)
     with pytest.raises(InputError, match="ball base"):
-        RezeroEstimator(robot("swerve-ur10"), HOME)
+        BallEstimator(robot("swerve-ur10"), HOME)
 
 
 @pytest.mark.parametrize(("gyro", "accel"), [(0.0, 0.0), (0.3, 0.0), (0.0, 40.0), (3.0, 0.0), (0.0, 100.0)])

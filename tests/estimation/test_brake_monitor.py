@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeMonitor
 
 NAMES = ["a", "b", "c", "d"]
 COUNT = 2.0 * np.pi / 2**14

@@ -12,8 +12,11 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.errors import InputError
-from wbmpc.estimation import OdometryNoise, WheelCalibration, WheelOdometry, WheelRecord, calibrate, fit_wheels, replay
+from wbmpc.estimation.odometry_filter import OdometryNoise
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.estimation.wheel_odometry import WheelOdometry
 
 #: Modules that are not on one circle: every zero and every radius shows in some motion.
 UNEVEN = ring(4)

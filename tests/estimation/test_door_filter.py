@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from wbmpc.errors import InputError
-from wbmpc.estimation import ContactMonitor, DoorFilter, DoorNoise
+from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 
 H, TRUTH = 0.0025, np.array([4.0, 8.0, 5.0])
 GUESS = np.array([2.5, 12.0, 3.5])

@@ -7,18 +7,19 @@ import pytest
 
 from toys import robot
 from wbmpc import lie
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
-from wbmpc.estimation import DriftObserver, OffsetObserver
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
-from wbmpc.mpc import Observation
+from wbmpc.estimation.base_slip import BaseSlipObserver
+from wbmpc.estimation.offset import OffsetObserver
+from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
+from wbmpc.settings import MpcSettings
 
 SLOPE = np.array([0.03, -0.05, 0.02])
 
 
 def test_a_constant_drift_is_found() -> None:
-    observer, pose, rng = DriftObserver(0.3), np.zeros(3), np.random.default_rng(0)
+    observer, pose, rng = BaseSlipObserver(0.3), np.zeros(3), np.random.default_rng(0)
     observer.update(pose, np.zeros(3), 0.01)
     for k in range(400):
         twist = np.array([0.3, 0.1 * np.sin(0.05 * k), 0.4])
@@ -29,7 +30,7 @@ def test_a_constant_drift_is_found() -> None:
 
 def test_bad_time_constant() -> None:
     with pytest.raises(InputError, match="time_constant"):
-        DriftObserver(0.0)
+        BaseSlipObserver(0.0)
 
 
 def driven(observed: str, noise: float = 0.0) -> np.ndarray:
@@ -49,7 +50,7 @@ def driven(observed: str, noise: float = 0.0) -> np.ndarray:
     mpc.reference["hand"] = Reference.poses(t, hand, quaternion)
     mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
     mpc.reset(model.home)
-    first_order, x, h, errors = DriftObserver(0.3), model.home.copy(), 0.02, []
+    first_order, x, h, errors = BaseSlipObserver(0.3), model.home.copy(), 0.02, []
     seen = ("base.x", "base.y", "base.yaw")
     kalman = OffsetObserver(
         model.dynamics(),

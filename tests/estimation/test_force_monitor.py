@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wbmpc.control.door import DoorAgent
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import ContactMonitor, ForceMonitor
-from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME
-from wbmpc.plant import RezeroMeasurement
+from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
+from wbmpc.studies.minniti2019.door_control import DoorAgent
+from wbmpc.types import BallMeasurement
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 
@@ -144,7 +144,7 @@ def test_nothing_touches_before_the_hand_starts(off: float, told: bool) -> None:
     agent, rng = agent_that_stands(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
-        agent._feel(RezeroMeasurement(k * H, np.zeros(0), 0.0, force=force))
+        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
         assert agent.contact.touching == (not told and k * H >= 2.0 + agent.contact.debounce - 1e-9)
     assert agent.force[2] == pytest.approx(0.0 if told else 8.0, abs=0.5)
     assert len(agent._found) == told and all("reads 6.5 N where nothing touches (1.00 s)" in f for f in agent._found)
@@ -157,7 +157,7 @@ def test_an_agent_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: 
     agent.phase = phase
     touched = False
     for k in range(60):
-        agent._feel(RezeroMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
+        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
         touched |= agent.contact.touching and agent.force[2] == 8.0
     assert touched and not agent.contact.touching and not agent.force.any()
     assert agent._ends(60 * H)

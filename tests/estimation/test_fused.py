@@ -8,12 +8,12 @@ import pytest
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.errors import InputError
-from wbmpc.estimation import FusedOdometry, OdometryNoise, WheelCalibration
-from wbmpc.estimation.fused import PATIENCE
-from wbmpc.estimation.fused_filter import BIAS
-from wbmpc.estimation.odometry import fit_twist
-from wbmpc.model.swerve import SwerveGeometry
+from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
+from wbmpc.estimation.odometry_filter import BIAS, OdometryNoise
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.estimation.wheel_odometry import fit_twist
 
 FOUR = ring(4)
 

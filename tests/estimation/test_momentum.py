@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.control.door import SensorlessForce
+from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
-from wbmpc.estimation import MomentumObserver
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
+from wbmpc.estimation.momentum import MomentumObserver
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.door_control import SensorlessForce
+from wbmpc.types import BallCommand
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -19,7 +21,7 @@ FORCE = np.array([6.0, -3.0, 4.0])
 
 def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
     """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the hand, while the arm's torques vary."""
-    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, perturbation, seed)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, perturbation, seed)
     sensorless, out = SensorlessForce(PUSHED), []
     torque = TORQUE
     for k in range(100):
@@ -29,7 +31,7 @@ def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
         sensorless.update(plant.state(), torque, 0.0025, 0.0)
         out.append(sensorless.force)
         torque = TORQUE + np.array([0.0, 0.0, 0.0, 0.2, -0.3, 0.2]) * np.sin(0.2 * k)
-        plant.step(RezeroCommand(torque), 5)
+        plant.step(BallCommand(torque), 5)
     return np.array(out)
 
 

@@ -11,9 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, null_space
 
 from wbmpc.errors import InputError
-from wbmpc.estimation import ReleaseOdometry, WheelOdometry
-from wbmpc.estimation.odometry import fit_twist, odd_one_out
-from wbmpc.model import load_robot
+from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry, fit_twist, odd_one_out
+from wbmpc.model.robot import load_robot
 
 ROBOT = load_robot("swerve-ur10")
 GEOMETRY = ROBOT.base.geometry

@@ -13,38 +13,38 @@ import pytest
 
 from toys import Rows, robot
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import OffsetObserver
-from wbmpc.model import Equations
-from wbmpc.mpc import MPC, Observation
+from wbmpc.estimation.offset import OffsetObserver
+from wbmpc.model.ode import Ode
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 
 H, NOISE = 0.02, 1e-3
 GRAVITY, LENGTH = 9.81, 0.5
 
 
-def mass_point() -> Equations:
+def mass_point() -> Ode:
     """1 kg on a line, pushed by u and by an unknown force."""
     f = lambda x, u, w, m: ca.vertcat(x[1], u[0] + w[0])
-    return Equations({"x": ["place", "speed"]}, {"u": ["force"]}, f, parameters={"d": ["force"]})
+    return Ode({"x": ["place", "speed"]}, {"u": ["force"]}, f, parameters={"d": ["force"]})
 
 
-def lag() -> Equations:
+def lag() -> Ode:
     """A first-order lag of 0.3 s with a bias at its input."""
     f = lambda x, u, w, m: (u[0] + w[0] - x[0]) / 0.3
-    return Equations({"x": ["y"]}, {"u": ["v"]}, f, parameters={"d": ["bias"]})
+    return Ode({"x": ["y"]}, {"u": ["v"]}, f, parameters={"d": ["bias"]})
 
 
-def arm() -> Equations:
+def arm() -> Ode:
     """2 kg at 0.5 m on one joint; the unknown torque stands for a load."""
     inertia = 2.0 * LENGTH**2
     gravity = lambda q: 2.0 * GRAVITY * LENGTH * ca.cos(q)
     f = lambda x, u, w, m: ca.vertcat(x[1], (u[0] + w[0] - gravity(x[0])) / inertia)
-    return Equations({"x": ["q", "v"]}, {"u": ["torque"]}, f, parameters={"d": ["torque"]})
+    return Ode({"x": ["q", "v"]}, {"u": ["torque"]}, f, parameters={"d": ["torque"]})
 
 
 #: system, goal of its first state, u + d that holds it there, the plant's own ẋ (with what the model does not know)
 HEAVY = 3.0 * LENGTH**2  # the arm carries 1 kg more than the model's 2 kg
-CASES: dict[str, tuple[Callable[[], Equations], float, float, Callable[[np.ndarray, float], np.ndarray]]] = {
+CASES: dict[str, tuple[Callable[[], Ode], float, float, Callable[[np.ndarray, float], np.ndarray]]] = {
     "mass point": (mass_point, 0.5, 0.0, lambda x, u: np.array([x[1], u - 1.5])),
     "lag": (lag, 0.5, 0.5, lambda x, u: np.array([(u + 0.4 - x[0]) / 0.3])),
     "arm": (
@@ -56,7 +56,7 @@ CASES: dict[str, tuple[Callable[[], Equations], float, float, Callable[[np.ndarr
 }
 
 
-def controller(system: Equations, goal: float, hold: float, limit: float = 100.0) -> MPC:
+def controller(system: Ode, goal: float, hold: float, limit: float = 100.0) -> MPC:
     ocp = OptimalControlProblem(system, 1.0, 20, first_interval=H)
     target = np.zeros(system.state.size)
     target[0] = goal
@@ -155,7 +155,7 @@ def test_no_wind_up_under_input_limits() -> None:
     ("system", "measured", "message"),
     [
         (
-            Equations(
+            Ode(
                 {"x": ["place", "speed"]},
                 {"u": ["force"]},
                 lambda x, u, w, m: ca.vertcat(x[1], u[0] + w[0] + w[1]),
@@ -165,7 +165,7 @@ def test_no_wind_up_under_input_limits() -> None:
             "'d.wind' cannot be told apart from 'd.slope' by measuring x.place, x.speed",
         ),
         (
-            Equations(
+            Ode(
                 {"x": ["place", "other"]},
                 {"u": ["v"]},
                 lambda x, u, w, m: ca.vertcat(u[0], w[0]),
@@ -176,7 +176,7 @@ def test_no_wind_up_under_input_limits() -> None:
         ),
         (
             # the place of a sensor that itself has an unknown zero: bias and level look the same
-            Equations(
+            Ode(
                 {"x": ["level", "zero"]},
                 {"u": ["v"]},
                 lambda x, u, w, m: ca.vertcat(-x[0] + x[1] + w[0] + u[0], 0 * x[1]),
@@ -188,7 +188,7 @@ def test_no_wind_up_under_input_limits() -> None:
     ],
     ids=["two forces", "unseen", "a state that does not move"],
 )
-def test_what_cannot_be_told_apart_is_refused(system: Equations, measured: list[str], message: str) -> None:
+def test_what_cannot_be_told_apart_is_refused(system: Ode, measured: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         OffsetObserver(system, "d", np.zeros(2), np.zeros(1), measured=measured, noise=1e-3)
 
@@ -246,10 +246,10 @@ def test_bad_settings(settings: dict[str, object], message: str) -> None:
         OffsetObserver(mass_point(), "d", [0, 0], [0], **({"measured": ["x.place"], "noise": 1e-3} | settings))  # type: ignore[arg-type]
 
 
-def spring() -> Equations:
+def spring() -> Ode:
     """1 kg on a spring of known stiffness, pushed by an unknown force."""
     f = lambda x, u, w, m: ca.vertcat(x[1], u[0] - w[0] * x[0] + w[1])
-    return Equations({"x": ["place", "speed"]}, {"u": ["force"]}, f, parameters={"k": ["spring"], "d": ["force"]})
+    return Ode({"x": ["place", "speed"]}, {"u": ["force"]}, f, parameters={"k": ["spring"], "d": ["force"]})
 
 
 def pull_on_spring(observer: OffsetObserver, stiffness: float, seed: int) -> float:

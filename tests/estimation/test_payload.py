@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.estimation import PayloadEstimator
+from wbmpc.bases.ball.payload import PayloadEstimator
 
 ROBOT = robot("rezero")
 N, H = ROBOT.base.nq, 0.0025

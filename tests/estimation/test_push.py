@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.estimation import PushEstimator
-from wbmpc.estimation.push import DEAD, SMOOTH
-from wbmpc.model.balance import Balance
+from wbmpc.bases.ball.balance import Balance
+from wbmpc.bases.ball.push import DEAD, SMOOTH, PushEstimator
 from wbmpc.robots import load_spec
 
 ROBOT, H, BALL = robot("rezero"), 0.0025, 2.65

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from test_ball_filter import HOME, ROBOT, TORQUE, regulator
 
-from wbmpc.estimation import JointTracker, RezeroEstimator
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroMeasurement, RezeroPlant
+from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand, BallMeasurement
 
 H, COUNT = 0.0025, 2.0 * np.pi / 2**17
 #: When [s] the faults begin, and when they are looked at last.
@@ -23,15 +25,15 @@ Fault = Callable[[dict[str, np.ndarray], int], None]
 class Sound(NamedTuple):
     """A robot that sways by 50 mm: its estimator at :data:`START`, then messages and true states (16)."""
 
-    estimator: RezeroEstimator
-    messages: list[RezeroMeasurement]
+    estimator: BallEstimator
+    messages: list[BallMeasurement]
     states: list[np.ndarray]
 
 
 @cache
 def sound() -> Sound:
     p = Perturbation(state_age=0.0, drive_lag=0.01)
-    plant, estimator, limit = RezeroPlant(ROBOT.description, HOME, TORQUE, p, 0), RezeroEstimator(ROBOT, HOME), 4.0
+    plant, estimator, limit = BallPlant(ROBOT.description, HOME, TORQUE, p, 0), BallEstimator(ROBOT, HOME), 4.0
     messages, states = [], []
     for k in range(round(END / H)):
         m = plant.measure()
@@ -42,7 +44,7 @@ def sound() -> Sound:
             states.append(plant.state())
         wanted = HOME.copy()
         wanted[0] = 0.05 * np.sin(4.0 * m.time)
-        plant.step(RezeroCommand(np.clip(TORQUE - regulator() @ (plant.state() - wanted), -limit, limit)), 5)
+        plant.step(BallCommand(np.clip(TORQUE - regulator() @ (plant.state() - wanted), -limit, limit)), 5)
     return Sound(estimator, messages, states)
 
 

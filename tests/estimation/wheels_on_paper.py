@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.model.swerve import SwerveGeometry
+from wbmpc.bases.swerve.model import SwerveGeometry
 
 
 def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> SwerveGeometry:

@@ -10,12 +10,14 @@ import pytest
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY, rezero_circle, rezero_wholebody
-from wbmpc.experiments.rezero_push import RezeroPushHandSettings
-from wbmpc.experiments.rezero_rivals import RegulatorSettings, regulator_weights
-from wbmpc.experiments.rezero_task import BENT_ARM, Task
-from wbmpc.experiments.settings import Settings
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
+from wbmpc.settings import Settings
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019 import circle as rezero_circle
+from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
+from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.task import BENT_ARM, Task
 
 BALL = [n for n in REGISTRY if n.startswith("rezero-")]
 

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 import yaml
 
-from wbmpc.control import FallForecast, RezeroAgent
-from wbmpc.estimation import RezeroEstimator
-from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, mpc_settings, set_home_references
-from wbmpc.loop import Timing, run_lockstep
-from wbmpc.model import RobotModel, load_robot
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
-from wbmpc.plant import Perturbation, RezeroPlant
 from wbmpc.robots.description import DATA
+from wbmpc.simulation.lockstep import Timing, run_lockstep
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, mpc_settings, set_home_references
 
 WRIST = """<body name="wrist_{k}_link" pos="0 0 {z}"><inertial pos="0 0 0.02" mass="0.25" diaginertia="3e-3 3e-3 2e-3"/>
 <joint name="wrist_{k}" axis="{axis}" range="-2 2"/>{inside}</body>"""
@@ -57,10 +59,10 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque, home)
     mpc.reference["hand"] = Reference.poses([0.0], *robot.pose(home))
-    plant = RezeroPlant(robot.description, home, torque, Perturbation(), seed=1)
+    plant = BallPlant(robot.description, home, torque, Perturbation(), seed=1)
     timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
-    agent = RezeroAgent(
-        robot, mpc, torque, timing.period, 0.02, True, RezeroEstimator(robot, home), FallForecast(robot, arm)
+    agent = BallController(
+        robot, mpc, torque, timing.period, 0.02, True, BallEstimator(robot, home), FallPredictor(robot, arm)
     )
     mpc.reset(home, torque)
     seen: list[tuple[float, float, float, float]] = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from wbmpc.experiments.base_path import STEP, Segment, in_turn, random_twists
+from wbmpc.studies.base_path import STEP, Segment, in_turn, random_twists
 
 
 def integrated(path, end: float) -> np.ndarray:  # type: ignore[no-untyped-def]

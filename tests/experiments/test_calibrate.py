@@ -11,14 +11,14 @@ import pytest
 import yaml
 
 from toys import robot
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
-from wbmpc.estimation import WheelCalibration
-from wbmpc.experiments import REGISTRY
-from wbmpc.experiments.swerve_calibrate import OPENING, SwerveCalibrateSettings, _phases, steer_joints
-from wbmpc.experiments.swerve_track import SwerveTrackSettings
-from wbmpc.plant import SwervePlant
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.pankert2022.calibrate import OPENING, SwerveCalibrateSettings, _phases, steer_joints
+from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
 SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, rest=2.0)

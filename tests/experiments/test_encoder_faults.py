@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wbmpc.experiments import rezero_task
-from wbmpc.experiments.rezero_push import RezeroPushHandSettings, run_hand
-from wbmpc.plant import RezeroMeasurement, RezeroPlant
-from wbmpc.plant.inertial import SensorFault
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
+from wbmpc.studies.minniti2019 import task as rezero_task
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings, run_hand
+from wbmpc.types import BallMeasurement
 
 START = 0.6
 
@@ -21,12 +22,12 @@ START = 0.6
 def pushed(monkeypatch: pytest.MonkeyPatch, *faults: SensorFault) -> RunResult:
     """One push of 60 N at 0.5 s."""
 
-    class Faulty(RezeroPlant):
+    class Faulty(BallPlant):
         def __init__(self, *given: Any, **more: Any) -> None:
             super().__init__(*given, **more)
             self.sensors.faults = faults
 
-    monkeypatch.setattr(rezero_task, "RezeroPlant", Faulty)
+    monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
     return run_hand(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
 
 
@@ -57,15 +58,15 @@ def test_two_wheels_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.metrics["estimated_position_error_max"].value < 0.02
 
 
-def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[RezeroMeasurement], RezeroMeasurement]) -> RunResult:
+def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[BallMeasurement], BallMeasurement]) -> RunResult:
     """The same push, with messages that ``fault`` changes from 0.1 s on."""
 
-    class Faulty(RezeroPlant):
-        def measure(self) -> RezeroMeasurement:
+    class Faulty(BallPlant):
+        def measure(self) -> BallMeasurement:
             m = super().measure()
             return fault(m) if m.time > 0.1 - 1e-9 else m
 
-    monkeypatch.setattr(rezero_task, "RezeroPlant", Faulty)
+    monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
     return run_hand(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
 
 

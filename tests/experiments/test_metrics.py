@@ -11,13 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from toys import robot
-from wbmpc.estimation import WheelCalibration
-from wbmpc.experiments import rezero_steps, swerve_track
-from wbmpc.experiments.rezero_steps import STEPS, RezeroStepsSettings
-from wbmpc.experiments.swerve_track import SwerveTrackSettings
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
+from wbmpc.studies.minniti2019 import steps as rezero_steps
+from wbmpc.studies.minniti2019.steps import STEPS, RezeroStepsSettings
+from wbmpc.studies.pankert2022 import track as swerve_track
+from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 
 BALL = robot("rezero")
 

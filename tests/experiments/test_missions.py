@@ -10,13 +10,14 @@ import pytest
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY, swerve_drive
-from wbmpc.experiments.mission import Leg, Mission, Reconfiguration, riding
-from wbmpc.experiments.swerve_drive import SwerveDriveSettings, straight, tour
-from wbmpc.experiments.swerve_drive_course import DOOR, clearance, terrain
-from wbmpc.experiments.swerve_drive_figures import recovery
 from wbmpc.log import Log
-from wbmpc.plant import Perturbation
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.pankert2022 import drive as swerve_drive
+from wbmpc.studies.pankert2022.drive import SwerveDriveSettings, straight, tour
+from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
+from wbmpc.studies.pankert2022.drive_figures import recovery
+from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, riding
 
 SWERVE = robot("swerve-ur10")
 
@@ -195,7 +196,7 @@ def test_steering_branches_are_those_of_a_search_over_all() -> None:
     """Few samples, every sequence of half turns tried: the same cost within the limits."""
     from itertools import product
 
-    from wbmpc.experiments.mission import STANDS, TURN_SHARE, branches
+    from wbmpc.studies.pankert2022.mission import STANDS, TURN_SHARE, branches
 
     rng, limit = np.random.default_rng(4), 3.14
     for _ in range(20):

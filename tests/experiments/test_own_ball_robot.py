@@ -10,13 +10,17 @@ from test_ball_variants import variant
 
 from wbmpc.cli import main
 from wbmpc.configuration import configure
-from wbmpc.control.taskspace import TaskGains, TaskSpaceAgent, _functions
-from wbmpc.experiments import REGISTRY, rezero_circle, rezero_frequency, rezero_push, rezero_wholebody
-from wbmpc.experiments.rezero_frequency import RezeroFrequencySettings
-from wbmpc.experiments.rezero_task import BENT_ARM, RezeroSettings, Task, ball_robot, bent_arm, common_plots, robot_of
 from wbmpc.log import Log
-from wbmpc.loop import Ending
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019 import circle as rezero_circle
+from wbmpc.studies.minniti2019 import frequency as rezero_frequency
+from wbmpc.studies.minniti2019 import push as rezero_push
+from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
+from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
+from wbmpc.studies.minniti2019.task import BENT_ARM, RezeroSettings, Task, ball_robot, bent_arm, common_plots, robot_of
+from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController, _functions
 
 BALL = [name for name in REGISTRY if name.startswith("rezero")]
 
@@ -95,7 +99,7 @@ def test_wheels_are_told_from_the_arm(own: RobotModel) -> None:
 def test_the_task_space_rival_balances_on_all_wheels(own: RobotModel) -> None:
     """Its regulator's poles, of the robot on five wheels."""
     home, torque = own.equilibrium(own.home[own.state["arm"]])
-    agent = TaskSpaceAgent.__new__(TaskSpaceAgent)
+    agent = TaskSpaceController.__new__(TaskSpaceController)
     agent.robot, agent.gains, agent.home, agent._rest = own, TaskGains(), home, torque
     agent._model = _functions(own)
     gain = agent._lqr()

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.experiments.push_map import (
+from wbmpc.log import Log
+from wbmpc.studies.minniti2019.push import LAST, NEAR, RezeroPushHandSettings, push_once, rest
+from wbmpc.studies.minniti2019.push_map import (
     FINE,
     MOST,
     Outcome,
@@ -22,8 +24,6 @@ from wbmpc.experiments.push_map import (
     read,
     wanted,
 )
-from wbmpc.experiments.rezero_push import LAST, NEAR, RezeroPushHandSettings, push_once, rest
-from wbmpc.log import Log
 
 AHEAD = Point("hand", 0.0, 0.2, 0)
 

@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wbmpc.control import door as control
-from wbmpc.estimation import ForceMonitor
-from wbmpc.estimation.force import UNFELT_TIME
-from wbmpc.experiments import rezero_door
-from wbmpc.experiments.rezero_door import RezeroDoorSettings
+from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
+from wbmpc.studies.minniti2019 import door as rezero_door
+from wbmpc.studies.minniti2019 import door_control as control
+from wbmpc.studies.minniti2019.door import RezeroDoorSettings
 
 SHORT = RezeroDoorSettings(forces=(16.0,), settle=1.0, patience=6.0, rest=0.8)
 #: With a mass that nobody tells of: 1 kg felled the robot after the release when the arm had no posture to go back to.
@@ -137,7 +136,7 @@ def test_without_the_row_the_force_is_missed() -> None:
 @pytest.mark.parametrize("touching", [True, False])
 def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, touching: bool) -> None:  # type: ignore[no-untyped-def]
     """Seed 202 at 8 N: a slow door held the elbow within a few counts, its encoder was called stalled and the motors were off."""
-    monkeypatch.setattr(control.RezeroAgent, "_watch", lambda self, *_: setattr(self, "_accelerates", np.ones(3)))
+    monkeypatch.setattr(control.BallController, "_watch", lambda self, *_: setattr(self, "_accelerates", np.ones(3)))
     agent = control.DoorAgent.__new__(control.DoorAgent)
     agent.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     agent._watch(0.0, np.zeros(3), 0.0025)

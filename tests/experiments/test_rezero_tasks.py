@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments import REGISTRY, rezero_circle, rezero_wholebody
-from wbmpc.experiments.rezero_circle import RezeroCircleSettings
-from wbmpc.experiments.rezero_push import RezeroPushBallSettings, RezeroPushHandSettings
-from wbmpc.experiments.rezero_task import BENT_ARM
-from wbmpc.experiments.rezero_wholebody import RezeroWholebodySettings
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.minniti2019 import circle as rezero_circle
+from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
+from wbmpc.studies.minniti2019.circle import RezeroCircleSettings
+from wbmpc.studies.minniti2019.push import RezeroPushBallSettings, RezeroPushHandSettings
+from wbmpc.studies.minniti2019.task import BENT_ARM
+from wbmpc.studies.minniti2019.wholebody import RezeroWholebodySettings
 
 BALL = robot("rezero")
 

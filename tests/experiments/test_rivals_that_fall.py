@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments import rezero_frequency, rezero_taskspace, swerve_drive, swerve_fixed
-from wbmpc.experiments.swerve_drive_figures import metrics
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
-from wbmpc.loop import Ending
-from wbmpc.plant import SwervePlant
 from wbmpc.result import RunResult
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies.minniti2019 import frequency as rezero_frequency
+from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
+from wbmpc.studies.pankert2022 import drive as swerve_drive
+from wbmpc.studies.pankert2022 import fixed as swerve_fixed
+from wbmpc.studies.pankert2022.drive_figures import metrics
 
 SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments.storyboard import Ground, Snapshot, storyboard
+from wbmpc.studies.storyboard import Ground, Snapshot, storyboard
 
 GEOMETRY = robot("swerve-ur10").base.geometry
 SVG = "{http://www.w3.org/2000/svg}"

@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.estimation import BrakeFault
-from wbmpc.experiments import (
-    REGISTRY,
-    swerve_brakes,
-    swerve_drive,
-    swerve_fixed,
-    swerve_plaster,
-    swerve_track,
-    swerve_unified,
-)
 from wbmpc.log import Log
-from wbmpc.loop import Ending
-from wbmpc.plant import Perturbation, RezeroPlant
 from wbmpc.robots import load_description
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.pankert2022 import brakes as swerve_brakes
+from wbmpc.studies.pankert2022 import drive as swerve_drive
+from wbmpc.studies.pankert2022 import fixed as swerve_fixed
+from wbmpc.studies.pankert2022 import plaster as swerve_plaster
+from wbmpc.studies.pankert2022 import track as swerve_track
+from wbmpc.studies.pankert2022 import unified as swerve_unified
 
 SWERVE = robot("swerve-ur10")
 FAULT = BrakeFault(1.0, 0, "leg_LF", "does not hold", 0.01)
@@ -126,7 +125,7 @@ def test_swerve_brakes_makes_its_faults_itself(kind: str) -> None:
 
 def test_a_ball_robot_has_no_brakes() -> None:
     with pytest.raises(InputError, match=r"plant\.brake_fault: is for swerve robots only"):
-        RezeroPlant(load_description("rezero"), perturbation=Perturbation(brake_fault="open"))
+        BallPlant(load_description("rezero"), perturbation=Perturbation(brake_fault="open"))
 
 
 @pytest.mark.parametrize("name", ["brake_fault_leg=2", "brake_fault_time=5"])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.experiments import swerve_fixed as fixed
 from wbmpc.log import Log
-from wbmpc.model import load_robot
-from wbmpc.mpc import Plans
-from wbmpc.plant import SwerveMeasurement
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.pankert2022 import fixed
+from wbmpc.types import SwerveMeasurement
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_hinged_legs_stay_where_they_are(name: str) -> None:
     agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
     home = robot.state.split(robot.home)
     agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
-    command = agent.command(3.0, Plans())  # in the midst of the motion
+    command = agent.command(3.0, PolicyQueue())  # in the midst of the motion
     assert not command.brake.any() and np.isfinite(command.wheel).all() and np.isfinite(command.steer).all()
 
 

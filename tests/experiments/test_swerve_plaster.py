@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.experiments import swerve_plaster as plaster
-from wbmpc.experiments.swerve_plaster import Lines, SwervePlasterSettings, coat, judged, pass_spread, run, stops
 from wbmpc.log import Log
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
+from wbmpc.studies.pankert2022 import plaster
+from wbmpc.studies.pankert2022.plaster import Lines, SwervePlasterSettings, coat, judged, pass_spread, run, stops
 
 
 def test_the_way_is_that_of_the_paper_and_gentle() -> None:

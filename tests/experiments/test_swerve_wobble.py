@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbmpc.estimation import MassOffset, estimate_mass_offset
-from wbmpc.experiments import swerve_wobble
-from wbmpc.experiments.support_prediction import Case, Support, predict, tippings
-from wbmpc.experiments.swerve_wobble import SwerveWobbleSettings, time_error, unloaded
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation
+from wbmpc.estimation.mass_offset import MassOffset, estimate_mass_offset
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import Switch
+from wbmpc.studies.pankert2022 import wobble as swerve_wobble
+from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
+from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings, time_error, unloaded
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import scipy.special
 
 from toys import call_lanes, call_scalar, compile_ir
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.kernel.lanes import emit_lanes, helpers
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations, unsupported_operation
+from wbmpc.kernel.simd_batch import emit_lanes, helpers
 
 TINY, HUGE = np.finfo(float).tiny, 1e300
 EDGES = [

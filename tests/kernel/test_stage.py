@@ -9,7 +9,8 @@ import pytest
 from toys import Rows, ToyDynamics, call_lanes, call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
 from wbmpc.kernel.compiled import lane_maps, output_maps
 from wbmpc.ocp import Cost, OptimalControlProblem
-from wbmpc.solver import SQP, Solver, places, riccati
+from wbmpc.solver import SQP, Solver, riccati
+from wbmpc.solver import memory_layout as places
 
 
 class Spinning(ToyDynamics):

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from toys import LinearQuadratic, pendulum
+from wbmpc.kernel.codegen_target import vector_budget
 from wbmpc.kernel.compiled import emit_problem
-from wbmpc.kernel.machine import vector_budget
 from wbmpc.ocp import Transcription
 from wbmpc.solver import compilation, receding  # noqa: F401  all functions of the library
 
@@ -50,7 +50,7 @@ def test_narrow_vectors_give_the_same_solution(tmp_path: Path) -> None:
     ("target", "budget"), [("x86-64-v4:", 24), ("haswell:", 6), ("x86-64:", 3), ("any:+avx512f", 24)]
 )
 def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wbmpc.kernel import machine
+    from wbmpc.kernel import codegen_target as machine
 
     machine.target.cache_clear()
     monkeypatch.setenv("WBMPC_TARGET", target)
@@ -65,7 +65,7 @@ def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.M
 def test_a_target_that_llvm_does_not_know_is_refused(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """LLVM ignores some and ends the process for others."""
     from wbmpc.errors import InputError
-    from wbmpc.kernel import machine
+    from wbmpc.kernel import codegen_target as machine
 
     machine.target.cache_clear()
     monkeypatch.setenv("WBMPC_TARGET", target)

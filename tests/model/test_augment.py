@@ -9,7 +9,8 @@ import scipy.linalg
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.model import DriveLag, FrequencyShaping, InputFilter, InputRate, load_robot
+from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter, InputRate
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.solver import SQP, Solver, Status
 
@@ -24,7 +25,7 @@ def arm_problem(dynamics, robot) -> OptimalControlProblem:
             {"base": 1.0, "leg": 1.0, "steer": 1.0, "wheel": 0.01, "arm": 0.1},
         )
     )
-    ocp.add(Constraint("rolling", residuals.WheelRolling(robot)))
+    ocp.add(Constraint("rolling", residuals.Rolling(robot)))
     return ocp
 
 

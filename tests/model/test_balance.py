@@ -1,4 +1,4 @@
-"""Leaning of the ball robot. Truth: the planar pendulum on a ball by hand, with masses and inertia that MuJoCo sums up;
+"""LeanControl of the ball robot. Truth: the planar pendulum on a ball by hand, with masses and inertia that MuJoCo sums up;
 MuJoCo's centres of mass and the torques that hold its arm."""
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments.rezero_problem import HandCost, RezeroCost, rezero_problem
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.model import load_robot
-from wbmpc.model.balance import Balance, divergent
-from wbmpc.model.balance import load_offset as offset_of
+from wbmpc.bases.ball.balance import Balance, divergent
+from wbmpc.bases.ball.balance import load_offset as offset_of
+from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
 from wbmpc.robots import load_spec
+from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 ROBOT = robot("rezero")

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.model import ServoedArm, load_robot
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp.residuals import FrameWrench, Symbols
 from wbmpc.robots import load_description, load_spec
+from wbmpc.studies.minniti2019.held_arm import ServoedArm
 
 RADIUS, WHEEL_RADIUS = 0.125, 0.064
 AZIMUTHS = np.deg2rad([0, 120, 240])

@@ -11,10 +11,10 @@ import pinocchio as pin
 import pytest
 import yaml
 
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.model.ball import BallBase
-from wbmpc.plant import RezeroPlant
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import available_robots, load_description
 from wbmpc.robots.description import DATA
 
@@ -285,5 +285,5 @@ def test_where_its_inertial_unit_is(tmp_path: Path, imu: str) -> None:
     """A site, or a link of its own as in URDF: planner and simulator agree."""
     robot = load_robot(ball_robot(tmp_path, imu=imu))
     assert isinstance(robot.base, BallBase)
-    for mount in (robot.base.mount, RezeroPlant(robot.description).sensors.mount):
+    for mount in (robot.base.mount, BallPlant(robot.description).sensors.mount):
         np.testing.assert_allclose(mount, [0.1, 0.2, 0.3], atol=1e-12)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.model import DoorGeometry, WithDoor, load_robot
-from wbmpc.model.door import place_of
+from wbmpc.model.robot import load_robot
+from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, place_of
 
 ROBOT = load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])

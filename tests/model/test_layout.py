@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.model import Layout
+from wbmpc.model.layout import Layout
 
 LAYOUT = Layout({"base": ["x", "y", "yaw"], "arm": ["shoulder", "elbow"]})
 

@@ -10,10 +10,11 @@ import pytest
 import yaml
 
 from own_bases import write_base
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant import RezeroPlant, SwervePlant
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description, load_spec
 from wbmpc.robots.description import DATA
 
@@ -91,7 +92,7 @@ def test_a_forgotten_joint_of_a_ball_robot(tmp_path: Path) -> None:
     text = refusal(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS))
     assert all(w in text for w in ("mine.yaml", "mine.xml", "'arm_elbow'", "arm.joints", "lock: {arm_elbow: 0}")), text
     held = load_robot(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS, lock={"arm_elbow": 0.3}))
-    plant = RezeroPlant(held.description)
+    plant = BallPlant(held.description)
     assert plant.model.nv == 6 + 3 + 2  # the base, the ball, two joints of the arm
 
 

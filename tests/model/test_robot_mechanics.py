@@ -11,11 +11,13 @@ import pytest
 import yaml
 
 from own_bases import write_base
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant import Door, DoorPlant, Perturbation, SwervePlant
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description, load_spec
 from wbmpc.robots.description import DATA
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
 START, END, ARM, LEG = "<worldbody>", "</worldbody>", '<joint name="lift"', '<joint name="m1_leg"'
 TYRE, HULL = (

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from wbmpc.bases.swerve.model import rolling_inverse_kinematics, wheel_velocities
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot, rolling_inverse_kinematics, wheel_velocities
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description, load_spec
 
 VARIANTS = [("swerve-ur10", "yaw"), ("swerve-ur10", "quaternion"), ("swerve-fixed-ur10", "yaw")]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from oracles import pinocchio_model, random_tree, rotation_of
 
 from wbmpc.errors import InputError
-from wbmpc.model.symbolic import Chain, FramePose, constant, solve_spd
+from wbmpc.model.kinematics import Chain, FramePose, constant, solve_spd
 from wbmpc.model.tree import read_tree
 from wbmpc.robots import load_description, load_spec
 

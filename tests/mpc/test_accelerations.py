@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_mpc
-from wbmpc.model import RobotModel
-from wbmpc.mpc import Observation
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.robots import load_description
+from wbmpc.settings import MpcSettings
 
 SETTINGS = MpcSettings(horizon=2.0, intervals=16)
 
@@ -37,7 +37,7 @@ def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None
     mpc.reference["input"] = Reference.constant(np.zeros(model.input.size))
     mpc.reset(model.home)
     limits, x, policy = model.limits, model.home.copy(), None
-    limited = np.flatnonzero(np.isfinite(limits.input_change))
+    limited = np.flatnonzero(np.isfinite(limits.input_rate))
     assert limited.size == model.input.size - 3  # all but the twist of the base
     used, nearest = np.zeros(model.input.size), np.inf
     at = [model.state.index(model.input.names[i]) for i in limited]
@@ -46,9 +46,9 @@ def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None
         t = k * mpc.period
         before = np.zeros(model.input.size) if policy is None else policy.feedforward(t)
         policy = mpc.update(Observation(t, x))
-        used = np.maximum(used, np.abs(policy.u[0] - before) / (limits.input_change * mpc.period))
+        used = np.maximum(used, np.abs(policy.u[0] - before) / (limits.input_rate * mpc.period))
         u, q = policy.u[0][limited], x[at]
-        most = limits.input_change[limited] / limits.input_upper[limited]
+        most = limits.input_rate[limited] / limits.input_upper[limited]
         bounded = np.isfinite(upper)
         assert np.all((u - most * (upper - q))[bounded] < 1e-3)
         assert np.all((-u - most * (q - lower))[bounded] < 1e-3)

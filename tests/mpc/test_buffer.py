@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.mpc import Mailbox, buffer
-from wbmpc.mpc.buffer import SLOTS, Board
+from wbmpc.runtime import shared_memory as buffer
+from wbmpc.runtime.shared_memory import SLOTS, Board, Mailbox
 
 FIELDS = {"number": (), "data": (400, 30), "sum": ()}
 MESSAGES = 20_000

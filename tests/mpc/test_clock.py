@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.mpc import VirtualClock, WallClock
-from wbmpc.mpc.clock import Ticker, Turns, interleave
+from wbmpc.runtime.clock import Ticker, Turns, VirtualClock, WallClock, interleave
 
 
 @pytest.mark.parametrize(

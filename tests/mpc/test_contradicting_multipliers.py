@@ -9,7 +9,7 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.sets import Box, NonNegative
 

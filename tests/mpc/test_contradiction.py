@@ -11,8 +11,11 @@ import pytest
 from realtime_toys import START, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc import MPC, Observation, RealTime, Runner, VirtualClock
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
+from wbmpc.runtime.clock import VirtualClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, Solver, Status
 
 #: From this time [s] on the second row counts too.
@@ -83,14 +86,14 @@ def test_what_the_solver_says() -> None:
     solver = Solver(contradictory(), SQP.real_time())
     solver.set_schedule(ModeSchedule((Mode("both"),)))
     found = solver.solve(START)
-    assert found.status is Status.EQUALITY_MISSED and not found.usable
+    assert found.status is Status.EQUALITY_INFEASIBLE and not found.usable
     assert "% of the row's size, at the first input" in str(found)
 
 
 def test_the_runner_stops_after_the_last_policys_horizon(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
     clock = VirtualClock()
-    runner = Runner(ToyRobot(clock), Summing(1.0 / 400.0), make(event=1.0), RealTime(), clock)
+    runner = RealTimeRunner(ToyRobot(clock), Summing(1.0 / 400.0), make(event=1.0), RealTimeSettings(), clock)
     report = runner.run(3.0)
     assert runner.stopped and report.failures > 40
     assert report.state.startswith("stopped at 1.9"), report.state  # the last good solve is that of 0.98 s, for 1 s

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot
+from wbmpc.bases.swerve.model import wheel_velocities
+from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.model import wheel_velocities
-from wbmpc.mpc import MPC, Observation, SteeringGuess
-from wbmpc.mpc.mpc import STUCK
+from wbmpc.mpc.mpc import MPC, STUCK, Observation
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver
-from wbmpc.solver.driver import DIVERGED, LIMIT_MISSED
+from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
 
-REAL_TIME = SQP(iterations=1, certify=False, smallest_step=0.2, force_step=True)
+REAL_TIME = SQP(iterations=1, compute_kkt=False, min_step=0.2, accept_min_step=True)
 START = np.array([0.1, 0.3, 0.0, 0.0])
 
 
@@ -318,7 +318,7 @@ def refuse(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None)
     def missed(*arguments):  # type: ignore[no-untyped-def]
         _, count = honest(*arguments)
         spoil()
-        return LIMIT_MISSED, count
+        return INPUT_INFEASIBLE, count
 
     monkeypatch.setattr(mpc.solver, "run", missed)
 

@@ -18,12 +18,12 @@ PARENT = """
 import os, threading, time
 from functools import partial
 from realtime_toys import ToyAgent, ToyRobot, make_mpc, problem
-from wbmpc.mpc import RealTime, Runner, Sizes, WallClock
+from wbmpc.mpc import RealTimeSettings, RealTimeRunner, Sizes, WallClock
 
 def main():
     clock = WallClock()
-    settings = RealTime(max_observation_age=60.0, watchdog=60.0, max_policy_age=60.0)
-    runner = Runner(ToyRobot(clock), ToyAgent(1 / 400), make_mpc, settings, clock, sizes=Sizes.of(problem()))
+    settings = RealTimeSettings(max_observation_age=60.0, watchdog=60.0, max_policy_age=60.0)
+    runner = RealTimeRunner(ToyRobot(clock), ToyAgent(1 / 400), make_mpc, settings, clock, sizes=Sizes.of(problem()))
     starter = threading.Thread(target=runner.start)  # a thread that has ended is no parent that has
     starter.start()
     starter.join()

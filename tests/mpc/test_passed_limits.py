@@ -11,9 +11,13 @@ import pytest
 
 from realtime_toys import ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
-from wbmpc.mpc import MPC, Observation, Policy, RealTime, Runner, VirtualClock
+from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
 from wbmpc.ocp.sets import Box
+from wbmpc.runtime.clock import VirtualClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
 
 FASTEST, HARDEST = 0.5, 2.0
@@ -98,7 +102,7 @@ def test_the_sentence_of_a_solve(backend: str) -> None:
     ) and "node 1, where its slack gives way" in str(found)
 
 
-NEVER_MORE = SQP.real_time(interior_point=InteriorPoint("real_time", extra_when_cut=0))
+NEVER_MORE = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
 
 
 def test_plans_that_start_elsewhere_are_counted() -> None:
@@ -118,7 +122,7 @@ def test_plans_that_start_elsewhere_are_counted() -> None:
     assert whole.statistics.apart == 0 and whole.statistics.worst_apart == 0.0
 
 
-def runner_of(settings: SQP | None = None) -> tuple[Runner, list[float]]:
+def runner_of(settings: SQP | None = None) -> tuple[RealTimeRunner, list[float]]:
     """Real time on a virtual clock, knocked after 0.96 s; and how far policies in force pass limits, at every tick."""
 
     def knock(robot: ToyRobot) -> None:
@@ -129,7 +133,7 @@ def runner_of(settings: SQP | None = None) -> tuple[Runner, list[float]]:
     mpc = MPC(trolley(), settings, rate=50.0, first_iterations=10)
     start = np.array([0.05, 0.0])
     mpc.reset(start)
-    runner = Runner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTime(), clock)
+    runner = RealTimeRunner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTimeSettings(), clock)
     seen: list[float] = []
     runner.watch = lambda t, late, plans: seen.append(plans.current.passed)  # type: ignore[union-attr,func-returns-value]
     return runner, seen

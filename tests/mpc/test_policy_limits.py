@@ -12,11 +12,15 @@ import pytest
 from realtime_toys import Force, Measured, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc import MPC, Mailbox, Observation, Plans, RealTime, Runner, Sizes, VirtualClock
-from wbmpc.mpc.buffer import TimedPolicy
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.mpc.policy import InputLimits
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.runtime.clock import VirtualClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.shared_memory import Mailbox, Sizes, TimedPolicy
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint
 
 PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
@@ -119,7 +123,7 @@ class Plain(ToyAgent):
         self.sent: list[np.ndarray] = []
         self.asked: list[np.ndarray] = []
 
-    def command(self, t: float, plans: Plans) -> Force:
+    def command(self, t: float, plans: PolicyQueue) -> Force:
         assert plans.current is not None
         self.sent.append(plans.current(t, self.measured.x))
         self.asked.append(plans.current.law(t, self.measured.x))
@@ -143,7 +147,7 @@ def test_the_runner_holds_the_bounds_and_counts(caplog: pytest.LogCaptureFixture
     clock, agent = VirtualClock(0.004), Plain()
     mpc = MPC(trolley(), rate=50.0, first_iterations=10)
     mpc.reset(START)
-    report = Runner(ToyRobot(clock, knock), agent, mpc, RealTime(), clock).run(2.0)
+    report = RealTimeRunner(ToyRobot(clock, knock), agent, mpc, RealTimeSettings(), clock).run(2.0)
     asked, sent = np.array(agent.asked)[:, 0], np.array(agent.sent)[:, 0]
     outside = (asked > UPPER + 1e-8) | (asked < LOWER - 1e-8)
     assert sent.min() == LOWER and sent.max() <= UPPER
@@ -290,7 +294,7 @@ def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [SQP(), ILQR(), SQP(certify=False), SQP(interior_point=InteriorPoint("real_time"))]
+    "settings", [SQP(), ILQR(), SQP(compute_kkt=False), SQP(interior_point=InteriorPoint("real_time"))]
 )
 def test_settings_under_which_missed_limits_are_not_told_are_refused(settings: SQP) -> None:
     with pytest.raises(InputError, match=r"valid: (SQP|ILQR)\.real_time"):

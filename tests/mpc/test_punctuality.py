@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wbmpc.mpc.figures import Punctuality
+from wbmpc.runtime.statistics import Punctuality
 
 USUAL = [1e-5, 2e-5, 3e-4, 1e-4, 5e-5, 8e-5]
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from toys import Rows, ToyDynamics, pendulum, robot
-from wbmpc.mpc import Policy
+from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.receding import align, make_tables, sample_all, shift
@@ -149,7 +149,7 @@ def test_modes_change_at_the_event() -> None:
     """A node exactly on the event has the new mode; the absolute time decides, not the place on the horizon."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u, mode=1), 1.0, 10)
     ocp.add(Cost("all", Rows(1, lambda s: s.x), modes=("b",)))
-    solver = Solver(ocp, SQP(iterations=1, certify=False), use_cache=False)
+    solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=False)
     solver.set_schedule(ModeSchedule((Mode("a", {"m": [3.0]}), Mode("b", {"m": [4.0]})), (10.3,)))
     for t0, first in ((10.0, 3), (10.1, 2), (10.25, 1), (10.3, 0), (9.0, 11), (12.0, 0)):
         solver.run(np.zeros(1), t0)

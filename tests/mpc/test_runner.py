@@ -20,9 +20,11 @@ from realtime_toys import (
     virtual,
 )
 from wbmpc.errors import InputError
-from wbmpc.mpc import Plans, RealTime, Runner, VirtualClock, WallClock
-from wbmpc.mpc.figures import Spread
-from wbmpc.mpc.safety import Latency, not_finite
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.runtime.clock import VirtualClock, WallClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import Latency, RealTimeSettings, not_finite
+from wbmpc.runtime.statistics import Spread
 
 #: MPC ticks follow the controller's by this [s].
 OFFSET = 0.2 * PERIOD
@@ -81,7 +83,7 @@ def test_the_compensation_has_a_limit() -> None:
 
 
 def test_latency_follows_the_percentile() -> None:
-    latency = Latency(RealTime(window=100, percentile=95.0, margin=0.0))
+    latency = Latency(RealTimeSettings(window=100, percentile=95.0, margin=0.0))
     delays = np.random.default_rng(0).uniform(0.0, 0.02, 400)
     for delay in delays:
         latency.add(float(delay))
@@ -121,8 +123,8 @@ def test_a_policy_waits_for_its_time() -> None:
 
 def test_parameters_travel_with_the_observation() -> None:
     clock, mpc = VirtualClock(), make_mpc()
-    runner = Runner(
-        ToyRobot(clock), ToyAgent(PERIOD), mpc, RealTime(), clock, parameters=lambda: np.array([clock.now()])
+    runner = RealTimeRunner(
+        ToyRobot(clock), ToyAgent(PERIOD), mpc, RealTimeSettings(), clock, parameters=lambda: np.array([clock.now()])
     )
     runner.run(1.0)
     assert mpc.solver.ws.w[mpc.solver.problem.constant.slices["parameters"]] == pytest.approx(0.98)
@@ -131,7 +133,7 @@ def test_parameters_travel_with_the_observation() -> None:
 def test_clamped_ticks_are_counted() -> None:
     asked, agent = 0, ToyAgent.command
 
-    def command(self: ToyAgent, t: float, plans: Plans) -> Force:
+    def command(self: ToyAgent, t: float, plans: PolicyQueue) -> Force:
         nonlocal asked
         asked += int(abs(plans.current(t, self.measured.x)[0]) > 0.5)  # type: ignore[misc]
         return agent(self, t, plans)
@@ -181,7 +183,7 @@ def test_who_watches_sees_every_tick_and_may_fail() -> None:
     """The robot goes on as without a watcher that fails; it is called no more."""
     seen: list[float] = []
 
-    def watch(t: float, late: float, plans: Plans) -> None:
+    def watch(t: float, late: float, plans: PolicyQueue) -> None:
         seen.append(t)
         assert late == 0.0 and plans.current is not None
         if len(seen) == 5:
@@ -221,11 +223,11 @@ def test_settings_are_checked() -> None:
         "priority": (200, -1, 1.5, "high"),
         "keep": ("no", 1),
     }
-    assert set(senseless) == {f.name for f in fields(RealTime)}
+    assert set(senseless) == {f.name for f in fields(RealTimeSettings)}
     for name, values in senseless.items():
         for value in values:
             with pytest.raises(InputError, match=f"^real time: {name} must be .*, got {value!r}$"):
-                RealTime(**{name: value})
-    RealTime(control_rate=np.float64(5), window=np.int64(1), offset=0, margin=0, priority=99, records=1)
+                RealTimeSettings(**{name: value})
+    RealTimeSettings(control_rate=np.float64(5), window=np.int64(1), offset=0, margin=0, priority=99, records=1)
     with pytest.raises(InputError, match="needs 'sizes' and the wall clock"):
-        Runner(ToyRobot(WallClock()), ToyAgent(PERIOD), make_mpc)
+        RealTimeRunner(ToyRobot(WallClock()), ToyAgent(PERIOD), make_mpc)

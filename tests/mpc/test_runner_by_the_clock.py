@@ -30,7 +30,11 @@ from realtime_toys import (
     wait_for,
 )
 from wbmpc.errors import InputError
-from wbmpc.mpc import MPC, RealTime, Runner, Sizes, WallClock
+from wbmpc.mpc.mpc import MPC
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.shared_memory import Sizes
 
 PERIOD = 1.0 / 400.0
 
@@ -40,12 +44,17 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
 
 
-def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None, **settings: Any) -> Runner:
+def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None, **settings: Any) -> RealTimeRunner:
     """Generous limits: the machine may be busy."""
     clock = WallClock()
     given = {"max_observation_age": 30.0, "watchdog": 30.0, "patience": 60.0, "max_policy_age": 30.0, **settings}
-    return Runner(
-        ToyRobot(clock, fault), ToyAgent(PERIOD), mpc or make_mpc(), RealTime(**given), clock, sizes=Sizes.of(problem())
+    return RealTimeRunner(
+        ToyRobot(clock, fault),
+        ToyAgent(PERIOD),
+        mpc or make_mpc(),
+        RealTimeSettings(**given),
+        clock,
+        sizes=Sizes.of(problem()),
     )
 
 
@@ -121,7 +130,7 @@ def healthy(mode: str) -> MPC | Callable[[], MPC]:
     return make_mpc() if mode == "thread" else make_mpc
 
 
-def check_safe(runner: Runner, sentence: str) -> float:
+def check_safe(runner: RealTimeRunner, sentence: str) -> float:
     """It has stopped with that reason; nothing is written any more, and stop() comes at every tick. Returns when."""
     assert wait_for(lambda: runner.stopped)
     found = re.fullmatch(STOPPED + sentence, runner.state)

@@ -25,8 +25,9 @@ from realtime_toys import (
     virtual,
 )
 from wbmpc.errors import RunAborted
-from wbmpc.mpc import Observation, Runner, VirtualClock
-from wbmpc.mpc.clock import follow
+from wbmpc.mpc.mpc import Observation
+from wbmpc.runtime.clock import VirtualClock, follow
+from wbmpc.runtime.runner import RealTimeRunner
 
 
 @pytest.fixture(autouse=True)
@@ -34,13 +35,13 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
 
 
-def late_write(runner: Runner, action: Callable[..., Any]) -> None:
+def late_write(runner: RealTimeRunner, action: Callable[..., Any]) -> None:
     """From 0.5 s on."""
     write = runner.robot.write
     runner.robot.write = lambda c: action() if runner.clock.now() >= 0.5 else write(c)  # type: ignore[method-assign]
 
 
-def late_command(runner: Runner, action: Callable[..., Any]) -> None:
+def late_command(runner: RealTimeRunner, action: Callable[..., Any]) -> None:
     command = runner.agent.command
     runner.agent.command = (  # type: ignore[method-assign]
         lambda t, p: action() if t >= 0.5 else command(t, p)
@@ -51,7 +52,7 @@ def foresee(robot: ToyRobot) -> None:
     robot.frozen = Measured(robot.clock.now() + 3.0, robot.x)
 
 
-def predict_nothing(runner: Runner) -> None:
+def predict_nothing(runner: RealTimeRunner) -> None:
     """From 0.5 s on."""
     predict = runner.agent.predict
     runner.agent.predict = (  # type: ignore[method-assign]
@@ -59,7 +60,7 @@ def predict_nothing(runner: Runner) -> None:
     )
 
 
-FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
+FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
     "read raises": (
         lambda r: setattr(r.robot, "fault", at(201, raises("no bus"))),
         "0.500 s: the controller raised RuntimeError: no bus",
@@ -144,7 +145,7 @@ FAULTS: dict[str, tuple[Callable[[Runner], None], str, bool]] = {
 }
 
 
-def check_stopped(runner: Runner, sentence: str, seconds: float = 1.0) -> None:
+def check_stopped(runner: RealTimeRunner, sentence: str, seconds: float = 1.0) -> None:
     report = runner.run(seconds)
     assert re.fullmatch(f"stopped at {sentence}", report.state)
     assert runner.stopped

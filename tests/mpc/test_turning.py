@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_fixed import SwerveFixedSettings
-from wbmpc.experiments.swerve_problem import swerve_mpc
-from wbmpc.mpc import Observation, TurningGuess
-from wbmpc.mpc.turning import EARLY, TURN, Turn, plan_turns
+from wbmpc.bases.swerve.defaults import swerve_mpc
+from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
+from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
+from wbmpc.settings import MpcSettings
+from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0
@@ -33,7 +33,7 @@ def test_a_turn_keeps_to_the_limits_of_the_drives() -> None:
     rate = np.gradient(angle, t)
     assert (angle[0], angle[-1]) == (0.0, pytest.approx(-np.pi))
     assert np.abs(rate).max() < MODEL.limits.input_upper[MODEL.input["steer"]].min()
-    assert np.abs(np.gradient(rate, t))[2:-2].max() < 1.02 * MODEL.limits.input_change[MODEL.input["steer"]].min()
+    assert np.abs(np.gradient(rate, t))[2:-2].max() < 1.02 * MODEL.limits.input_rate[MODEL.input["steer"]].min()
     assert np.ptp(t[np.abs(rate) > 1e-6]) == pytest.approx(TURN, abs=1e-3)
 
 
@@ -110,12 +110,12 @@ def test_a_plan_that_reverses_a_wheel_on_the_other_side_is_led_back(wheel: int, 
     x[:, MODEL.state["steer"]] = forward + veer[:, None]
     u[:, MODEL.input["base"]] = twists(grid[:-1])
     sound, first = x.copy(), MODEL.state["steer"].start + wheel
-    guess = TurningGuess(MODEL, lambda t, _: twists(t))
+    guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
     solver: Any = SimpleNamespace(ws=SimpleNamespace(grid=grid, x=x, u=u), begins=0.0, set_reference=lambda *_: None)
     guess(solver, 0.0, x[0].copy())
     assert np.array_equal(x, sound)  # a sound plan is left alone
     x[:, first] += side * np.pi * np.clip((grid - 2.7) / 0.6, 0.0, 1.0)
-    guess = TurningGuess(MODEL, lambda t, _: twists(t))
+    guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
     guess(solver, 0.0, x[0].copy())
     assert guess.turns == ()
     assert np.abs(x[:, first]).max() < 3.0
@@ -135,7 +135,7 @@ def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:
     twists = 0.3 * rising[:, None] * np.stack([np.cos(phase), np.sin(phase), 0.0 * t], axis=1)
     poses = np.vstack([np.zeros(3), np.cumsum(0.5 * (twists[1:] + twists[:-1]) * t[1], axis=0)])
     preview = lambda s, _: np.stack([np.interp(s, t, twists[:, i]) for i in range(3)], axis=1)
-    guess = TurningGuess(MODEL, preview)
+    guess = WheelFlipGuess(MODEL, preview)
     mpc = swerve_mpc(MODEL, MpcSettings(), SwerveFixedSettings().cost, guess, scrubbing=True)
     for name, group, values in (("state", "base", poses), ("input", "base", twists)):
         layout, home = (MODEL.state, MODEL.home) if name == "state" else (MODEL.input, np.zeros(MODEL.input.size))

@@ -1,4 +1,4 @@
-"""Stage derivatives of the experiments' problems. Truth: finite differences of the values, and JᵀWJ of the residuals."""
+"""ViewScene derivatives of the experiments' problems. Truth: finite differences of the values, and JᵀWJ of the residuals."""
 
 from __future__ import annotations
 

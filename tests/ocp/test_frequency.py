@@ -10,8 +10,11 @@ import scipy.linalg
 import scipy.signal
 
 from wbmpc.errors import InputError
-from wbmpc.model import DriveLag, Equations, FrequencyShaping, InputFilter, load_robot
-from wbmpc.mpc import MPC, FilterMemory, Observation
+from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter
+from wbmpc.model.ode import Ode
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.filters import FilterMemory
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import (
     Constraint,
     Cost,
@@ -29,13 +32,13 @@ A = np.array([[0.0, 1.0, 0.0], [-3.0, -0.2, 1.0], [0.5, 0.0, -1.0]])
 B = np.array([[0.0, 0.1], [1.0, 0.0], [0.3, 2.0]])
 
 
-def linear() -> Equations:
+def linear() -> Ode:
     """A linear system that is no robot: two inputs of one group."""
-    return Equations({"x": ["a", "b", "c"]}, {"u": ["left", "right"]}, lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u)
+    return Ode({"x": ["a", "b", "c"]}, {"u": ["left", "right"]}, lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u)
 
 
-def pendulum() -> Equations:
-    return Equations({"x": ["angle", "rate"]}, {"u": ["torque"]}, lambda x, u: ca.vertcat(x[1], u - 5.0 * ca.sin(x[0])))
+def pendulum() -> Ode:
+    return Ode({"x": ["angle", "rate"]}, {"u": ["torque"]}, lambda x, u: ca.vertcat(x[1], u - 5.0 * ca.sin(x[0])))
 
 
 def problem(dynamics, target, rest, most: float = np.inf, intervals: int = 40) -> OptimalControlProblem:

@@ -8,7 +8,7 @@ import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot, swerve_solver
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import (
     AugmentedLagrangian,
     Constraint,

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
-from wbmpc.model import load_robot
-from wbmpc.plant import BRAKE_TORQUE, Brakes, Perturbation, SwerveCommand, SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies import REGISTRY
+from wbmpc.types import SwerveCommand
 
 
 def test_torque_rises_and_falls_within_the_delay() -> None:

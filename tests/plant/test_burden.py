@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, RezeroPlant, SwerveCommand, SwervePlant
-from wbmpc.plant.perturbation import SWERVE_ONLY
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
+from wbmpc.simulation.perturbation import SWERVE_ONLY, Perturbation
+from wbmpc.types import SwerveCommand
 
 ROBOT = load_robot("swerve-ur10")
 G = 9.81
@@ -86,7 +88,7 @@ def test_every_seed_slopes_another_way() -> None:
 def test_a_ball_robot_refuses_them(name: str) -> None:
     """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is told where it can be set."""
     with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only") as error:
-        RezeroPlant(
+        BallPlant(
             load_description("rezero"), perturbation=Perturbation.none(**{name: 7 if name == "encoder_counts" else 0.4})
         )
     assert ("'payload'" in str(error.value)) == (name == "payload")
@@ -99,7 +101,7 @@ def test_rigid_drives_have_no_rotors(name: str) -> None:
     Perturbation(wheel_spring=40.0, arm_spring=300.0, **{name: 0.7})
 
 
-@pytest.mark.parametrize(("plant", "robot"), [(RezeroPlant, "rezero"), (SwervePlant, "swerve-ur10")])
+@pytest.mark.parametrize(("plant", "robot"), [(BallPlant, "rezero"), (SwervePlant, "swerve-ur10")])
 def test_a_refused_start_is_no_command(plant: Any, robot: str) -> None:
     with pytest.raises(InputError, match=r"^start: 'state"):
         plant(load_description(robot), np.zeros(3))

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand
 
 BALL = robot("rezero")
 
@@ -18,7 +21,7 @@ def test_a_ball_on_a_cable_is_as_much_higher_as_the_cable() -> None:
     state = home.copy()
     state[0] = 0.1  # a cable lies there
     for height in (0.005, 0.01):
-        plant = RezeroPlant(BALL.description, state, torque, Perturbation(cables=height), 0)
+        plant = BallPlant(BALL.description, state, torque, Perturbation(cables=height), 0)
         data = plant.data
         touched = [
             plant.model.geom(int(g)).type[0]
@@ -35,9 +38,9 @@ def test_between_cables_nothing_changes() -> None:
     home, torque = BALL.equilibrium(BALL.home[5:8])
     ends = []
     for height in (0.0, 0.005):
-        plant = RezeroPlant(BALL.description, home, torque, Perturbation(cables=height), 0)
+        plant = BallPlant(BALL.description, home, torque, Perturbation(cables=height), 0)
         for _ in range(20):
-            plant.step(RezeroCommand(torque), 5)
+            plant.step(BallCommand(torque), 5)
         ends.append(plant.state())
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
 

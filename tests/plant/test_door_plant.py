@@ -8,7 +8,9 @@ import pytest
 
 from toys import robot
 from wbmpc.errors import InputError
-from wbmpc.plant import Door, DoorPlant, ForceSensor, Perturbation, RezeroCommand
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant, ForceSensor
+from wbmpc.types import BallCommand
 
 ROBOT = robot("rezero")
 HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -26,7 +28,7 @@ def pushed_door(seconds: float, torque: float, **door) -> DoorPlant:  # type: ig
     p = plant(gap=1.0, **door)
     for _ in range(round(seconds / p.timestep)):
         p.push(torque / 0.4 * p.normal, body="door")
-        p.step(RezeroCommand(TORQUE))
+        p.step(BallCommand(TORQUE))
     return p
 
 
@@ -63,7 +65,7 @@ def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
     door = Door((hand[0] + 0.0395, hand[1] + 0.7), locked=True)
     ideal = Perturbation.none(drive_lag=0.0)
     p = DoorPlant(ROBOT.description, door, state, torque, ideal, sensor=ForceSensor(0.0, 0.0))
-    p.step(RezeroCommand(torque), 300)
+    p.step(BallCommand(torque), 300)
     force, reading = p.contact_force(), p.truth().tool_rotation @ p.measure().force
     assert force[0] == pytest.approx(8.0, abs=1.0)
     assert reading + [0.0, 0.0, 0.05 * 9.81] == pytest.approx(-force, abs=0.1)
@@ -93,7 +95,7 @@ def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -
     before, found = mujoco.MjData(p.model), []
     for _ in range(120):
         mujoco.mj_copyState(p.model, p.data, before, int(mujoco.mjtState.mjSTATE_INTEGRATION))
-        p.step(RezeroCommand(torque))
+        p.step(BallCommand(torque))
         p.measure(), p.truth()
         found.append(p.contact_force())
         assert found[-1] == pytest.approx(computed_anew(p, before), abs=1e-3)
@@ -107,7 +109,7 @@ def test_sensor_has_noise_and_bias_of_its_seed() -> None:
     rest = []
     for _ in range(200):
         for one in (p, q):
-            one.step(RezeroCommand(TORQUE), 5)
+            one.step(BallCommand(TORQUE), 5)
         rest.append(p.measure().force - q.measure().force)
     assert np.std(rest, axis=0) == pytest.approx([0.3] * 3, rel=0.25)
     bias = np.mean(rest, axis=0)

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant, SwervePlant
-from wbmpc.plant.drives import HEAD_ROOM, ElasticDrives
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
+from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
@@ -142,9 +145,9 @@ def test_balls_get_no_more_than_the_traction() -> None:
     elastic = Perturbation.none(
         drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, arm_spring=300.0, arm_rotor=0.05, torque_gain=1.0
     )
-    plant, seen = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic), []
+    plant, seen = BallPlant(ROBOT.description, HOME, TORQUE, elastic), []
     for k in range(240):
-        plant.step(RezeroCommand(np.where(k // 80 % 2, -1.0, 1.0) * np.array([4.0] * 3 + [20.0] * 3)), 1)
+        plant.step(BallCommand(np.where(k // 80 % 2, -1.0, 1.0) * np.array([4.0] * 3 + [20.0] * 3)), 1)
         seen.append(np.abs(plant.torque))
     most = np.max(seen, axis=0)
     assert most[:3].max() == pytest.approx(4.0, abs=1e-12)
@@ -156,16 +159,16 @@ def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
     elastic = Perturbation.none(
         drive_lag=0.0, wheel_spring=40.0, arm_spring=300.0, wheel_rotor=0.01, arm_rotor=0.05, torque_gain=1.0
     )
-    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic)
-    plant.step(RezeroCommand(TORQUE), 50)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
+    plant.step(BallCommand(TORQUE), 50)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=0.03)  # the ball sinks a little into the floor
     np.testing.assert_allclose(plant.state()[5:8], HOME[5:8], atol=1e-4)
 
 
 def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
     elastic = Perturbation.none(drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
-    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, elastic)
-    command = RezeroCommand(TORQUE + 1.0)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
+    command = BallCommand(TORQUE + 1.0)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-9)
     plant.step(command)
     np.testing.assert_allclose(plant.torque[3:], TORQUE[3:] + 1.0, atol=1e-9)
@@ -176,10 +179,10 @@ def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
 
 def test_dead_time() -> None:
     """A torque acts after the dead time, not before."""
-    plant = RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(drive_lag=0.0, dead_time=0.003))
-    plant.step(RezeroCommand(TORQUE + 1.0), 6)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(drive_lag=0.0, dead_time=0.003))
+    plant.step(BallCommand(TORQUE + 1.0), 6)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-12)
-    plant.step(RezeroCommand(TORQUE + 1.0), 1)
+    plant.step(BallCommand(TORQUE + 1.0), 1)
     np.testing.assert_allclose(plant.torque, TORQUE + 1.0, atol=1e-12)
 
 
@@ -188,12 +191,12 @@ def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
     with pytest.raises(
         InputError, match=r"plant\.dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
     ):
-        RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(dead_time=time))
+        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(dead_time=time))
 
 
 def test_bad_drives() -> None:
     with pytest.raises(InputError, match=r"plant\.wheel_rotor"):
-        RezeroPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
+        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
 
 
 #: What no line of the swerve robot's plant reads, by going through it.

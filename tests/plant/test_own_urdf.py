@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import SwerveCommand
 
 PLACES = {"lf": (0.4, 0.3), "rf": (0.4, -0.3), "lb": (-0.4, 0.3), "rb": (-0.4, -0.3)}
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from wbmpc.plant import Perturbation
-from wbmpc.plant.perturbation import quantise
 from wbmpc.robots import load_description, load_spec
+from wbmpc.simulation.perturbation import Perturbation, quantise
 
 BODIES = [b.name for b in load_spec(load_description("swerve-ur10")).bodies if b.name != "world"]
 

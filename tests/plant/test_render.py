@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import WbmpcError
-from wbmpc.plant import RezeroPlant, SwervePlant
-from wbmpc.plant.render import Camera, Renderer
 from wbmpc.robots import load_description
+from wbmpc.simulation.render import Camera, Renderer
 
 
-@pytest.mark.parametrize(("name", "kind"), [("swerve-ur10", SwervePlant), ("rezero", RezeroPlant)])
+@pytest.mark.parametrize(("name", "kind"), [("swerve-ur10", SwervePlant), ("rezero", BallPlant)])
 def test_a_picture_shows_the_robot(name, kind):
     plant = kind(load_description(name))
     try:

@@ -10,19 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbmpc import lie
+from wbmpc.bases.ball.plant import BallPlant, body_rates, minimal_state
+from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant import Perturbation, RezeroCommand, RezeroPlant
-from wbmpc.plant.inertial import SensorFault
-from wbmpc.plant.rezero import body_rates, minimal_state
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand
 
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 IDEAL = Perturbation.none(drive_lag=0.0)
 
 
-def plant(perturbation: Perturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> RezeroPlant:
-    return RezeroPlant(ROBOT.description, state, torque, perturbation, seed, **options)
+def plant(perturbation: Perturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> BallPlant:
+    return BallPlant(ROBOT.description, state, torque, perturbation, seed, **options)
 
 
 def derivative():
@@ -92,10 +93,10 @@ def test_truth_is_the_planners_kinematics():
     assert truth.tilt == pytest.approx(np.arccos(np.cos(x[3]) * np.cos(x[4])))
 
 
-def settled(perturbation: Perturbation = IDEAL) -> RezeroPlant:
+def settled(perturbation: Perturbation = IDEAL) -> BallPlant:
     """After the ball has sunk into its contact, which takes some milliseconds."""
     p = plant(perturbation)
-    p.step(RezeroCommand(TORQUE), 100)
+    p.step(BallCommand(TORQUE), 100)
     return p
 
 
@@ -115,7 +116,7 @@ def test_motion_is_that_of_the_minimal_model():
     x0[2] = 0.4
     u = TORQUE + np.array([0.6, -0.4, 0.1, 0.5, -1.0, 0.8])
     p = plant(state=x0, torque=TORQUE)
-    p.step(RezeroCommand(u), 300)
+    p.step(BallCommand(u), 300)
     model, moved = rolled_out(x0, u, 0.15), p.state()
     change = np.abs(model - x0)
     # contact softness and spin friction separate the two by a few per cent; yaw by more
@@ -126,7 +127,7 @@ def test_motion_is_that_of_the_minimal_model():
 
 def test_drives_lag_and_clip():
     p = plant(Perturbation.none(), torque=np.zeros(6))
-    p.step(RezeroCommand(np.array([99.0, 0, 0, 99.0, 0, 0])), 40)
+    p.step(BallCommand(np.array([99.0, 0, 0, 99.0, 0, 0])), 40)
     assert p.data.act[[0, 3]] == pytest.approx(np.array([4.0, 20.0]) * (1 - np.exp(-1.0)), rel=1e-6)
     assert plant(Perturbation.none()).data.act == pytest.approx(TORQUE)
 
@@ -135,14 +136,14 @@ def test_measured_states_are_late_and_noisy():
     p = plant(Perturbation.none(state_age=0.005))
     states = [p.state()]
     for _ in range(40):
-        p.step(RezeroCommand(TORQUE), 1)
+        p.step(BallCommand(TORQUE), 1)
         states.append(p.state())
     assert p.measure().state == pytest.approx(states[-11], abs=1e-14)
     assert p.measure().age == pytest.approx(0.005)
     noisy = plant(Perturbation.none(position_noise=1e-3, angle_noise=2e-3, speed_noise=0.01, rate_noise=0.02))
     errors = []
     for _ in range(300):
-        noisy.step(RezeroCommand(TORQUE), 1)
+        noisy.step(BallCommand(TORQUE), 1)
         errors.append(noisy.measure().state - noisy.state())
     expected = [1e-3] * 2 + [2e-3] * 6 + [0.01] * 2 + [0.02] * 6
     assert np.std(errors, axis=0) == pytest.approx(expected, rel=0.2)
@@ -159,7 +160,7 @@ def test_runs_are_bitwise_repeatable():
         p, told = plant(Perturbation(), seed), []
         for _ in range(50):
             told.append(p.measure().state)
-            p.step(RezeroCommand(TORQUE), 5)
+            p.step(BallCommand(TORQUE), 5)
         return np.concatenate([*told, p.data.qpos])
 
     assert np.array_equal(run(1), run(1)) and not np.array_equal(run(1), run(2))
@@ -169,22 +170,22 @@ def test_pushes_act_and_end_and_a_toppled_robot_is_noticed():
     free, pushed = plant(), plant()
     pushed.push([20.0, 0.0, 0.0], body="base", point=[0.0, 0.0, 0.2])
     for p in (free, pushed):
-        p.step(RezeroCommand(TORQUE), 200)
+        p.step(BallCommand(TORQUE), 200)
     impulse = 20.0 * 0.1
     momentum = pushed.data.qvel[0] - free.data.qvel[0]
     assert momentum > 0.2 * impulse / (pushed.weight / 9.81)
     pushed.push([0.0, 0.0, 0.0], body="base")
-    pushed.step(RezeroCommand(TORQUE), 1)
+    pushed.step(BallCommand(TORQUE), 1)
     assert not pushed.data.xfrc_applied.any()
     assert not pushed.fell
-    pushed.step(RezeroCommand(TORQUE), 3000)
+    pushed.step(BallCommand(TORQUE), 3000)
     assert pushed.fell
 
 
 def test_hooks_are_called_before_every_physics_step():
     p, calls = plant(), []
     p.external = lambda m, d: calls.append(float(d.time))
-    p.step(RezeroCommand(TORQUE), 3)
+    p.step(BallCommand(TORQUE), 3)
     assert calls == pytest.approx([0.0, 5e-4, 1e-3])
 
 
@@ -199,9 +200,9 @@ def test_a_payload_hangs_at_the_tool():
 @pytest.mark.parametrize("bad", [np.zeros(5), np.full(6, np.inf)])
 def test_bad_torques_are_refused(bad):
     with pytest.raises(InputError, match="torque"):
-        plant().step(RezeroCommand(bad))
+        plant().step(BallCommand(bad))
     with pytest.raises(InputError, match="ball base"):
-        RezeroPlant(load_robot("swerve-ur10").description)
+        BallPlant(load_robot("swerve-ur10").description)
 
 
 def test_planner_and_plant_share_no_numbers() -> None:
@@ -209,7 +210,7 @@ def test_planner_and_plant_share_no_numbers() -> None:
     robot = load_robot("rezero")
     home, torque = robot.equilibrium([0.0, 1.0, 0.8])
     before = robot.mass_matrix(home[:8])
-    plant = RezeroPlant(robot.description, home, torque, seed=3)
+    plant = BallPlant(robot.description, home, torque, seed=3)
     planned = sum(link.mass for link in robot.tree.links)
     assert abs(float(plant.model.body_mass.sum()) - planned) > 1e-3
     plant.model.body_mass[:] *= 2.0
@@ -231,7 +232,7 @@ def test_inertial_unit_reads_what_mujocos_own_sensors_read() -> None:
             p.push([30.0, -20.0, 0.0])
         gyro, accel = np.zeros(3), np.zeros(3)
         for _ in range(5):
-            p.step(RezeroCommand(TORQUE + [0.5, -0.3, 0.2, 1.0, -1.0, 0.5]))
+            p.step(BallCommand(TORQUE + [0.5, -0.3, 0.2, 1.0, -1.0, 0.5]))
             accel += p.data.sensordata[3:6] / 5
             gyro += p.data.qvel[3:6] / 5
         m = p.measure()
@@ -246,7 +247,7 @@ def test_wheel_encoders_follow_the_kinematics_of_the_model() -> None:
     speeds = ca.Function("w", [q, v], [ROBOT.base.wheel_speeds(q, v)])
     p, turned = plant(), np.zeros(3)
     for _ in range(400):
-        p.step(RezeroCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]))
+        p.step(BallCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]))
         x = p.state()
         turned += p.timestep * np.array(speeds(x[:8], x[8:])).ravel()
     assert np.abs(turned).max() > 0.1
@@ -264,7 +265,7 @@ def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
     p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)
     seen = []
     for _ in range(120):
-        p.step(RezeroCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]), 5)
+        p.step(BallCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]), 5)
         seen.append((p.measure().wheel, p.sensors._wheel.copy()))
     assert seen[20][0] == pytest.approx(seen[18][1], abs=1e-12)  # 5 ms are two messages
     stands = np.array([w[0] for w, _ in seen])[45:75]

@@ -8,11 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.model import rolling_inverse_kinematics
+from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED, SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.estimation import WheelOdometry
-from wbmpc.model import load_robot, rolling_inverse_kinematics
-from wbmpc.plant import BRAKE_TORQUE, Perturbation, SwerveCommand, SwervePlant, scale_wheels
-from wbmpc.plant.swerve import STEER_SPEED, WHEEL_SPEED
+from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import SwerveCommand, scale_wheels
 
 ROBOT = load_robot("swerve-ur10")
 STOP = SwerveCommand.stop()

@@ -22,18 +22,21 @@ from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
 from wbmpc import lie
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
-from wbmpc.experiments import REGISTRY, swerve_stability
-from wbmpc.experiments.swerve_track import SwerveTrackSettings
-from wbmpc.loop import Ending, Running, Timing, Watch, watched
-from wbmpc.mpc import Plans
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
-from wbmpc.plant import RezeroPlant, SwerveCommand, SwervePlant
-from wbmpc.plant.scene import Scene, SceneReader
 from wbmpc.recording.reader import read
 from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.robots import load_description
+from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
+from wbmpc.simulation.scene import Scene, SceneReader
+from wbmpc.studies import REGISTRY
+from wbmpc.studies.pankert2022 import stability as swerve_stability
+from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.types import SwerveCommand
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
@@ -163,7 +166,7 @@ def test_the_ball_robot_is_recorded_from_the_floor_up(ball: Path) -> None:
         np.testing.assert_allclose(hand - [0, 0, radius], log["hand"][every], atol=1e-12)
         torque = np.array([m.data for _, m in messages(ball, "/command/torque")])  # type: ignore[attr-defined]
         np.testing.assert_array_equal(torque, log["torque"][every])
-    plant = RezeroPlant(load_description("rezero"), None, None, None, 3)
+    plant = BallPlant(load_description("rezero"), None, None, None, 3)
     force = np.array([m.wrench.force.z for _, m in messages(ball, "/contact/ball")])  # type: ignore[attr-defined]
     assert np.mean(force) == pytest.approx(plant.weight, rel=0.03)
     drift = [f for _, m in messages(ball, "/tf") for f in m.transforms if f.child_frame_id == "odom"]  # type: ignore[attr-defined]
@@ -362,7 +365,7 @@ class _Part:
     """The least that a recorder looks at: a plant, an agent that has not measured, an MPC that has not solved."""
 
     def __init__(self) -> None:
-        self.plans = Plans()
+        self.plans = PolicyQueue()
         self._mpc = SimpleNamespace(
             period=0.02, statistics=SimpleNamespace(solves=0), reference={},
             solver=SimpleNamespace(schedule=ModeSchedule((Mode("rest"),))),

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.model import RobotModel
-from wbmpc.plant import Truth
-from wbmpc.ros2 import Network, open_node
+from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.bus import open_node
 from wbmpc.ros2.control import ControlNode
+from wbmpc.ros2.network import Network
 from wbmpc.ros2.settings import settings_of
 from wbmpc.ros2.sim import SimNode
+from wbmpc.types import Truth
 
 
 class Simulated:

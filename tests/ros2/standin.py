@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from needs import private
 
-from wbmpc.model import RobotModel, load_robot
-from wbmpc.ros2 import Network, Qos, open_node
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.ros2.bus import Qos, open_node
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import header, stamp
+from wbmpc.ros2.network import Network
 from wbmpc.ros2.settings import RosSettings
 
 ROBOT = load_robot("swerve-ur10")

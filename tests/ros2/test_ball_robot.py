@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private
 
+from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.plant.inertial import SensorFault
-from wbmpc.ros2 import Network
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 if not MISSING:
     from simulated import Localisation, Simulated
 
-    from wbmpc.ros2.ball import POSTURES, bodies
+    from wbmpc.bases.ball.ros import POSTURES, bodies
     from wbmpc.ros2.goals import HandTrack, Planner
     from wbmpc.ros2.settings import BallSettings, Speeds
 

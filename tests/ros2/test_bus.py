@@ -17,8 +17,9 @@ import pytest
 from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
-from wbmpc.ros2.several import Several
+from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos, open_node
+from wbmpc.ros2.multi_type_subscriber import Several
+from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 if not MISSING:
@@ -29,7 +30,7 @@ if not MISSING:
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from wbmpc.ros2.carrier import carrier
+    from wbmpc.ros2.cdr_types import carrier
     from wbmpc.ros2.messages import types
 
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "44"})

@@ -14,8 +14,9 @@ import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.cli import main
-from wbmpc.model import load_robot
-from wbmpc.ros2 import DEFAULT, SENSOR, Network, Qos, open_node
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.bus import DEFAULT, SENSOR, Qos, open_node
+from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 if not MISSING:

@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.bases.swerve.ros import references_of
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
 from wbmpc.ros2.goals import LEASH, STEP, HandTrack, Planner, Task, Track, base_track, hand_track
 from wbmpc.ros2.settings import Goals, Speeds
-from wbmpc.ros2.swerve import references_of
 
 ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
 SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from needs import MISSING, needs_dds
 
-from wbmpc.mpc import Runner
+from wbmpc.runtime.runner import RealTimeRunner
 
 pytestmark = needs_dds
 if not MISSING:
@@ -27,9 +27,9 @@ def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pyt
     ticking: list[int] = []
     where: Counter[str] = Counter()
     ticks = [0]
-    tick = Runner._tick
+    tick = RealTimeRunner._tick
 
-    def told(self: Runner, due: float) -> None:
+    def told(self: RealTimeRunner, due: float) -> None:
         ticking.append(threading.get_ident())
         try:
             tick(self, due)
@@ -61,7 +61,7 @@ def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pyt
         assert ticks[0] > 150
         return sum(where.values()) / ticks[0]
 
-    monkeypatch.setattr(Runner, "_tick", told)
+    monkeypatch.setattr(RealTimeRunner, "_tick", told)
     # a message that comes while a tick begins may have asked for its turn before; where the machine has other things to do a tick
     # is taken off its core where it has let go: that is not the tick's doing, and does not happen every time
     assert any(share() < 0.05 for _ in range(4)), where.most_common(5)

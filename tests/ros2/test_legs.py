@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
-from wbmpc.control import BrakeControl
-from wbmpc.model import load_robot
-from wbmpc.ros2 import DEFAULT, Network
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.bus import DEFAULT
+from wbmpc.ros2.network import Network
 from wbmpc.stability import leg_angles
 
 pytestmark = needs_dds
@@ -25,8 +26,8 @@ if not MISSING:
     from cyclonedds.topic import Topic
     from simulated import Simulated
 
-    from wbmpc.ros2.carrier import carrier
-    from wbmpc.ros2.legs import SET_LEGS
+    from wbmpc.bases.swerve.ros_legs import SET_LEGS
+    from wbmpc.ros2.cdr_types import carrier
     from wbmpc.ros2.messages import request, response, types
 
 ROBOT = load_robot("swerve-ur10")

@@ -16,9 +16,9 @@ if not MISSING:
     from simulated import Localisation, Simulated
     from standin import NETWORK, PERIOD, ROBOT, check_stopped
 
+    from wbmpc.bases.swerve.ros import SwervePilot
     from wbmpc.ros2.localisation import Gate
     from wbmpc.ros2.settings import RosSettings
-    from wbmpc.ros2.swerve import SwervePilot
 
 
 def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(

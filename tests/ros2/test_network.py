@@ -11,7 +11,8 @@ import pytest
 from needs import everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
-from wbmpc.ros2 import LATCHED, Network, open_node
+from wbmpc.ros2.bus import LATCHED, open_node
+from wbmpc.ros2.network import Network
 
 
 def test_nothing_set_is_the_default_of_ros() -> None:

@@ -13,8 +13,9 @@ from needs import MISSING, needs_dds, private
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
-from wbmpc.ros2 import LATCHED, Network, open_node
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.bus import LATCHED, open_node
+from wbmpc.ros2.network import Network
 from wbmpc.stability import assess
 
 pytestmark = needs_dds

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds
 
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.swerve_track import SwerveTrackSettings
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 
 pytestmark = needs_dds
 if not MISSING:

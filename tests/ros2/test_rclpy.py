@@ -13,7 +13,7 @@ import pytest
 from needs import MISSING, needs_dds, wait_until
 
 from wbmpc.errors import InputError
-from wbmpc.ros2 import LATCHED, SENSOR, open_node
+from wbmpc.ros2.bus import LATCHED, SENSOR, open_node
 
 if not MISSING:
     from fake_ros import FakeNode, install, message_class
@@ -93,7 +93,7 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
 def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so. In lockstep: a
     busy machine changes nothing."""
-    from wbmpc.model import load_robot
+    from wbmpc.model.robot import load_robot
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import stamp
     from wbmpc.ros2.settings import RosSettings, joint_groups

@@ -11,7 +11,7 @@ import yaml
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
 from wbmpc.ros2.settings import RosSettings, load_settings
 
 ROBOT = load_robot("swerve-ur10")

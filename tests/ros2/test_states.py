@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
+from wbmpc.bases.swerve.model import rolling_inverse_kinematics
 from wbmpc.errors import InputError
-from wbmpc.model import load_robot, rolling_inverse_kinematics
+from wbmpc.model.robot import load_robot
 
 pytestmark = needs_dds
 if not MISSING:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import RelaxedBarrier
-from wbmpc.ocp.rows import Kind, Place
+from wbmpc.ocp.constraint_classification import Kind, Place
 from wbmpc.solver import Solver
 
 

@@ -110,8 +110,8 @@ def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     )
     weights = {"base": 0.5, "leg": 1.0, "steer": 0.05, "wheel": 0.001, "arm": 0.1}
     ocp.add(Cost("input", residuals.Input(model), weights))
-    ocp.add(Constraint("rolling", residuals.WheelRolling(model)))
-    ocp.add(Constraint("brakes", residuals.BrakedLegs(model)))
+    ocp.add(Constraint("rolling", residuals.Rolling(model)))
+    ocp.add(Constraint("brakes", residuals.LockedJoints(model)))
     box = sets.Box(model.limits.input_lower, model.limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(model, tracked=False), box, penalty=RelaxedBarrier(1e-3, 0.02)))
     solver = Solver(ocp, SQP(iterations=300))

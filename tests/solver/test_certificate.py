@@ -10,7 +10,7 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
 
@@ -179,10 +179,13 @@ def test_a_guess_beyond_all_numbers_is_told_and_the_next_one_solves() -> None:
         (lambda: Solver(cart(), SQP()).solve(START, np.nan), "start of the horizon: a finite time is needed, got nan"),
         (lambda: SQP(iterations=2.5), "iterations must be a whole number, at least 1, got 2.5"),  # type: ignore[arg-type]
         (lambda: SQP(iterations=True), "iterations must be a whole number"),
-        (lambda: SQP(smallest_step=2.0), "smallest_step must be at most 1, got 2"),
-        (lambda: SQP(largest_shift=-1.0), "largest_shift must not be negative, got -1"),
-        (lambda: SQP(largest_shift=np.nan), "largest_shift must not be negative, got nan"),
-        (lambda: InteriorPoint(extra_when_cut=-1), "extra_when_cut must be a whole number, at least 0, got -1"),
+        (lambda: SQP(min_step=2.0), "min_step must be at most 1, got 2"),
+        (lambda: SQP(max_regularization=-1.0), "max_regularization must not be negative, got -1"),
+        (lambda: SQP(max_regularization=np.nan), "max_regularization must not be negative, got nan"),
+        (
+            lambda: InteriorPoint(max_extra_iterations=-1),
+            "max_extra_iterations must be a whole number, at least 0, got -1",
+        ),
         (lambda: SLQ(step=np.nan), "SLQ: step must be positive, got nan"),
     ],
 )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
 
@@ -134,7 +134,7 @@ def test_inputs_that_no_plan_can_hold_are_told_by_name(backend: str) -> None:
     ocp.add(hard("right", lambda s: 1.0 - (s.u[0] - 3.0) ** 2))
     ocp.add(hard("left", lambda s: 1.0 - (s.u[0] + 3.0) ** 2))
     found = Solver(ocp, SQP.real_time(backend=backend)).solve(START[:2])
-    assert found.status is Status.LIMIT_MISSED and not found.usable
+    assert found.status is Status.INPUT_INFEASIBLE and not found.usable
     assert "right" in found.detail or "left" in found.detail
     assert "planned inputs miss a hard limit" in str(found)
     with pytest.raises(RunAborted, match=r"hard limit .*(right|left)"):

@@ -11,9 +11,9 @@ from toys import Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, 
 from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
-from wbmpc.solver.places import MU, STATE, THETA, H
+from wbmpc.solver.inequalities import start_rows
+from wbmpc.solver.memory_layout import MU, STATE, THETA, H
 from wbmpc.solver.riccati import backward
-from wbmpc.solver.rows import start_rows
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
 

@@ -124,7 +124,7 @@ def test_slq_is_the_same_problem_on_a_finer_grid() -> None:
 def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
     interior = InteriorPoint(mode)
     a, b = (
-        hardened_pendulum(algorithm(iterations=9, backend=k, interior_point=interior, largest_shift=0.0))
+        hardened_pendulum(algorithm(iterations=9, backend=k, interior_point=interior, max_regularization=0.0))
         for k in ("compiled", "interpreted")
     )
     for s in (a, b):
@@ -140,7 +140,7 @@ def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
 
 
 def test_every_iterate_of_single_shooting_is_a_motion_of_the_model() -> None:
-    solver = hardened_pendulum(ILQR(iterations=3, certify=False))
+    solver = hardened_pendulum(ILQR(iterations=3, compute_kkt=False))
     solver.run(START)
     x = START
     np.testing.assert_array_equal(solver.ws.x[0], START)
@@ -306,7 +306,7 @@ def test_equalities_hold_beside_saturated_inputs() -> None:
         ocp.add(Cost("x", Rows(nx, lambda s: s.x), at="all"))
         ocp.add(Cost("u", Rows(nu, lambda s: s.u), list(curvature)))
         ocp.add(Constraint("rows", Rows(ng, lambda s, c=c, d=d, e=e: ca.DM(c) @ s.x + ca.DM(d) @ s.u + ca.DM(e))))
-        solver = Solver(ocp, SQP(iterations=1, certify=False, force_step=True), use_cache=False)
+        solver = Solver(ocp, SQP(iterations=1, compute_kkt=False, accept_min_step=True), use_cache=False)
         solver.run(rng.normal(size=nx))
         left = solver.ws.x[:-1] @ c.T + solver.ws.u @ d.T + e
         assert np.abs(left).max() < 1e-6, seed

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
 
 #: Allowed excess [share of the range], and the time in which pushed states have to be back [s].
@@ -46,7 +46,7 @@ def settings_for(variant: str, settings: MpcSettings) -> tuple[MpcSettings, SQP]
     """Settings of problem and solver: "hard", "kept" (slacks kept) or "soft"."""
     settings = settings.model_copy(update={"limits": "soft" if variant == "soft" else "hard"})
     solver = settings.solver()
-    more = {"reset": False, "extra_when_cut": 3} if variant == "kept" else {}
+    more = {"reset": False, "max_extra_iterations": 3} if variant == "kept" else {}
     return settings, replace(solver, interior_point=replace(solver.interior_point, **more))
 
 

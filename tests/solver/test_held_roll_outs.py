@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
 
@@ -97,7 +97,7 @@ def test_limits_that_contradict_each_other_are_told(backend: str) -> None:
     found = Solver(swing_up(motor(), at_least("more", lambda s: s.u[0] - 5.0)), ILQR.real_time(backend=backend)).solve(
         np.zeros(2)
     )
-    assert found.status is Status.LIMIT_MISSED and not found.usable
+    assert found.status is Status.INPUT_INFEASIBLE and not found.usable
     assert "motor limit" in found.detail or "more" in found.detail
 
 

@@ -12,7 +12,7 @@ from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
-PARTLY = SQP(iterations=3, certify=False, interior_point=InteriorPoint(extra_when_cut=0))
+PARTLY = SQP(iterations=3, compute_kkt=False, interior_point=InteriorPoint(max_extra_iterations=0))
 
 
 def scene(solver: Solver, n: int) -> Solver:
@@ -32,7 +32,7 @@ def steps(solver: Solver, n: int) -> np.ndarray:
 def test_every_remainder(n: int) -> None:
     """Three iterations with equality rows, soft boxes and general rows: log, trajectories and gains."""
     ours, twin = (
-        pendulum(b, "rk4" if n % 2 else "rk2", n, iterations=3, certify=False) for b in ("compiled", "interpreted")
+        pendulum(b, "rk4" if n % 2 else "rk2", n, iterations=3, compute_kkt=False) for b in ("compiled", "interpreted")
     )
     np.testing.assert_allclose(steps(ours, n), steps(twin, n), rtol=1e-7, atol=1e-8)
 

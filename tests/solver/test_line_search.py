@@ -16,7 +16,7 @@ from toys import Rows, ToyDynamics
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
 from wbmpc.solver import SQP, Solution, Solver, Status
 
-MERIT = SQP(iterations=60, largest_shift=0.0)
+MERIT = SQP(iterations=60, max_regularization=0.0)
 FILTER = replace(MERIT, line_search="filter")
 BOTH = pytest.mark.parametrize("chosen", [MERIT, FILTER], ids=["merit", "filter"])
 
@@ -59,7 +59,7 @@ def test_the_filter_remembers() -> None:
     at 0 tells that nothing was won."""
     curve = lambda u: -2.0 + 2.0 * u + 5.0 * u**3 - 4.0 * u**4
     row = Constraint("root", Rows(1, lambda s: curve(s.u)))
-    cycle = solve(lambda u: u, 0.0, replace(FILTER, smallest_step=1.0, force_step=True), row)
+    cycle = solve(lambda u: u, 0.0, replace(FILTER, min_step=1.0, accept_min_step=True), row)
     np.testing.assert_allclose(cycle.log[[0, 2, 4], 1], 2.0, atol=1e-6)  # forced steps do cycle
     np.testing.assert_allclose(cycle.log[[1, 3, 5], 1], 1.0, atol=1e-6)
     found = solve(lambda u: u, 0.0, FILTER, row)
@@ -79,7 +79,7 @@ def overshooting() -> OptimalControlProblem:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_forced_steps_that_overshoot_become_shorter(backend: str) -> None:
     """Full steps go from u to −3u; what is left after two of them tells that a quarter is right."""
-    forced = SQP.real_time(12, smallest_step=1.0, backend=backend)
+    forced = SQP.real_time(12, min_step=1.0, backend=backend)
     solver = Solver(overshooting(), forced)
     solver.guess(np.zeros((2, 1)), np.array([[1e-3]]))
     found = solver.solve(np.zeros(1))
@@ -96,6 +96,6 @@ def test_noise_between_solves_shortens_nothing() -> None:
     """A measured state that jumps to and fro turns the direction too, but that is no overshooting."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 4)
     ocp.add(Cost("x", Rows(2, lambda s: ca.vertcat(s.x, s.u)), 1.0))
-    solver = Solver(ocp, SQP.real_time(smallest_step=1.0))
+    solver = Solver(ocp, SQP.real_time(min_step=1.0))
     for k in range(10):
         assert solver.solve(np.array([(-1.0) ** k])).log[0, 4] == 1.0

@@ -28,7 +28,7 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
-from wbmpc.solver.verdict import _stuck
+from wbmpc.solver.diagnostics import _stuck
 
 SOLVERS = {
     "sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR(), "slq": SLQ(step=0.025),
@@ -252,7 +252,7 @@ def test_a_problem_of_wishes_alone_is_feasible(algorithm: str, backend: str, ter
         if isinstance(settings, SLQ):
             settings = replace(settings, step=0.1)
     found = solve(cart(term, intervals=intervals), settings)
-    assert found.status in (Status.CONVERGED, Status.NO_STEP, Status.ITERATION_LIMIT), found
+    assert found.status in (Status.CONVERGED, Status.LINE_SEARCH_FAILED, Status.ITERATION_LIMIT), found
     assert term.name not in found.detail
 
 
@@ -315,13 +315,13 @@ def test_rows_that_repeat_each_other_change_nothing(algorithm: str) -> None:
 )
 def test_a_step_that_leaves_a_domain_names_the_term(algorithm: str, term: Cost | Constraint, named: str) -> None:
     found = solve(cart(term), SOLVERS[algorithm])
-    assert found.status in (Status.NO_STEP, Status.NOT_FINITE, Status.DIVERGED)
+    assert found.status in (Status.LINE_SEARCH_FAILED, Status.NOT_FINITE, Status.DIVERGED)
     assert named in found.detail, found
 
 
 def test_a_real_time_iteration_without_a_step_names_the_term() -> None:
     found = solve(cart(cost("power", lambda s: s.x[1] ** 1.5)), SQP.real_time())
-    assert found.status is Status.NO_STEP and "term 'power' at node 1 is not finite" in found.detail
+    assert found.status is Status.LINE_SEARCH_FAILED and "term 'power' at node 1 is not finite" in found.detail
 
 
 def test_second_derivatives_without_a_value_name_the_term() -> None:

@@ -27,7 +27,7 @@ class Step:
 
 
 def one_step(lq: LinearQuadratic, backend: str = "compiled") -> Step:
-    solver = Solver(lq.problem(), SQP(iterations=1, certify=False, backend=backend), use_cache=False)
+    solver = Solver(lq.problem(), SQP(iterations=1, compute_kkt=False, backend=backend), use_cache=False)
     solver.guess(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
     nx = lq.nx
     if backend == "interpreted":

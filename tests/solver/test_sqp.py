@@ -42,7 +42,7 @@ def test_same_iterates_as_the_twin(integrator: str, equality: bool) -> None:
 
 @pytest.mark.parametrize("make", [swerve_solver, rezero_solver])
 def test_robots_iterate_like_the_twin(make) -> None:  # type: ignore[no-untyped-def]
-    a, b = make(n=4, iterations=3, certify=False), make(n=4, iterations=3, certify=False, backend="interpreted")
+    a, b = make(n=4, iterations=3, compute_kkt=False), make(n=4, iterations=3, compute_kkt=False, backend="interpreted")
     x0 = robot("swerve-ur10" if make is swerve_solver else "rezero").home
     za, zb = a.solve(x0), b.solve(x0)
     # the swerve's side-slip rows are dependent: the last digits go into which of them carries the load
@@ -110,10 +110,10 @@ def cliff(backend: str, **sqp: object) -> Solver:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 @pytest.mark.parametrize("force", [True, False])
 def test_a_step_to_nowhere_is_not_taken(backend: str, force: bool) -> None:
-    solver = cliff(backend, iterations=5, smallest_step=0.2, force_step=force, certify=False)
+    solver = cliff(backend, iterations=5, min_step=0.2, accept_min_step=force, compute_kkt=False)
     with np.errstate(all="ignore"):
         found = solver.solve(np.array([0.0]))
-    assert found.status in (Status.NO_STEP, Status.ITERATION_LIMIT)
+    assert found.status in (Status.LINE_SEARCH_FAILED, Status.ITERATION_LIMIT)
     assert np.isfinite(found.u).all()
     assert np.isfinite(found.x).all()
 
@@ -173,11 +173,11 @@ def fastest(function, count: int) -> float:  # type: ignore[no-untyped-def]
 
 def test_compiled_iterations_are_much_faster_than_interpreted() -> None:
     model = robot("swerve-ur10")
-    quick = {"iterations": 1, "certify": False, "force_step": True, "smallest_step": 0.2}
+    quick = {"iterations": 1, "compute_kkt": False, "accept_min_step": True, "min_step": 0.2}
     a, b, c = (
         swerve_solver(**quick),
         swerve_solver(backend="interpreted", **quick),
-        swerve_solver(**{**quick, "certify": True}),
+        swerve_solver(**{**quick, "compute_kkt": True}),
     )
     compiled, interpreted = fastest(lambda: a.run(model.home), 100), fastest(lambda: b.run(model.home), 2)
     assert interpreted > 20.0 * compiled
@@ -193,12 +193,15 @@ def test_a_step_that_fails_is_damped(algorithm: type[SQP], line_search: str) -> 
     ocp.add(Cost("still", Rows(1, lambda s: s.x), 1e-3, at="all"))
     found = []
     for shift in (0.0, 1e6):
-        settings = algorithm(iterations=200, line_search=line_search, smallest_step=0.9, largest_shift=shift)
+        settings = algorithm(iterations=200, line_search=line_search, min_step=0.9, max_regularization=shift)
         solver = Solver(ocp, settings)
         solver.guess(np.zeros((5, 1)), np.full((4, 1), 5.0))
         found.append(solver.solve(np.zeros(1)))
     undamped, damped = found
-    assert undamped.status in (Status.NO_STEP, Status.INFEASIBLE) and undamped.log[:, COLUMNS["shift"]].max() == 0.0
+    assert (
+        undamped.status in (Status.LINE_SEARCH_FAILED, Status.INFEASIBLE)
+        and undamped.log[:, COLUMNS["shift"]].max() == 0.0
+    )
     assert damped.status is Status.CONVERGED, damped
     np.testing.assert_allclose(damped.u, 1.0, atol=1e-4)  # as far as the small pull to 0 lets it
     assert damped.log[:, COLUMNS["shift"]].max() > 0.1 and damped.log[-1, COLUMNS["shift"]] < 1e-4

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.receding import align
@@ -126,7 +126,7 @@ def test_sensitivity_through_a_jump_is_the_derivative() -> None:
 
     def block() -> np.ndarray:
         backward(solver.ws.memory, solver.ws.table, True)
-        from wbmpc.solver.places import AB
+        from wbmpc.solver.memory_layout import AB
 
         start = solver.ws.table[AB] + k * (s.nx + 1) * s.lz
         return solver.ws.memory[start : start + s.nx * s.lz].reshape(s.nx, s.lz).copy()
@@ -151,7 +151,7 @@ def test_shift_across_a_moving_grid_keeps_a_linear_plan() -> None:
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 10, align_events=True)
     ocp.add(Cost("u", Rows(1, lambda s: s.u - s.reference, 1)))
     ocp.add(Constraint("tie", Rows(1, lambda s: s.u - s.reference, 1)))
-    solver = Solver(ocp, SQP(iterations=1, certify=False, force_step=True))
+    solver = Solver(ocp, SQP(iterations=1, compute_kkt=False, accept_min_step=True))
     for name in ("u", "tie"):
         solver.set_reference(name, Reference.constant([0.7]))
     solver.set_schedule(ModeSchedule((Mode("default"),) * 2, (0.53,)))

@@ -11,7 +11,7 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC, Observation
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status, solver
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.model import InputRate, RobotModel
+from wbmpc.model.augment import InputRate
+from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import residuals
-from wbmpc.plant import Perturbation, SwerveCommand, SwervePlant
 from wbmpc.robots import load_spec
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import (
     Load,
     StanceOf,
@@ -25,6 +27,7 @@ from wbmpc.stability import (
     support_triangles,
     zero_moment_point,
 )
+from wbmpc.types import SwerveCommand
 
 SWERVE = robot("swerve-ur10")
 STANCE = StanceOf(SWERVE)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from wbmpc.loop import Watch, run_lockstep
-from wbmpc.model import load_robot
+from wbmpc.model.robot import load_robot
 from wbmpc.recording.recorder import Recorder
+from wbmpc.simulation.lockstep import Watch, run_lockstep
 from wbmpc.view.session import _swerve
 
 

@@ -16,16 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import STEERED, main
 from wbmpc.errors import InputError
-from wbmpc.loop import Ending, Running, Watch, run_lockstep, watched
-from wbmpc.model import load_robot
-from wbmpc.mpc import Plans
-from wbmpc.mpc.buffer import Mailbox
-from wbmpc.plant import SwerveCommand, SwervePlant
-from wbmpc.plant.scene import SceneReader
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.reader import read
 from wbmpc.robots import load_description
+from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
+from wbmpc.simulation.scene import SceneReader
+from wbmpc.types import SwerveCommand
 from wbmpc.view.session import _swerve, run_session
 from wbmpc.view.steering import ORDERS, no_orders
 
@@ -59,7 +60,7 @@ class Hand:
         self.writer = panel_of(self.view)
         self.orders = no_orders()
 
-    def tick(self, t: float, command: Any, plans: Plans) -> None:
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.seen.append((t, time.perf_counter()))
         while self.plan and t >= self.plan[0][0]:
             self.give(self.plan.pop(0)[1])
@@ -80,7 +81,7 @@ def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending,
         def begin(self, running: Running) -> None:
             kept.append(running)
 
-        def tick(self, t: float, command: Any, plans: Plans) -> None: ...
+        def tick(self, t: float, command: Any, plans: PolicyQueue) -> None: ...
         def end(self, ending: Ending) -> None: ...
 
     watchers = (Keep(), *([view] if view else []), *others)
@@ -113,7 +114,7 @@ def test_browsers_that_hang_change_nothing() -> None:
     class Connect:
         def begin(self, running: Running) -> None: ...
 
-        def tick(self, t: float, command: Any, plans: Plans) -> None:
+        def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
             if t >= 1.5 and not sockets:
                 self.before = len(view.own_time)
                 for _ in range(2):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_live import free_port
 
-from wbmpc.mpc.buffer import Mailbox
+from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view.snapshot import NUMBERS
 from wbmpc.view.steering import ORDERS, Controls, Steering
 

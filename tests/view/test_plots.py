@@ -7,8 +7,8 @@ import pytest
 
 from wbmpc import lie
 from wbmpc.robots import load_description
+from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.history import SAMPLES, SPAN, History
-from wbmpc.view.loads import GROUPS, Loads
 from wbmpc.view.snapshot import errors
 
 

@@ -14,8 +14,8 @@ from test_live import free_port, panel_of
 
 from wbmpc import lie
 from wbmpc.cli import main
-from wbmpc.model import load_robot
-from wbmpc.mpc.buffer import Mailbox
+from wbmpc.model.robot import load_robot
+from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
 from wbmpc.view.steering import no_orders
 

@@ -19,10 +19,10 @@ from test_live import free_port
 from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
-from wbmpc.loop import Ending, Running
-from wbmpc.mpc import Plans
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.reader import read
 from wbmpc.recording.writer import McapFile
+from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
 from wbmpc.view.replay import Film
 from wbmpc.view.snapshot import NUMBERS
@@ -42,7 +42,7 @@ class Truth:
         # the controller believes that it is elsewhere: what is shown must not
         running.agent.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
 
-    def tick(self, t: float, command: Any, plans: Plans) -> None:
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.plant.truth()
         d = self.plant.data
         self.poses[round(t, 6)] = np.hstack([d.xpos[1:], d.xquat[1:]])

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from wbmpc import lie
-from wbmpc.plant.scene import Body, Contact, Scene, Shape
+from wbmpc.simulation.scene import Body, Contact, Scene, Shape
 from wbmpc.view.camera import clearest
 from wbmpc.view.snapshot import ground, spoken
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point

@@ -10,10 +10,10 @@ import pytest
 
 from driving import CONFIGURATIONS
 from wbmpc import lie
-from wbmpc.loop import Ending, Running, Watch, run_lockstep
-from wbmpc.model import load_robot
-from wbmpc.mpc import Plans
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
+from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep
 from wbmpc.view.session import _ball, _swerve
 from wbmpc.view.steering import Steering, no_orders
 
@@ -31,7 +31,7 @@ class Orders:
         lift = getattr(running.plant.description.base, "ball_radius", 0.0)
         self.steering = Steering(running, np.array([0.0, 0.0, lift]))
 
-    def tick(self, t: float, command: Any, plans: Plans) -> None:
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         while self.plan and t >= self.plan[0][0]:
             for name, value in self.plan.pop(0)[1].items():
                 self.orders[name][...] = value

@@ -2,7 +2,7 @@
 
 The ball robot on its model (no noise; kicks of its speed from a seed), soft limits, one node of the horizon per period. A
 solver does as many iterations as its time, measured before in the same loop, lets it; one that cannot finish a single
-iteration gets it done over several periods, in which its last plan goes on. Plans are applied without feedback, by all.
+iteration gets it done over several periods, in which its last plan goes on. PolicyQueue are applied without feedback, by all.
 The peers' time is that of their iterations alone, without what CasADi needs to set a solve up; ours is the whole call.
 """
 

@@ -15,9 +15,9 @@ from wbmpc.benchmark.ours import milliseconds, single_iteration
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
 from wbmpc.kernel import dense
+from wbmpc.kernel.codegen_target import compile_module, load_object, vector_budget
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.ir import LANES
-from wbmpc.kernel.machine import compile_module, load_object, vector_budget
 from wbmpc.solver.workspace import aligned
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}

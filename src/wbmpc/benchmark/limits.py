@@ -39,8 +39,8 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
 
 def iteration_times() -> dict[str, dict[str, float]]:
     """Of both robots: an iteration [ms] with hard limits, without limits, and the ratio."""
-    settings = SQP.real_time(interior_point=InteriorPoint("real_time", extra_when_cut=0))
-    settings = replace(settings, smallest_step=0.9)  # one trial point in both
+    settings = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
+    settings = replace(settings, min_step=0.9)  # one trial point in both
     problems: dict[str, Callable[[SQP], Problem]] = {
         "swerve base with arm, 100 intervals": lambda s: swerve_bench(100, s),
         "ball robot with arm, 65 intervals": lambda s: rezero_bench(65, s),

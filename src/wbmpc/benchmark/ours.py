@@ -13,7 +13,7 @@ from wbmpc.benchmark.problems import Problem
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 #: Real time, but never a second iteration in one call.
-ONE_ITERATION = SQP.real_time(interior_point=InteriorPoint("real_time", extra_when_cut=0))
+ONE_ITERATION = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
 
 
 def milliseconds(call: Callable[[], Any], repeat: int) -> np.ndarray:
@@ -29,7 +29,7 @@ def milliseconds(call: Callable[[], Any], repeat: int) -> np.ndarray:
 
 def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP | None = None) -> Solver:
     """A solver of the same problem with one iteration and one trial point per call, at the trajectory (x, u)."""
-    one_trial = replace(ONE_ITERATION, smallest_step=0.9)
+    one_trial = replace(ONE_ITERATION, min_step=0.9)
     single = Solver(solver.ocp, settings or one_trial)
     for name, reference in solver.references.items():
         single.set_reference(name, reference)

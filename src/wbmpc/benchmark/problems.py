@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from wbmpc.experiments.paths import SinePath
-from wbmpc.experiments.rezero_problem import RezeroCost, rezero_problem
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
-from wbmpc.model import load_robot
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
+from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.zoo import ZooProblem
+from wbmpc.studies.paths import SinePath
+from wbmpc.studies.test_problems.problem import TestProblem
 
 Limits = Literal["hard", "soft"]
 
@@ -84,7 +84,7 @@ def rezero_bench(
     return Problem(f"ball robot with arm, {limits} limits, N = {intervals}", solver, home, u0)
 
 
-def zoo_bench(problem: ZooProblem, settings: SQP | None = None) -> Problem:
+def zoo_bench(problem: TestProblem, settings: SQP | None = None) -> Problem:
     """A problem of the zoo; its guess is the start, held, with the guess's first input."""
     solver = problem.solver(settings or SQP(iterations=300))
     return Problem(problem.name, solver, problem.x0, np.atleast_2d(problem.u)[0])

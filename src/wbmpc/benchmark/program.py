@@ -16,7 +16,7 @@ import numpy as np
 
 from wbmpc.kernel.cache import cache_directory
 from wbmpc.ocp import RelaxedBarrier, Transcription
-from wbmpc.ocp.rows import BoxRow, Kind, Row
+from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
 from wbmpc.solver import Solver
 
 COMPILER_FLAGS = ("-march=native", "-fno-math-errno", "-shared", "-fPIC")

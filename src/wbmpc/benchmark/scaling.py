@@ -14,8 +14,8 @@ from wbmpc.benchmark.peers import peer_figures, prepare
 from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench, zoo_bench
 from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
-from wbmpc.zoo import torque_arm
-from wbmpc.zoo.multibody import Multibody
+from wbmpc.studies.test_problems.multibody import Multibody
+from wbmpc.studies.test_problems.torque_arm import torque_arm
 
 INTERVALS = (25, 50, 100, 200, 400)
 JOINTS = (6, 12, 18)

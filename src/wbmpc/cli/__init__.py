@@ -45,8 +45,8 @@ from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknow
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from wbmpc.experiments import Experiment
     from wbmpc.result import MpcStatistics, RunResult
+    from wbmpc.studies import Experiment
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
@@ -76,7 +76,7 @@ class _Session:
     def registry(self) -> Mapping[str, Experiment]:
         if self.given is not None:
             return self.given
-        from wbmpc.experiments import REGISTRY
+        from wbmpc.studies import REGISTRY
 
         return REGISTRY
 
@@ -163,10 +163,10 @@ def _attempt(
     show: bool,
     view: View | None,
 ) -> tuple[RunResult, dict[str, str]]:
-    from wbmpc.loop import Watch, interrupt_noted
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult
+    from wbmpc.simulation.lockstep import Watch, interrupt_noted
 
     plain = settings.model_dump(mode="json")
     with run_directory(out, name, seed) as directory:

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from wbmpc.estimation import WheelCalibration, WheelFit
-    from wbmpc.model import RobotModel
+    from wbmpc.bases.swerve.calibration import WheelFit
+    from wbmpc.estimation.wheel_calibration import WheelCalibration
+    from wbmpc.model.robot import RobotModel
 
     Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ SAME_BASE = 0.02
 
 def _robot_of(file: Path, given: str | None) -> RobotModel:
     """The robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other bases."""
-    from wbmpc.experiments.swerve_calibrate import swerve_robot
+    from wbmpc.studies.pankert2022.calibrate import swerve_robot
 
     metrics = file.with_name("metrics.json")
     try:
@@ -104,7 +105,7 @@ def calibrate(
     contradicts, or does not show at all, are not written.
     """
     from wbmpc import estimation
-    from wbmpc.experiments.swerve_calibrate import steer_joints
+    from wbmpc.studies.pankert2022.calibrate import steer_joints
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)

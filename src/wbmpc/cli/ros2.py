@@ -14,7 +14,7 @@ import typer
 from wbmpc.cli.terminal import ABORTED
 
 if TYPE_CHECKING:
-    from wbmpc.model import RobotModel
+    from wbmpc.model.robot import RobotModel
     from wbmpc.ros2.settings import RosSettings
 
 ros2 = typer.Typer(name="ros2", help="ROS 2: the controller, a simulated robot, a check of a robot's bus.")
@@ -52,7 +52,7 @@ def _on_bus(
     if priority:
         _before_all_others(priority)  # threads that are made from now on, those of the bus too, are as this one
 
-    from wbmpc.model import load_robot
+    from wbmpc.model.robot import load_robot
     from wbmpc.ros2.bus import open_node
     from wbmpc.ros2.settings import load_settings
 
@@ -114,7 +114,7 @@ def ros2_control(
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
-    from wbmpc.ros2.figures import figures
+    from wbmpc.ros2.statistics import figures
 
     try:
         with _until_told() as ended:

@@ -32,7 +32,7 @@ def stability(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Support polygon, support triangles and zero-moment point of a robot at rest."""
-    from wbmpc.model import load_robot
+    from wbmpc.model.robot import load_robot
     from wbmpc.stability import assess, draw, slope_gravity
 
     if not abs(slope) < 0.5 * math.pi:

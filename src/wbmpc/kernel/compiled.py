@@ -13,9 +13,9 @@ import numpy as np
 
 from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
-from wbmpc.kernel.lanes import emit_lanes, helpers
-from wbmpc.kernel.machine import compile_module, load_object, register_width, target_text, vector_budget
+from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
+from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.

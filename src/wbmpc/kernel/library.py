@@ -14,19 +14,7 @@ import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache
-from wbmpc.kernel.ir import (
-    BOOL,
-    DECLARATIONS,
-    INTS,
-    MASK,
-    NONE,
-    NUM,
-    NUMS,
-    VEC,
-    Signature,
-    Type,
-    llvm_type,
-)
+from wbmpc.kernel.ir import BOOL, DECLARATIONS, INTS, MASK, NONE, NUM, NUMS, VEC, Signature, Type, llvm_type
 from wbmpc.kernel.translate import Translator
 
 _CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
@@ -141,7 +129,7 @@ class Library:
         return "\n".join([DECLARATIONS, text, *(_entry(f.signature) for f in self.functions if _callable(f.signature))])
 
     def _key(self) -> str:
-        from wbmpc.kernel.machine import target_text
+        from wbmpc.kernel.codegen_target import target_text
 
         functions = " ".join(sorted(f.signature.symbol for f in self.functions))
         text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
@@ -149,7 +137,7 @@ class Library:
 
     def build(self) -> None:
         """Compile, or load from the cache."""
-        from wbmpc.kernel.machine import compile_module, load_object, target_text
+        from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
 
         for module in self.modules:
             import_module(module)

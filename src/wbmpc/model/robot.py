@@ -13,21 +13,15 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.fixed.model import FixedBase
+from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model.ball import BallBase
-from wbmpc.model.fixed import FixedBase
+from wbmpc.model.kinematics import FramePose
 from wbmpc.model.layout import Layout
 from wbmpc.model.numeric import Numeric
-from wbmpc.model.swerve import SwerveBase
-from wbmpc.model.symbolic import FramePose
 from wbmpc.model.tree import read_tree
-from wbmpc.robots import (
-    BallBaseDescription,
-    RobotDescription,
-    SwerveBaseDescription,
-    load_description,
-    load_spec,
-)
+from wbmpc.robots import BallBaseDescription, RobotDescription, SwerveBaseDescription, load_description, load_spec
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
@@ -39,7 +33,7 @@ NEARLY = 0.02
 class Limits:
     """Bounds of state (nx) and input (nu); infinite where there is none.
 
-    ``input_change`` (nu): how fast an input that is a joint's speed may change [rad/s²]; ``drive_upper`` (nu): largest command to
+    ``input_rate`` (nu): how fast an input that is a joint's speed may change [rad/s²]; ``actuator_upper`` (nu): largest command to
     a drive, above ``input_upper`` where it has a reserve to follow the plan.
     """
 
@@ -47,8 +41,8 @@ class Limits:
     state_upper: Array
     input_lower: Array
     input_upper: Array
-    input_change: Array
-    drive_upper: Array
+    input_rate: Array
+    actuator_upper: Array
 
 
 class Dynamics:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.model import FrequencyShaping
+from wbmpc.model.augment import FrequencyShaping
 from wbmpc.mpc.mpc import Observation
 
 

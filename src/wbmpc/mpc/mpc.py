@@ -142,7 +142,7 @@ class MPC:
         self.events_without_node = 0
         self._told = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.ReachableInput)}
+        self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.AccelerationLimit)}
 
     @property
     def period(self) -> float:
@@ -320,7 +320,7 @@ class MPC:
     def _goes_on(self) -> bool:
         """Whether a finite iterate that was refused is what the next pass starts from."""
         status = self.solver.status(self._outcome[0])
-        return status is Status.EQUALITY_MISSED or (status is Status.LIMIT_MISSED and self._faults >= STUCK)
+        return status is Status.EQUALITY_INFEASIBLE or (status is Status.INPUT_INFEASIBLE and self._faults >= STUCK)
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
@@ -334,7 +334,7 @@ class MPC:
     def _refused(self) -> str:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""
         status = self.solver.status(self._outcome[0])
-        refused = status in (Status.LIMIT_MISSED, Status.EQUALITY_MISSED)
+        refused = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
         return f"{status.value} ({self.solver.missed(status)})" if refused else ""
 
     def _check(self, observation: Observation) -> None:
@@ -360,10 +360,10 @@ def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
     """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
     limits = any(term.hard for term in ocp.inequalities)
     untold = limits and settings.interior_point.mode != "real_time"
-    if untold or (settings.certify and (limits or ocp.equalities)):
+    if untold or (settings.compute_kkt and (limits or ocp.equalities)):
         name = type(settings).__name__
         raise InputError(
-            f"mpc: {name}(certify={settings.certify}, interior point '{settings.interior_point.mode}') does not say in every plan"
+            f"mpc: {name}(compute_kkt={settings.compute_kkt}, interior point '{settings.interior_point.mode}') does not say in every plan"
             f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
         )
 

@@ -9,10 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.bases.ball.balance import load_offset
 from wbmpc.checks import finite
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import RobotModel
-from wbmpc.model.balance import load_offset
+from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
 
@@ -113,7 +113,7 @@ class PanelContact:
     ``normal``: g̈ + 2 ``rate`` ġ + ``rate``² g for the distance g [m] from the panel, with g̈ = tᵀ(J q̈ + J̇ q̇) − ℓ φ̈ + … and φ̈ from
     the door's own equation: the row that Minniti et al. 2019, section V-A, leave out. ``stick``: s̈ + 2 ``rate`` ṡ for the
     place along the panel and the height: a hand inside its friction cone does not slide. ``dynamics``: a
-    :class:`wbmpc.model.WithDoor`; ``rate`` [1/s].
+    :class:`wbmpc.studies.minniti2019.door_model.WithDoor`; ``rate`` [1/s].
     """
 
     dynamics: Any

@@ -10,7 +10,7 @@ import casadi as ca
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
 _CHOICES = {"orientation": ("log", "vector"), "axes": ("world", "reference")}

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import FrequencyShaping, InputFilter
+from wbmpc.model.augment import FrequencyShaping, InputFilter
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Residual, Symbols
 from wbmpc.ocp.terms import Cost
@@ -63,8 +63,8 @@ def frequency_aware(
 
     ``filters`` by input group, one for all its entries or one for each: zero and pole [rad/s] and gain of ν / u. ``costs``: names
     of the cost terms that weigh ν in the place of u; left out: all that depend on a filtered input. Constraints and the other
-    costs see u. The decision is ν; ``dynamics`` of the result is a :class:`wbmpc.model.FrequencyShaping`: its ``equilibrium``
-    gives state and input to start from without a transient, and :class:`wbmpc.mpc.FilterMemory` keeps the filters' states in a
+    costs see u. The decision is ν; ``dynamics`` of the result is a :class:`wbmpc.model.augment.FrequencyShaping`: its ``equilibrium``
+    gives state and input to start from without a transient, and :class:`wbmpc.mpc.filters.FilterMemory` keeps the filters' states in a
     controller. With the default gain nothing changes for constant inputs, and with ``zero == pole`` nothing at all.
 
     Raises :class:`InputError` for groups and costs that do not exist and for costs that do not depend on a filtered input.

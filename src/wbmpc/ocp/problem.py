@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc import trajectory
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import Layout
+from wbmpc.model.layout import Layout
 from wbmpc.ocp.terms import Constraint, Cost
 
 Term = Cost | Constraint

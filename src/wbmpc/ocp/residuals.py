@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import unknown_name
-from wbmpc.model import Layout, RobotModel
+from wbmpc.model.layout import Layout
+from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.ball_residuals import (
     BallSpin,
     CapturePoint,
@@ -25,12 +26,12 @@ from wbmpc.ocp.ball_residuals import (
     push_on_surface,
 )
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench
-from wbmpc.ocp.swerve_residuals import BrakedLegs, SupportMargin, WheelRolling
+from wbmpc.ocp.swerve_residuals import LockedJoints, Rolling, SupportMargin
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
+    "AccelerationLimit",
     "BallSpin",
-    "BrakedLegs",
     "CapturePoint",
     "Expression",
     "FramePose",
@@ -40,15 +41,15 @@ __all__ = [
     "Input",
     "JointEffort",
     "Limits",
+    "LockedJoints",
     "PanelContact",
     "ProblemInput",
     "PushForce",
-    "ReachableInput",
     "Residual",
+    "Rolling",
     "State",
     "SupportMargin",
     "Symbols",
-    "WheelRolling",
     "push_on_surface",
 ]
 
@@ -133,7 +134,7 @@ class Input(_Component):
 
 
 @dataclass(frozen=True)
-class ReachableInput:
+class AccelerationLimit:
     """How far joint speeds (groups ``names`` of the input) are inside of what accelerations allow, as shares of the range: ≥ 0.
 
     Rows: below the upper bounds (n), above the lower ones (n). Reference: the last command (n) and the time [s] since it was
@@ -175,7 +176,7 @@ class ReachableInput:
         above, below = [], []
         for k, i in enumerate(self.inputs):
             name = self.robot.input.names[i]
-            low, high, most = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_change))
+            low, high, most = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_rate))
             last = ca.fmin(ca.fmax(s.reference[k], low), high)
             change = most * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)

@@ -9,13 +9,13 @@ from typing import Any
 import casadi as ca
 
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.stability import GRAVITY, Support, counter_clockwise
 
 
 @dataclass(frozen=True)
-class WheelRolling:
+class Rolling:
     """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
 
     Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake. ``scrubbing``: the reference (n) says which
@@ -46,7 +46,7 @@ class WheelRolling:
 
 
 @dataclass(frozen=True)
-class BrakedLegs:
+class LockedJoints:
     """Leg rates [rad/s] where the brake is closed, zero where it is open."""
 
     robot: RobotModel
@@ -73,7 +73,7 @@ class SupportMargin:
     overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
     Reference: the wrench (6) of the world on the hand, force [N] and moment [N m] in world axes. ``gravity`` (3)
     [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
-    states say about the inputs' rates (:class:`wbmpc.model.InputRate`; inputs that are no states count as constant).
+    states say about the inputs' rates (:class:`wbmpc.model.augment.InputRate`; inputs that are no states count as constant).
     """
 
     robot: RobotModel

@@ -14,7 +14,7 @@ class Symbols:
     """What a residual may use: the robot's state x and input u, the model's parameters and mode values, its reference.
 
     ``all_x`` and ``all_u`` are those of the problem, which may have more states and other inputs than the robot
-    (:class:`wbmpc.model.InputRate`, :class:`wbmpc.model.DriveLag`).
+    (:class:`wbmpc.model.augment.InputRate`, :class:`wbmpc.model.augment.DriveLag`).
     """
 
     x: ca.SX

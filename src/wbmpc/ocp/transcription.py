@@ -17,10 +17,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
-from wbmpc.ocp.problem import OptimalControlProblem
-from wbmpc.ocp.residuals import Symbols
-from wbmpc.ocp.rows import (
+from wbmpc.ocp.constraint_classification import (
     BoxRow,
     InputPlanes,
     Place,
@@ -32,6 +29,9 @@ from wbmpc.ocp.rows import (
     input_bounds,
     input_planes,
 )
+from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
+from wbmpc.ocp.problem import OptimalControlProblem
+from wbmpc.ocp.residuals import Symbols
 from wbmpc.ocp.schedule import DEFAULT, ModeSchedule
 from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
@@ -58,7 +58,7 @@ WISH = 1e-5
 
 
 class Transcription:
-    """Stage functions of a problem and the meaning of their parameter vectors."""
+    """ViewScene functions of a problem and the meaning of their parameter vectors."""
 
     def __init__(self, ocp: OptimalControlProblem, exact: bool = False) -> None:
         """``exact``: second derivatives too, for an exact Hessian of the Lagrangian."""

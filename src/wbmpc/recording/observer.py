@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.loop import Running
-from wbmpc.mpc import Plans
-from wbmpc.plant.scene import SceneReader
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.simulation.lockstep import Running
+from wbmpc.simulation.scene import SceneReader
 
 Array = np.ndarray
 #: Points of a plan that is shown or written.
@@ -62,7 +62,7 @@ class Observer:
         goal = reference["hand"].at(t)
         return np.concatenate([goal[:3] + self.lift, goal[3:]])
 
-    def plan(self, plans: Plans) -> tuple[Array, Array]:
+    def plan(self, plans: PolicyQueue) -> tuple[Array, Array]:
         """Predicted poses of base and hand (n, 7) in ``odom``, n at most PLAN_POINTS, none before the first plan.
 
         A base that is planned in the plane lies at the planner's z = 0.

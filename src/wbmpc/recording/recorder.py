@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.loop import Ending, Running
-from wbmpc.mpc import Plans
-from wbmpc.plant.scene import Scene
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
 from wbmpc.recording.writer import McapFile, stamp
 from wbmpc.robots.urdf import to_urdf
+from wbmpc.simulation.lockstep import Ending, Running
+from wbmpc.simulation.scene import Scene
 
 #: Rates [Hz] at which states, links and plans are written (at most the controller's).
 STATES, LINKS, PLANS = 100.0, 50.0, 10.0
@@ -35,7 +35,7 @@ NOWHERE, _ROS_ORDER = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([0, 1, 2, 4, 5
 
 
 class Recorder:
-    """A :class:`~wbmpc.loop.Watcher` that writes ``path``. The file comes into being when the loop begins.
+    """A :class:`~wbmpc.simulation.lockstep.Watcher` that writes ``path``. The file comes into being when the loop begins.
 
     ``about``: tables of texts by name, written as metadata (what ran, settings, versions).
     """
@@ -84,7 +84,7 @@ class Recorder:
         if self.running.name:
             self._put("/mode", "std_msgs/String", {"data": f"begins: {self.running.name}"}, latched=True)
 
-    def tick(self, t: float, command: Any, plans: Plans) -> None:
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         """Write what is due at time t [s]."""
         self._last = self._start + t
         tick = round(t / self.running.timing.period)
@@ -226,7 +226,7 @@ class Recorder:
         for name in ("failures", "no_step"):
             self._number(f"/mpc/{name}", float(getattr(mpc.statistics, name)))
 
-    def _plans(self, plans: Plans) -> None:
+    def _plans(self, plans: PolicyQueue) -> None:
         if self.running.mpc is None:
             return
         schedule = self.running.mpc.solver.schedule

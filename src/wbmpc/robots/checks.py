@@ -88,7 +88,7 @@ def _below(model: mujoco.MjModel, body: int, base: str) -> bool:
 def check_ball(description: RobotDescription, model: mujoco.MjModel) -> None:
     """A ball that rolls about the origin of the base's frame, with the same inertia about every axis.
 
-    That is what the equations of :mod:`wbmpc.model.ball` and the drives of the simulator are about; a ball elsewhere would
+    That is what the equations of :mod:`wbmpc.bases.ball.model` and the drives of the simulator are about; a ball elsewhere would
     be lost at once. The frame is not moved to the ball: poses are published of it, and a URDF says where it is.
     Raises :class:`InputError`.
     """

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_ball, check_joints, compiled
-from wbmpc.robots.lock import lock
-from wbmpc.robots.mechanics import keep_mechanics, refuse_couplings, widen
+from wbmpc.robots.fixed_joints import lock
+from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
 
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu

@@ -18,7 +18,7 @@ _MEMORY = 0.5
 
 
 class BusClock:
-    """See :class:`wbmpc.mpc.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
+    """See :class:`wbmpc.runtime.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
     message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`; ``speed``: of the
     bus's time by the wall's, lately.
 

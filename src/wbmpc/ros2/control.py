@@ -10,26 +10,28 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.bases.ball.ros import BallPilot
+from wbmpc.bases.swerve.ros import SwervePilot
+from wbmpc.bases.swerve.ros_legs import Legs
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
-from wbmpc.mpc import Observation, RealTime, Runner, WallClock
-from wbmpc.mpc.safety import SafeStop
-from wbmpc.ros2.ball import BallPilot
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import Observation
+from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
-from wbmpc.ros2.legs import Legs
 from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
-from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.planning import Planned, Planning, References
+from wbmpc.ros2.publishers import Teller
 from wbmpc.ros2.robot import BusRobot
-from wbmpc.ros2.sending import Trajectories
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
-from wbmpc.ros2.swerve import SwervePilot
-from wbmpc.ros2.telling import Teller
+from wbmpc.ros2.trajectory_client import Trajectories
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings, SafeStop
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
@@ -42,7 +44,7 @@ OFFSET, GAP = 0.5, (0.4, 0.75)
 _RECORDS = 4000
 
 
-def pilot_of(robot: RobotModel, settings: RosSettings, period: float) -> Pilot:
+def pilot_of(robot: RobotModel, settings: RosSettings, period: float) -> BaseAdapter:
     """For the robot's kind of base."""
     pilot: Any = (
         BallPilot(robot, settings, period)
@@ -79,7 +81,7 @@ class ControlNode:
         )
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.planning = Planning(self.pilot.references)
-        self.runner: Runner | None = None
+        self.runner: RealTimeRunner | None = None
         self._rival, self._said, self._held = "", "", ""
         self._task: Task | None = None
         self._looked_at_graph = -np.inf
@@ -341,7 +343,7 @@ class ControlNode:
         self._put(task, references)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         watchdog = settings.safety.watchdog
-        times = RealTime(
+        times = RealTimeSettings(
             settings.rates.control,
             max_policy_age=settings.safety.policy,
             max_observation_age=watchdog,
@@ -351,7 +353,7 @@ class ControlNode:
             priority=control_priority(),
             offset=OFFSET * self.period,
         )
-        self.runner = Runner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
+        self.runner = RealTimeRunner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
         self.body.arm()
         self.trajectories.anew()
         self._held = ""

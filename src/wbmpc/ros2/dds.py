@@ -30,7 +30,7 @@ from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
-from wbmpc.ros2.carrier import idl_types, shared_carrier
+from wbmpc.ros2.cdr_types import idl_types, shared_carrier
 from wbmpc.ros2.messages import Types, request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.network import Network

@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.ball.model import BallBase
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
-from wbmpc.model.ball import BallBase
+from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import nearest_turn, planar
 from wbmpc.ros2.settings import Goals, Speeds
 

@@ -15,8 +15,8 @@ from wbmpc.errors import InputError
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
+from wbmpc.ros2.multi_type_subscriber import Several
 from wbmpc.ros2.settings import ORDERS, RosSettings
-from wbmpc.ros2.several import Several
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from wbmpc.mpc.clock import Turns
+from wbmpc.runtime.clock import Turns
 
 #: How long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else.
 TURNS = Turns(work=5e-3, rest=1e-5)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import read_vector, seconds
 from wbmpc.ros2.settings import RosSettings, joint_groups
 

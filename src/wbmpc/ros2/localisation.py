@@ -11,11 +11,11 @@ import numpy as np
 
 from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
-from wbmpc.mpc.safety import SafeStop
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.multi_type_subscriber import Several
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.ros2.several import Several
+from wbmpc.runtime.safety import SafeStop
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray

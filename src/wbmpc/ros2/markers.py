@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.model import RobotModel
-from wbmpc.model.ball import BallBase
-from wbmpc.mpc import Policy
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
 from wbmpc.ros2.convert import header
 from wbmpc.stability import StanceOf, support_polygon
 

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
-from wbmpc.plant import RezeroCommand, RezeroPlant, SwerveCommand, SwervePlant, Truth
-from wbmpc.plant.perturbation import Perturbation
+from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import seconds, upright
 from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.types import BallCommand, SwerveCommand, Truth
 
 Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s].
@@ -121,7 +123,7 @@ class BallSide(_Side):
     def __init__(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> None:
         super().__init__()
         self.robot, self.lift = robot, robot.base.radius
-        self.plant = RezeroPlant(
+        self.plant = BallPlant(
             robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), perturbation, seed
         )
         self.imu_at = self.plant.sensors.mount
@@ -130,9 +132,9 @@ class BallSide(_Side):
         """No torque."""
         return {g: np.zeros(len(self.robot.input.groups[g])) for g in ("wheel", "arm")}
 
-    def command(self, groups: dict[str, Array]) -> RezeroCommand:
+    def command(self, groups: dict[str, Array]) -> BallCommand:
         """What the drives get."""
-        return RezeroCommand(np.concatenate([groups["wheel"], groups["arm"]]))
+        return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
 
     def read(self) -> Reading:
         """What the sensors say; inertial readings are averages since the message before."""

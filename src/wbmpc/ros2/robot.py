@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.mpc import WallClock
-from wbmpc.mpc.safety import SafeStop
+from wbmpc.ros2.base_adapter import BaseAdapter, Groups
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, read_imu
-from wbmpc.ros2.pilot import Groups, Pilot
-from wbmpc.ros2.sending import Sender, senders
 from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.trajectory_client import Sender, senders
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.safety import SafeStop
 
 _LOG = logging.getLogger("wbmpc")
 #: How long zeros are sent after the ramp of a stop [s].
@@ -30,14 +30,14 @@ _CLOCK_DRIFT = 1e-4
 
 
 class BusRobot:
-    """See :class:`wbmpc.mpc.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
+    """See :class:`wbmpc.runtime.runner.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
     that would fall (``pilot.keeps``) goes on without that message, and ``fault`` says so until the next good one.
 
     With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has
     moved on (clocks of two machines may differ, and a driver that hangs repeats itself); intervals are those of the stamps.
     """
 
-    def __init__(self, node: Node, pilot: Pilot, settings: RosSettings, clock: WallClock | BusClock) -> None:
+    def __init__(self, node: Node, pilot: BaseAdapter, settings: RosSettings, clock: WallClock | BusClock) -> None:
         self.pilot, self.settings, self.clock = pilot, settings, clock
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(pilot.robot, settings, pilot.keeps)

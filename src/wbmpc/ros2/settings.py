@@ -10,15 +10,15 @@ import numpy as np
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.swerve.defaults import SwerveCost
 from wbmpc.configuration import describe, keys, parse_yaml
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.experiments.rezero_problem import RezeroCost
-from wbmpc.experiments.rezero_steps import RezeroStepsSettings
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, refuse_unlearnt
-from wbmpc.experiments.settings import MpcSettings, Settings
-from wbmpc.experiments.swerve_problem import SwerveCost
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import full_name
+from wbmpc.settings import MpcSettings, Settings
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, refuse_unlearnt
 
 #: Groups of drives; each that a robot has gets a controller unless the file says otherwise.
 GROUPS = ("wheel", "steer", "arm", "brake")

@@ -12,15 +12,15 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
-from wbmpc.plant.perturbation import Perturbation
-from wbmpc.plant.scene import SceneReader
+from wbmpc.model.robot import RobotModel
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
 from wbmpc.ros2.convert import header, pose, stamp, vector
 from wbmpc.ros2.plants import plant_of
-from wbmpc.ros2.sending import places_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
+from wbmpc.ros2.trajectory_client import places_of
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.scene import SceneReader
 
 _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUMS, VEC, compiled
-from wbmpc.solver.places import (
+from wbmpc.solver.memory_layout import (
     BOXES,
     INDEX,
     LANE_BARRIER,

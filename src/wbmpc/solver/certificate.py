@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import Constraint, Transcription
-from wbmpc.ocp.rows import row_names
+from wbmpc.ocp.constraint_classification import row_names
 
 #: What messages call the model.
 DYNAMICS = "the dynamics"

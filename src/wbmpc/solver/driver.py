@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM6, NUMS, compiled
-from wbmpc.solver.contradiction import contradicts
+from wbmpc.solver.inequalities import rows_step, start_rows, take_rows
+from wbmpc.solver.inequality_table import forget_outside, start_outside
+from wbmpc.solver.infeasibility import contradicts
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
-from wbmpc.solver.places import (
+from wbmpc.solver.memory_layout import (
     CERTIFY,
     COST,
     CURVED,
@@ -64,14 +66,12 @@ from wbmpc.solver.places import (
     X,
 )
 from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residual
-from wbmpc.solver.row_table import forget_outside, start_outside
-from wbmpc.solver.rows import rows_step, start_rows, take_rows
 from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
+from wbmpc.solver.soft_equalities import start_wishes, take_wishes, wishes_step
 from wbmpc.solver.stages import row_count
-from wbmpc.solver.wishes import start_wishes, take_wishes, wishes_step
 from wbmpc.solver.workspace import LOG
 
-CONVERGED, ITERATION_LIMIT, NO_STEP, NOT_FINITE, DIVERGED, LIMIT_MISSED, EQUALITY_MISSED = range(7)
+CONVERGED, ITERATION_LIMIT, LINE_SEARCH_FAILED, NOT_FINITE, DIVERGED, INPUT_INFEASIBLE, EQUALITY_INFEASIBLE = range(7)
 
 LOG_COLUMNS = len(LOG)
 #: What a direction is told to be where it ends nothing: of use, or to be sought again.
@@ -115,8 +115,8 @@ def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
 def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
     """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
     has the equalities that are wishes too."""
-    state, certify = o[STATE], s[CERTIFY] > 0.0
-    cost, gaps, equalities, violation = backward(m, o, certify)
+    state, compute_kkt = o[STATE], s[CERTIFY] > 0.0
+    cost, gaps, equalities, violation = backward(m, o, compute_kkt)
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
@@ -125,7 +125,7 @@ def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
         rows_step(m, o, s[TAU])
     if o[WISHES] > 0:
         slope += wishes_step(m, o)
-    kkt, curvature = kkt_residual(m, o) if certify else (np.nan, 0.0)
+    kkt, curvature = kkt_residual(m, o) if compute_kkt else (np.nan, 0.0)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + ROW_COST], violation, kkt, largest
     m[state + COST], m[state + VIOLATION] = log[row], violation
     log[row + 4], log[row + 5], log[row + 6], log[row + 7] = 0.0, gaps, equalities, m[state + RESIDUAL]
@@ -178,17 +178,17 @@ def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: 
 
     Returns the residual to compare the next one with, and 1 when the problem is another one now (μ or ρ has changed).
     """
-    state, certify = o[STATE], s[CERTIFY] > 0.0
+    state, compute_kkt = o[STATE], s[CERTIFY] > 0.0
     mu, residual, product, changed = m[state + MU], m[state + RESIDUAL], m[state + PRODUCT], 0.0
     # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
-    solved = not certify or kkt <= max(s[TOLERANCE], 0.1 * residual)
+    solved = not compute_kkt or kkt <= max(s[TOLERANCE], 0.1 * residual)
     take_rows(m, o, alpha, m[state + DUAL], solved)
     feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
-    after = next_mu(mu, level, max(kkt, error) if certify else 0.0, product)
+    after = next_mu(mu, level, max(kkt, error) if compute_kkt else 0.0, product)
     if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
         after = min(s[MU_START], 10.0 * mu)
-    if certify and (solved or alpha > 0.9):
+    if compute_kkt and (solved or alpha > 0.9):
         if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
             m[state + RHO], changed = min(4.0 * m[state + RHO], 1e6), 1.0
         last_residual = residual
@@ -207,11 +207,11 @@ def misses_equality(m, o, s):  # type: ignore[no-untyped-def]
 def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
-        return LIMIT_MISSED
+        return INPUT_INFEASIBLE
     if misses_equality(m, o, s):
-        return EQUALITY_MISSED
+        return EQUALITY_INFEASIBLE
     if s[KEEP] > 0.0:
-        return EQUALITY_MISSED if contradicts(m, o, s) else status
+        return EQUALITY_INFEASIBLE if contradicts(m, o, s) else status
     return status
 
 
@@ -277,13 +277,13 @@ def judge(m, o, s, feasible, kkt, barrier):  # type: ignore[no-untyped-def]
 
     ``barrier``: the level that μ is to fall to, μ of the iteration before, and how far the plan would still move with μ."""
     level, last_mu, bias = barrier
-    state, certify, rows = o[STATE], s[CERTIFY] > 0.0, row_count(o) > 0
+    state, compute_kkt, rows = o[STATE], s[CERTIFY] > 0.0, row_count(o) > 0
     mu, product = m[state + MU], m[state + PRODUCT]
-    if certify and mu < last_mu:
+    if compute_kkt and mu < last_mu:
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
     small = not last or moved(m, o) <= UNSETTLED
-    if certify and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
+    if compute_kkt and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
         if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
             return 1.0 * CONVERGED, level, bias
         level = max(0.2 * mu, s[MU_FLOOR]) if last else level
@@ -392,7 +392,7 @@ def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
         if alpha == 0.0:
             m[state + COST], m[state + VIOLATION] = log[row], log[row + 1]
             if gives_up(m, o, x0, s):
-                return verdict_at_the_limit(m, o, s, NO_STEP), it
+                return verdict_at_the_limit(m, o, s, LINE_SEARCH_FAILED), it
             continue
         log[row + 4] = alpha
         last_residual, changed = go_on(m, o, s, alpha, kkt, violation, last_residual, level)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import INT, INTS, NONE, NUM, NUMS, call2, compiled
-from wbmpc.solver.places import (
+from wbmpc.solver.inequality_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
+from wbmpc.solver.memory_layout import (
     AB,
     ADJOINT,
     ARG,
@@ -49,8 +50,7 @@ from wbmpc.solver.places import (
     U,
     W,
     X,
-)  # fmt: skip
-from wbmpc.solver.row_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
+)
 from wbmpc.solver.stages import row_index
 
 

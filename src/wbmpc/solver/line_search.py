@@ -6,9 +6,9 @@ import numpy as np
 
 from wbmpc.solver.barriers import barrier_value
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, compiled
-from wbmpc.solver.curved import follow, hold_node
-from wbmpc.solver.lanes import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
-from wbmpc.solver.places import (
+from wbmpc.solver.inequalities import end_values, rows_merit
+from wbmpc.solver.inequality_table import forget_outside
+from wbmpc.solver.memory_layout import (
     COST,
     DU,
     DU_LAST,
@@ -45,11 +45,11 @@ from wbmpc.solver.places import (
     U,
     X,
 )
+from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
-from wbmpc.solver.row_table import forget_outside
-from wbmpc.solver.rows import end_values, rows_merit
+from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
+from wbmpc.solver.soft_equalities import wishes_of_block
 from wbmpc.solver.stages import interval, normalise, stage_end
-from wbmpc.solver.wishes import wishes_of_block
 
 #: What overshooting directions shorten a step to at least.
 SHORTEST = 0.15

@@ -11,7 +11,7 @@ from wbmpc.ocp import ModeSchedule, Reference, Transcription
 from wbmpc.solver.compilation import INT, INT2, INTS, NONE, NUM, NUMS, compiled
 from wbmpc.solver.driver import solve
 from wbmpc.solver.line_search import take
-from wbmpc.solver.places import (
+from wbmpc.solver.memory_layout import (
     ALIGN,
     GRID,
     GRID_BASE,
@@ -31,7 +31,7 @@ from wbmpc.solver.places import (
     P,
     U,
     X,
-)  # fmt: skip
+)
 from wbmpc.solver.stages import integrate, row_count, row_index
 
 LINEAR, POSE, HOLD, POSE_HOLD = range(len(Reference.KINDS))

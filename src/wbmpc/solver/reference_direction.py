@@ -9,8 +9,8 @@ import numpy as np
 
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import WISH
-from wbmpc.solver.reference_curved import curvature
-from wbmpc.solver.reference_rows import RowState
+from wbmpc.solver.reference_inequalities import RowState
+from wbmpc.solver.reference_nonlinear_inputs import curvature
 from wbmpc.solver.workspace import BoxTable, box_table
 
 RELATIVE_COMPLIANCE = 1e-12

@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import WISH
-from wbmpc.solver.places import (
+from wbmpc.solver.memory_layout import (
     COST,
     GIVEN_WAY,
     LAST_ALPHA,
@@ -30,9 +30,9 @@ from wbmpc.solver.places import (
     UNEQUAL_ROW,
     VIOLATION,
 )
-from wbmpc.solver.reference_curved import aims, hold_inputs
 from wbmpc.solver.reference_direction import InterpretedDirections
-from wbmpc.solver.reference_rows import RowState
+from wbmpc.solver.reference_inequalities import RowState
+from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
 from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
 
 
@@ -109,7 +109,7 @@ class InterpretedSolver(InterpretedDirections):
 
     def _tell_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's state is outside, where its rows are h."""
-        from wbmpc.solver.row_table import GIVES_WAY
+        from wbmpc.solver.inequality_table import GIVES_WAY
 
         state, by = self.ws.state, np.where(rows.hard & rows.counts & ~rows.bounds_inputs, -h, 0.0)
         by[by <= LIMIT_TOLERANCE] = 0.0
@@ -135,7 +135,7 @@ class InterpretedSolver(InterpretedDirections):
         self.mu, self.shift = c.mu_start, 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else int(rolled)
-        start = (self.mu, c.least_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
+        start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
             if not self.policy:
@@ -160,7 +160,11 @@ class InterpretedSolver(InterpretedDirections):
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
-        again = self.has_rows and bool(c.certify or (c.extra_when_cut and c.start_anew)) and not c.single_shooting
+        again = (
+            self.has_rows
+            and bool(c.compute_kkt or (c.max_extra_iterations and c.rollout_restart))
+            and not c.single_shooting
+        )
         run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
         while run.count < run.limit:
             self.shift = run.shift
@@ -175,7 +179,7 @@ class InterpretedSolver(InterpretedDirections):
                 s = self.iterate(x0)
             except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite
                 run.shift = max(10.0 * run.shift, 1e-6)
-                if run.count < run.limit and np.isfinite([cost, violation]).all() and run.shift <= c.largest_shift:
+                if run.count < run.limit and np.isfinite([cost, violation]).all() and run.shift <= c.max_regularization:
                     continue
                 return NOT_FINITE, run.count
             ended = self._iteration(x0, s, c, cost, violation, row, run)
@@ -187,11 +191,11 @@ class InterpretedSolver(InterpretedDirections):
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, row: np.ndarray, run: _Progress
     ) -> int | None:
         """What comes after a direction; a status if it is the end."""
-        from wbmpc.solver.driver import CONVERGED, DIVERGED, NO_STEP, NOT_FINITE, next_mu
+        from wbmpc.solver.driver import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE, next_mu
 
         size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
         product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
-        kkt = s["kkt"] if c.certify else np.nan
+        kkt = s["kkt"] if c.compute_kkt else np.nan
         row[2:4], row[7:] = (kkt, size), (residual, product, self.mu, run.shift, 1.0)
         if not np.isfinite([cost, violation, s["slope"]]).all():
             return NOT_FINITE
@@ -206,7 +210,7 @@ class InterpretedSolver(InterpretedDirections):
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
         small = moved <= UNSETTLED or not last
-        if c.certify and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
+        if c.compute_kkt and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
             if last and (not self.has_rows or run.bias <= BIAS or self.mu <= c.mu_floor):
                 return CONVERGED
             run.level = max(0.2 * self.mu, c.mu_floor) if last else run.level
@@ -222,12 +226,12 @@ class InterpretedSolver(InterpretedDirections):
                 self.hold = 0
                 return None
             run.shift = max(10.0 * run.shift, 1e-4)
-            if run.shift > c.largest_shift:
+            if run.shift > c.max_regularization:
                 self._watch(c)
-                return self._status_at_the_limit(c, NO_STEP)
+                return self._status_at_the_limit(c, LINE_SEARCH_FAILED)
             return None
         run.shift = 0.2 * run.shift if run.shift > 1e-6 else 0.0
-        error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.certify else 0.0
+        error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.compute_kkt else 0.0
         self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual), run)
         self.policy, self.hold = True, run.hold
         row[4] = self.ws.state[LAST_ALPHA] = alpha
@@ -250,7 +254,7 @@ class InterpretedSolver(InterpretedDirections):
         if not (np.isfinite(x).all() and np.isfinite(u).all()):
             return False
         self.ws.x[:], self.ws.u[:] = x, u
-        self._start_rows(self.mu, c.least_slack, bool(c.keep_multipliers), False)
+        self._start_rows(self.mu, c.min_slack, bool(c.keep_multipliers), False)
         return True
 
     def _step_length(
@@ -262,12 +266,12 @@ class InterpretedSolver(InterpretedDirections):
             w * np.abs((r.h + r.change)[r.equal & r.counts]).sum() for w, r in zip(h, self.own, strict=True)
         )
         if drop > 1e-10:
-            curvature = s["curvature"] if c.certify else 0.0  # the compiled solver has it only then
+            curvature = s["curvature"] if c.compute_kkt else 0.0  # the compiled solver has it only then
             run.penalty = max(run.penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
         invisible = abs(s["slope"]) + run.penalty * drop < 1e-5 * (1.0 + abs(cost))
         run.first = max(0.5 * run.first, 0.01) if kkt > run.last_kkt and invisible else min(1.3 * run.first, 1.0)
         run.last_kkt = kkt
-        if not c.certify:
+        if not c.compute_kkt:
             run.first = self._longest_step(s["du"], run.count == 1)
         primal, dual = (min(v) for v in zip(*(r.reach(c.tau) for r in self.own), strict=True))
         base = (cost, violation, s["slope"], drop)
@@ -281,7 +285,7 @@ class InterpretedSolver(InterpretedDirections):
         from wbmpc.solver.driver import next_mu
 
         (alpha, primal, dual), (product, residual) = lengths, found
-        solved = not c.certify or kkt <= max(c.tolerance, 0.1 * residual)
+        solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
         self.wish += alpha * self.wish_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
@@ -289,7 +293,7 @@ class InterpretedSolver(InterpretedDirections):
             return
         after = next_mu.python(self.mu, run.level, error, product)
         after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
-        if c.certify and (solved or alpha > 0.9):
+        if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
                 run.last_kkt = np.inf
                 for r in self.own:
@@ -303,7 +307,7 @@ class InterpretedSolver(InterpretedDirections):
         if run.count < run.limit:
             return
         self._watch(c)
-        outside, most = self.ws.state[MISSED] > LIMIT_TOLERANCE, int(c.iterations) + int(c.extra_when_cut)
+        outside, most = self.ws.state[MISSED] > LIMIT_TOLERANCE, int(c.iterations) + int(c.max_extra_iterations)
         if run.limit < most and (
             alpha < 0.9 * run.first or outside or self.ws.state[UNDUE] > 0.0 or self._misses_equality(c)
         ):
@@ -327,11 +331,11 @@ class InterpretedSolver(InterpretedDirections):
             self._tell_passed(k, rows, h)
 
     def _status_at_the_limit(self, c: Any, status: int) -> int:
-        from wbmpc.solver.driver import EQUALITY_MISSED, LIMIT_MISSED
+        from wbmpc.solver.driver import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE
 
         if self.ws.state[MISSED] > LIMIT_TOLERANCE:
-            return LIMIT_MISSED
-        return EQUALITY_MISSED if self._misses_equality(c) else status
+            return INPUT_INFEASIBLE
+        return EQUALITY_INFEASIBLE if self._misses_equality(c) else status
 
     def _misses_equality(self, c: Any) -> bool:
         return bool(c.keep_multipliers and self._first_equalities() > c.equality_bound)
@@ -381,11 +385,11 @@ class InterpretedSolver(InterpretedDirections):
         from wbmpc.solver.line_search import accept
 
         single, ratio = bool(c.single_shooting), first
-        while ratio >= c.smallest_step or c.force_step:
-            alpha = (ratio if ratio >= c.smallest_step else first) * reach
+        while ratio >= c.min_step or c.accept_min_step:
+            alpha = (ratio if ratio >= c.min_step else first) * reach
             x, u = self._trial(s, alpha, x0, single)
             merit = self._merit(x, u, x0, alpha)
-            forced = ratio < c.smallest_step
+            forced = ratio < c.min_step
             good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
             if good:
                 paid, apart, wished = self._wishes(x, u, alpha)

@@ -15,18 +15,9 @@ from wbmpc.solver.barriers import (
     barrier_value,
 )
 from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
-from wbmpc.solver.curved import add_curvature
 from wbmpc.solver.exact import costate_end, exact_end, exact_node
-from wbmpc.solver.lanes import (
-    equality_size,
-    linearise_dynamics,
-    load_block,
-    single_lane,
-    stage_lanes,
-    take_rows_of_lane,
-    unpack,
-)
-from wbmpc.solver.places import (
+from wbmpc.solver.inequalities import add_rows_product, linearise_rows
+from wbmpc.solver.memory_layout import (
     AB,
     BASE,
     BENT,
@@ -83,8 +74,17 @@ from wbmpc.solver.places import (
     P,
     U,
     X,
-)  # fmt: skip
-from wbmpc.solver.rows import add_rows_product, linearise_rows
+)
+from wbmpc.solver.nonlinear_input_constraints import add_curvature
+from wbmpc.solver.simd_batch import (
+    equality_size,
+    linearise_dynamics,
+    load_block,
+    single_lane,
+    stage_lanes,
+    take_rows_of_lane,
+    unpack,
+)
 from wbmpc.solver.stages import stage_end
 
 #: Least slope of an equality by the inputs to divide by.
@@ -278,7 +278,7 @@ def forward(m, o, x0):  # type: ignore[no-untyped-def]
 
 @compiled(NUM2, NUMS, INTS)
 def kkt_residual(m, o):  # type: ignore[no-untyped-def]
-    """(max |H δz|, δzᵀ H δz), after :func:`wbmpc.solver.rows.rows_step`.
+    """(max |H δz|, δzᵀ H δz), after :func:`wbmpc.solver.inequalities.rows_step`.
 
     With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate, H without what the rows and
     the shift have put into it; the second number is with them.

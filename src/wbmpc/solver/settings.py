@@ -30,10 +30,10 @@ class InteriorPoint:
 
     ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4,
     and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
-    it at ``mu`` and starts every solve from slacks t = max(h, ``least_slack``) with the multipliers kept, so that one iteration
-    per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``extra_when_cut``: at most so many
+    it at ``mu`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
+    per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``max_extra_iterations``: at most so many
     more iterations while the step is cut below 0.9 of the longest that is tried (docs/derivations.md, section 3).
-    ``start_anew=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
+    ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
     motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of the ball robot
     began metres off, and a push of 120 N s felled it instead of 260.
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
@@ -42,22 +42,22 @@ class InteriorPoint:
     mode: Literal["converge", "real_time"] = "converge"
     mu: float | None = None
     mu_start: float = 0.1
-    least_slack: float | None = None
+    min_slack: float | None = None
     tau: float = 0.995
-    extra_when_cut: int = 10
-    start_anew: bool = True
+    max_extra_iterations: int = 10
+    rollout_restart: bool = True
     reset: bool = True
 
     def __post_init__(self) -> None:
         if self.mode not in ("converge", "real_time"):
             raise unknown_name("interior point mode", self.mode, ("converge", "real_time"))
-        for name in ("mu", "mu_start", "least_slack"):
+        for name in ("mu", "mu_start", "min_slack"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"interior point: {name} must be positive and finite, got {value}")
-        if not _count(self.extra_when_cut, 0):
+        if not _count(self.max_extra_iterations, 0):
             raise InputError(
-                f"interior point: extra_when_cut must be a whole number, at least 0, got {self.extra_when_cut}"
+                f"interior point: max_extra_iterations must be a whole number, at least 0, got {self.max_extra_iterations}"
             )
         if not 0.0 < self.tau < 1.0:
             raise InputError(f"interior point: tau must be between 0 and 1, got {self.tau}")
@@ -67,16 +67,16 @@ class InteriorPoint:
         real_time = self.mode == "real_time"
         # beside a row that is only just active the solution moves by the square root of μ
         mu = self.mu if self.mu is not None else (1e-3 if real_time else 1e-4 * tolerance)
-        least = self.least_slack if self.least_slack is not None else (1e-3 if real_time else 1e-2)
+        least = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
         return {
             "mu_start": mu if real_time else max(self.mu_start, mu),
             "mu_end": mu,
             "keep_multipliers": float(real_time),
-            "least_slack": least,
+            "min_slack": least,
             "tau": 0.99 if real_time else self.tau,
-            "extra_when_cut": float(self.extra_when_cut if real_time else 0),
+            "max_extra_iterations": float(self.max_extra_iterations if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
-            "start_anew": float(self.start_anew),
+            "rollout_restart": float(self.rollout_restart),
             "mu_floor": mu if real_time or self.mu is not None else min(LEAST_MU, mu),
         }
 
@@ -86,8 +86,8 @@ class SQP:
     """Sequential quadratic programming by multiple shooting: states and inputs are unknowns, gaps close with the steps.
 
     ``iterations``: at most this many; ``tolerance``: on the KKT residual, ``feasibility``: on the violation (both with
-    ``certify`` only); ``smallest_step``: the line search gives up below it, and then takes the full step if
-    ``force_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``largest_shift``: of the Hessian's diagonal
+    ``compute_kkt`` only); ``min_step``: the line search gives up below it, and then takes the full step if
+    ``accept_min_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``max_regularization``: of the Hessian's diagonal
     (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
     derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only);
     ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row
@@ -98,11 +98,11 @@ class SQP:
     iterations: int = 100
     tolerance: float = 1e-8
     feasibility: float = 1e-6
-    smallest_step: float = 1e-3
-    certify: bool = True
-    force_step: bool = False
+    min_step: float = 1e-3
+    compute_kkt: bool = True
+    accept_min_step: bool = False
     line_search: Literal["merit", "filter"] = "merit"
-    largest_shift: float = 1e6
+    max_regularization: float = 1e6
     hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
     equality_bound: float = 0.05
     interior_point: InteriorPoint = field(default_factory=InteriorPoint)
@@ -120,25 +120,25 @@ class SQP:
             raise unknown_name("line search", self.line_search, ("merit", "filter"))
         if self.hessian not in ("gauss_newton", "exact"):
             raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
-        for key in ("tolerance", "feasibility", "smallest_step"):
+        for key in ("tolerance", "feasibility", "min_step"):
             if not 0.0 < getattr(self, key) < np.inf:
                 raise InputError(f"{name}: {key} must be positive and finite, got {getattr(self, key)}")
         if not self.equality_bound > 0.0:
             raise InputError(f"{name}: equality_bound must be positive, got {self.equality_bound}")
-        if not self.smallest_step <= 1.0:
-            raise InputError(f"{name}: smallest_step must be at most 1, got {self.smallest_step}")
-        if not self.largest_shift >= 0.0:
-            raise InputError(f"{name}: largest_shift must not be negative, got {self.largest_shift}")
+        if not self.min_step <= 1.0:
+            raise InputError(f"{name}: min_step must be at most 1, got {self.min_step}")
+        if not self.max_regularization >= 0.0:
+            raise InputError(f"{name}: max_regularization must not be negative, got {self.max_regularization}")
 
     @classmethod
     def real_time(cls, iterations: int = 1, **more: object) -> SQP:
         """One iteration (or a few) per solve from the shifted last solution, hard limits included: for use in an MPC."""
         interior = InteriorPoint("real_time")
         given = {
-            "certify": False,
-            "smallest_step": 0.2,
-            "force_step": True,
-            "largest_shift": 0.0,
+            "compute_kkt": False,
+            "min_step": 0.2,
+            "accept_min_step": True,
+            "max_regularization": 0.0,
             "interior_point": interior,
         }
         return cls(iterations=iterations, **(given | more))  # type: ignore[arg-type]
@@ -146,17 +146,17 @@ class SQP:
     @property
     def most_iterations(self) -> int:
         """Rows that the iteration log needs: a start anew, and a last time with inputs held within rows, come on top."""
-        return self.iterations + max(int(self.interior_point.extra_when_cut), 0) + 2
+        return self.iterations + max(int(self.interior_point.max_extra_iterations), 0) + 2
 
     def numbers(self) -> np.ndarray:
-        """The settings in the order of :data:`wbmpc.solver.places.SETTINGS`."""
-        from wbmpc.solver.places import SETTINGS
+        """The settings in the order of :data:`wbmpc.solver.memory_layout.SETTINGS`."""
+        from wbmpc.solver.memory_layout import SETTINGS
 
         own = {
             "iterations": self.iterations, "tolerance": self.tolerance, "feasibility": self.feasibility,
-            "smallest_step": self.smallest_step, "certify": self.certify, "force_step": self.force_step,
+            "min_step": self.min_step, "compute_kkt": self.compute_kkt, "accept_min_step": self.accept_min_step,
             "single_shooting": self.single_shooting, "use_filter": self.line_search == "filter",
-            "largest_shift": self.largest_shift, "equality_bound": self.equality_bound,
+            "max_regularization": self.max_regularization, "equality_bound": self.equality_bound,
             **self.interior_point.numbers(self.tolerance),
         }  # fmt: skip
         return np.array([float(own[name]) for name in SETTINGS])

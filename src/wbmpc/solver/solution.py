@@ -18,12 +18,12 @@ class Status(Enum):
     CONVERGED = "converged: the optimality conditions hold to the tolerance"
     RELAXED = "converged, but a hard limit cannot be held: it was relaxed as little as possible"
     ITERATION_LIMIT = "stopped at the iteration limit"
-    NO_STEP = "stopped: no step length improves cost or constraints"
+    LINE_SEARCH_FAILED = "stopped: no step length improves cost or constraints"
     INFEASIBLE = "failed: the constraints cannot all be met, or not from this guess"
     NOT_FINITE = "failed: the cost, a constraint or the step is not finite"
     DIVERGED = "failed: the cost or the step grows without bound"
-    LIMIT_MISSED = "failed: the planned inputs miss a hard limit"
-    EQUALITY_MISSED = "failed: the planned inputs miss an equality"
+    INPUT_INFEASIBLE = "failed: the planned inputs miss a hard limit"
+    EQUALITY_INFEASIBLE = "failed: the planned inputs miss an equality"
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Solution:
     @property
     def usable(self) -> bool:
         """Whether the trajectory is finite and was not refused."""
-        bad = (Status.NOT_FINITE, Status.DIVERGED, Status.LIMIT_MISSED, Status.EQUALITY_MISSED)
+        bad = (Status.NOT_FINITE, Status.DIVERGED, Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
         return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
 
     def __str__(self) -> str:

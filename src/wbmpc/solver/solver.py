@@ -19,7 +19,8 @@ from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
-from wbmpc.solver.places import (
+from wbmpc.solver.diagnostics import verdict
+from wbmpc.solver.memory_layout import (
     CONTRADICTED,
     COST,
     GIVEN_WAY,
@@ -39,7 +40,6 @@ from wbmpc.solver.places import (
 )
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
-from wbmpc.solver.verdict import verdict
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
@@ -49,11 +49,11 @@ _LOG = logging.getLogger("wbmpc")
 _STATUS = (
     Status.CONVERGED,
     Status.ITERATION_LIMIT,
-    Status.NO_STEP,
+    Status.LINE_SEARCH_FAILED,
     Status.NOT_FINITE,
     Status.DIVERGED,
-    Status.LIMIT_MISSED,
-    Status.EQUALITY_MISSED,
+    Status.INPUT_INFEASIBLE,
+    Status.EQUALITY_INFEASIBLE,
 )
 
 
@@ -83,7 +83,7 @@ class Solver:
         self._given_grid = self.ocp.grid
         if isinstance(self.settings, SLQ):
             self.ocp = self.ocp.refined(self.settings.step)
-        from wbmpc.solver.reference_solver import InterpretedSolver  # the twin needs no compiler
+        from wbmpc.solver.reference_solver import InterpretedSolver
         from wbmpc.solver.workspace import make_workspace
 
         self.problem, self._terms = Transcription(self.ocp, self._exact()), tuple(self.ocp.terms.values())
@@ -284,7 +284,7 @@ class Solver:
         status, count = self.run(x0, t0)
         elapsed = time.perf_counter() - start
         solution = self.solution(status, count, elapsed)
-        if self.settings.certify or not solution.usable or solution.status is Status.NO_STEP:
+        if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
             solution = verdict(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
@@ -361,7 +361,7 @@ class Solver:
         Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (curved rows).
         """
         state = self.ws.state
-        if status is Status.EQUALITY_MISSED:
+        if status is Status.EQUALITY_INFEASIBLE:
             return self._unequal()
         by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
         if by <= LIMIT_TOLERANCE:

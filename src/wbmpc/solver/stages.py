@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, call2, compiled
-from wbmpc.solver.places import (
+from wbmpc.solver.memory_layout import (
     ARG,
     BASE,
     DYNAMICS,
@@ -30,7 +30,7 @@ from wbmpc.solver.places import (
     SMALL,
     P,
     W,
-)  # fmt: skip
+)
 
 
 @compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)

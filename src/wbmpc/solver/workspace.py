@@ -16,7 +16,7 @@ from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.dense import pad
 from wbmpc.kernel.ir import LANES
 from wbmpc.ocp import Transcription
-from wbmpc.ocp.rows import BoxRow, Kind, Row
+from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
 
 #: Columns of the iteration log.
 LOG = (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.stability.configurations import leg_angles, refuse_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing

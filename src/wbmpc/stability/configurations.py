@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model import RobotModel
+from wbmpc.model.robot import RobotModel
 from wbmpc.stability.robot import standing
 
 #: Outward angles [rad] of front and rear legs from the body's x axis, ahead and behind (negative: turned inwards).

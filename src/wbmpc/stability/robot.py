@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
-from wbmpc.model import FramePose, RobotModel
-from wbmpc.model.swerve import SwerveBase
-from wbmpc.model.symbolic import Chain, constant, cross
+from wbmpc.model.kinematics import Chain, FramePose, constant, cross
+from wbmpc.model.robot import RobotModel
 from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import Array, Triangle, hull, support_polygon, triangle_margins
 from wbmpc.stability.geometry import margin as margin_to

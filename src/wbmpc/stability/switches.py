@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
-from wbmpc.stability.geometry import (
-    Triangle,
-    checked_feet,
-    cross,
-    edge_distances,
-    support_triangles,
-)
+from wbmpc.stability.geometry import Triangle, checked_feet, cross, edge_distances, support_triangles
 
 Array = NDArray[np.float64]
 #: Largest step [m] by which a foot may stand above a face that still counts as carrying.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.plant.scene import Scene, Shape
+from wbmpc.simulation.scene import Scene, Shape
 
 Array = np.ndarray
 #: From a robot of 1.4 m [m]: from its front left.

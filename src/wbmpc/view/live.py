@@ -15,10 +15,10 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import EndedByUser
-from wbmpc.loop import Ending, Running
-from wbmpc.mpc import Plans
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.observer import Observer
-from wbmpc.view.loads import Loads
+from wbmpc.simulation.lockstep import Ending, Running
+from wbmpc.view.actuator_load import Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, errors, fields, filled, ground
 from wbmpc.view.steering import Controls, Steering, no_orders, planar, spatial
@@ -32,7 +32,7 @@ _KEPT = 100_000
 
 
 class View(Window):
-    """A :class:`~wbmpc.loop.Watcher` that shows a run at ``url`` and paces it to the clock.
+    """A :class:`~wbmpc.simulation.lockstep.Watcher` that shows a run at ``url`` and paces it to the clock.
 
     ``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it; ``steered``: whether
     its goals, weights, legs or forces were changed.
@@ -89,7 +89,7 @@ class View(Window):
         self._next = -np.inf
         self._anchor(0.0)
 
-    def tick(self, t: float, command: Any, plans: Plans) -> None:
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         """Pictures and orders; then wait until it is time."""
         start = time.perf_counter()
         self._take_orders()
@@ -108,7 +108,7 @@ class View(Window):
     def _anchor(self, t: float) -> None:
         self._origin, self._speed = time.perf_counter() - t / float(self._orders["speed"]), float(self._orders["speed"])
 
-    def _wait(self, t: float, plans: Plans) -> None:
+    def _wait(self, t: float, plans: PolicyQueue) -> None:
         """Hold the run while it is paused, and until the wall clock is at t."""
         if self._orders["paused"]:
             self._pause(t, plans)
@@ -124,7 +124,7 @@ class View(Window):
         elif ahead < -_LATEST:
             self._anchor(t)
 
-    def _pause(self, t: float, plans: Plans) -> None:
+    def _pause(self, t: float, plans: PolicyQueue) -> None:
         while self._orders["paused"] and int(self._orders["steps"]) == self._steps:
             if not self.process.is_alive():
                 self._orders["paused"][...] = 0.0  # nobody could ever let go again
@@ -154,7 +154,7 @@ class View(Window):
         self.steered = self.steered or self._steering.used
 
     # ------------------------------------------------------------------ pictures
-    def _snapshot(self, t: float, plans: Plans) -> dict[str, Array]:
+    def _snapshot(self, t: float, plans: PolicyQueue) -> dict[str, Array]:
         running, reader, moment, mpc = self.running, self._observer.reader, self._observer.see(), self.running.mpc
         data, self._drift = running.plant.data, moment.drift
         goal = self._observer.hand_goal(t)
@@ -180,7 +180,7 @@ class View(Window):
             lie.pose_compose(self._drift, spatial(mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]))
         )
 
-    def _paths(self, plans: Plans) -> dict[str, Array]:
+    def _paths(self, plans: PolicyQueue) -> dict[str, Array]:
         """The hand's reference, and the predicted ways of hand and base."""
         reference = {} if self.running.mpc is None else self.running.mpc.reference
         way = reference["hand"].values[:, :3] + self._observer.lift if "hand" in reference else np.zeros((0, 3))

@@ -12,11 +12,11 @@ import numpy as np
 import viser
 from viser import uplot
 
-from wbmpc.mpc.buffer import Mailbox
+from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
+from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, spoken
-from wbmpc.view.stage import add_follow, add_legend, name_tab
 from wbmpc.view.steering import Controls, no_orders
 
 Array = np.ndarray

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import RunAborted
-from wbmpc.mpc import WallClock
-from wbmpc.mpc.buffer import Board, Mailbox
-from wbmpc.plant.scene import SceneReader
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.shared_memory import Board, Mailbox
+from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, ground
 

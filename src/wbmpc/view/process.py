@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from wbmpc.mpc.buffer import Board, Mailbox
-from wbmpc.plant.scene import Scene
+from wbmpc.runtime.shared_memory import Board, Mailbox
+from wbmpc.simulation.scene import Scene
 
 #: Pictures per second.
 RATE = 30.0
@@ -60,7 +60,7 @@ def _open(scene: Scene, controls: Any, orders: Mailbox, host: str, port: int) ->
     import viser
 
     from wbmpc.view.panel import Panel
-    from wbmpc.view.stage import Stage
+    from wbmpc.view.scene import ViewScene
 
     server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
-    return Stage(server, scene), Panel(server, orders, controls)
+    return ViewScene(server, scene), Panel(server, orders, controls)

@@ -14,18 +14,21 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.loop import Running
-from wbmpc.model import RobotModel, load_robot
-from wbmpc.model.ball import BallBase
-from wbmpc.mpc import MPC, Plans, Runner
-from wbmpc.mpc.buffer import Mailbox
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
-from wbmpc.plant import RezeroPlant, SwervePlant
-from wbmpc.plant.perturbation import Perturbation
-from wbmpc.plant.scene import SceneReader
 from wbmpc.recording.observer import PLAN_POINTS, base_poses
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.lockstep import Running
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Solver
-from wbmpc.view.loads import GROUPS, Loads
+from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
 from wbmpc.view.steering import Controls, Steering, no_orders
@@ -80,7 +83,7 @@ class RealtimeView(Window):
         self.start(scene.scene, controls, shown, drawer)
 
     # ------------------------------------------------------------------ the control thread
-    def watch(self, t: float, late: float, plans: Plans) -> None:
+    def watch(self, t: float, late: float, plans: PolicyQueue) -> None:
         """Hand out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
@@ -118,7 +121,7 @@ class RealtimeView(Window):
         mpc.guess = guess
 
     # ------------------------------------------------------------------ the session's thread
-    def follow(self, runner: Runner) -> str:
+    def follow(self, runner: RealTimeRunner) -> str:
         """Start the runner and wait until the user, Ctrl-C or a safe stop ends it; returns why."""
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
@@ -127,7 +130,7 @@ class RealtimeView(Window):
         self.stopped = runner.stopped
         return self._reason(runner)
 
-    def _reason(self, runner: Runner) -> str:
+    def _reason(self, runner: RealTimeRunner) -> str:
         if runner.stopped:
             return runner.state
         return "begun anew in the view" if self.wants_reset else "ended in the view"
@@ -175,7 +178,7 @@ def _chosen(count: int) -> Array:
 # ---------------------------------------------------------------------- in the view's process
 def scene_of(robot: RobotModel) -> tuple[Any, SceneReader]:
     """A puppet of the robot, as described, and who reads its scene."""
-    made: type[Any] = RezeroPlant if isinstance(robot.base, BallBase) else SwervePlant
+    made: type[Any] = BallPlant if isinstance(robot.base, BallBase) else SwervePlant
     puppet = made(robot.description, perturbation=Perturbation.none())
     return puppet, SceneReader(puppet.model, robot.description.base.body)
 

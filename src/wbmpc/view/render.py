@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError, WbmpcError
-from wbmpc.plant.film import Puppet
-from wbmpc.plant.render import Camera, Renderer
-from wbmpc.plant.scene import Scene
+from wbmpc.simulation.film import Puppet
+from wbmpc.simulation.render import Camera, Renderer
+from wbmpc.simulation.scene import Scene
 from wbmpc.view.camera import clearest
 from wbmpc.view.replay import Film
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.plant.scene import Body, Contact, Scene
 from wbmpc.recording.plots import hand_error, positions
 from wbmpc.recording.reader import Recording
+from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, spoken
 
 Array = np.ndarray
@@ -168,11 +168,11 @@ class Player:
     def __init__(self, film: Film, host: str, port: int) -> None:
         import viser
 
-        from wbmpc.view.stage import Stage, add_follow, add_legend, name_tab
+        from wbmpc.view.scene import ViewScene, add_follow, add_legend, name_tab
 
         self.film = film
         self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
-        self.stage = Stage(self.server, film.scene)
+        self.stage = ViewScene(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
         gui.main_panel.dock_right()
         name_tab(gui, film.recording.title)
@@ -213,11 +213,11 @@ def write_page(film: Film, path: Path, port: int) -> None:
     """The film as one page with a time bar, which needs no server and no network."""
     import viser
 
-    from wbmpc.view.stage import Stage
+    from wbmpc.view.scene import ViewScene
 
     server = viser.ViserServer(host="127.0.0.1", port=port, label=film.recording.title, verbose=False)
     try:
-        stage, serializer = Stage(server, film.scene, carried=True), None
+        stage, serializer = ViewScene(server, film.scene, carried=True), None
         for t in np.arange(film.times[0], film.times[-1] + 1e-9, 1.0 / PAGE_RATE):
             s = film.snapshot(float(t))
             stage.show(s)

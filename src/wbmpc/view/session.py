@@ -8,19 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.control import RezeroAgent, SwerveAgent
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.goal_guess import GoalGuess
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.experiments.rezero_problem import rezero_mpc
-from wbmpc.experiments.rezero_task import STEPS_AND_PUSHES, RezeroSettings, leaning_of, set_home_references
-from wbmpc.experiments.settings import MpcSettings
-from wbmpc.experiments.swerve_problem import StateCost, SwerveCost, swerve_mpc
-from wbmpc.loop import Ending, Timing, Watch, Watcher, run_lockstep
-from wbmpc.model import RobotModel, load_robot
-from wbmpc.mpc import MPC, RealTime, Runner, WallClock
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.plant import RezeroPlant, SwervePlant
 from wbmpc.robots import BallBaseDescription, SwerveBaseDescription
-from wbmpc.view.departure import Departure
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.settings import MpcSettings
+from wbmpc.simulation.lockstep import Ending, Timing, Watch, Watcher, run_lockstep
+from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, RezeroSettings, leaning_of, set_home_references
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView
@@ -75,7 +80,7 @@ def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
             return reason
 
 
-def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[Runner, Simulated]:
+def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeRunner, Simulated]:
     """A runner on a simulated robot, shown and steered by ``view``, which is opened if it is not open yet."""
     robot = load_robot(robot_name)
     make = kind_of(robot)
@@ -87,36 +92,36 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[Runner, S
         view.open(mpc, simulated.seen)
     view.guide(mpc, agent, simulated.push)
     slices, memory = model.solver.problem.constant.slices, model.solver.ws.w
-    times = RealTime(
+    times = RealTimeSettings(
         1.0 / timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
         keep=isinstance(robot.description.base, BallBaseDescription),
     )  # fmt: skip
     parameters = lambda: memory[slices["parameters"]]
-    return Runner(simulated, agent, mpc, times, clock, parameters=parameters, watch=view.watch), simulated
+    return RealTimeRunner(simulated, agent, mpc, times, clock, parameters=parameters, watch=view.watch), simulated
 
 
-def _plant_of(robot_name: str, seed: int) -> RezeroPlant | SwervePlant:
+def _plant_of(robot_name: str, seed: int) -> BallPlant | SwervePlant:
     return _plant(load_robot(robot_name), seed)
 
 
-def _plant(robot: RobotModel, seed: int) -> RezeroPlant | SwervePlant:
+def _plant(robot: RobotModel, seed: int) -> BallPlant | SwervePlant:
     """The simulated robot at home, perturbed against the model."""
     if isinstance(robot.description.base, BallBaseDescription):
         home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
-        return RezeroPlant(robot.description, home, torque, None, seed)
+        return BallPlant(robot.description, home, torque, None, seed)
     return SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
 
 
 def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     settings = MpcSettings(horizon=4.0, intervals=40)
-    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)), Departure(robot))
+    mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=_LEG_WEIGHT)), GoalGuess(robot))
     position, orientation = robot.pose(robot.home)
     mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
-    agent = SwerveAgent(robot, plant.truth().pose, timing.period, lag=_LAG)
+    agent = SwerveController(robot, plant.truth().pose, timing.period, lag=_LAG)
     mpc.reset(robot.home)
     return plant, agent, mpc, timing
 
@@ -129,7 +134,7 @@ def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
-    agent = RezeroAgent(robot, mpc, torque, timing.period, _LAG)
+    agent = BallController(robot, mpc, torque, timing.period, _LAG)
     agent.leaning = leaning_of(RezeroSettings(), robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     return plant, agent, mpc, timing

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.plant.scene import Contact, Scene
-from wbmpc.view.loads import GROUPS
+from wbmpc.simulation.scene import Contact, Scene
+from wbmpc.view.actuator_load import GROUPS
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 Array = np.ndarray
@@ -18,7 +18,7 @@ REFERENCE, PLAN, CONTACTS = 200, 31, 8
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the hand, ``base``: of a base with a goal;
-#: those of :data:`~wbmpc.view.loads.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
+#: those of :data:`~wbmpc.view.actuator_load.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late.
 NUMBERS = ("t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.control.brakes import refuse_floating
+from wbmpc.bases.swerve.brake_control import refuse_floating
 from wbmpc.errors import InputError
-from wbmpc.loop import Running
-from wbmpc.mpc import MPC
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
+from wbmpc.simulation.lockstep import Running
 from wbmpc.stability import CONFIGURATIONS, leg_angles
 
 _LOG = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ def no_orders() -> dict[str, Array]:
 @dataclass(frozen=True)
 class Controls:
     """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
-    their limits are plotted (:data:`~wbmpc.view.loads.GROUPS`); ``paced``: whether time can be
+    their limits are plotted (:data:`~wbmpc.view.actuator_load.GROUPS`); ``paced``: whether time can be
     held, ``pushes``: whether somebody can push."""
 
     title: str

@@ -10,8 +10,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from wbmpc.errors import InputError
-from wbmpc.mpc.buffer import Board, Fields, Mailbox
-from wbmpc.plant.scene import Scene
+from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
+from wbmpc.simulation.scene import Scene
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
 from wbmpc.view.steering import ORDERS, Controls
 

@@ -1,0 +1,1 @@
+"""Base types: the table of plug-ins."""

@@ -1,0 +1,1 @@
+"""A base that balances on a ball."""

@@ -1,0 +1,118 @@
+"""How a ball robot falls, and how far it may lean: its unstable pole, and the leans that its wheels can still stop.
+
+With the arm held, a lean goes as ẋ = A x + B τ with one unstable pole ω for each horizontal axis. Its divergent component
+ξ = offset + rate / ω (capture point: Pratt et al. 2006; Takenaka et al. 2009) obeys ξ̇ = ω ξ + b τ: it can be stopped only as
+long as ω |ξ| is smaller than the largest b τ within the torque limits. The ball's speed is not in it: no speed fells the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import schur
+from scipy.optimize import linprog
+
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.errors import InputError
+from wbmpc.model.kinematics import constant
+from wbmpc.model.robot import RobotModel
+
+Array = NDArray[np.float64]
+#: The base's coordinates (x, y, yaw, pitch, roll); the arm's come after them.
+BASE = 5
+
+
+def load_offset(base: BallBase, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
+    """Horizontal offset (2) [m] of the centre of mass of all that stands on the ball, from the ball's centre, with the payload of
+    the parameters w."""
+    chain, first, mass = base.chain(q), ca.SX(3, 1), ca.SX(0)
+    ball = chain.link_pose(1).position
+    for i, link in enumerate(base.tree.links):
+        if i > 1 and link.mass > 0.0:
+            pose = chain.link_pose(i)
+            first += link.mass * (pose.position + pose.rotation @ constant(link.com) - ball)
+            mass += link.mass
+    carried = None if w is None else base.payload(w)
+    if carried is not None:
+        first += carried * (chain.frame_pose(base.tool).position - ball)
+        mass += carried
+    return first[:2] / mass
+
+
+@dataclass(frozen=True)
+class Balance:
+    """``pole`` [1/s]: how fast a lean grows, the mean of both axes. ``reach`` (n) [m]: the largest divergent component that the
+    wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium). ``answer`` [m/N]: a
+    steady horizontal force f on the tool counts like a divergent component of ``answer`` f, the mean of both axes: a robot
+    that leans by so much against it balances without torque. For a steady generalised force d (5) [N, N m] on the base, in the
+    heading's axes: ``shift`` (2, 5), the divergent component that it counts like; ``stand`` (2, 5), the offset [m] with which the
+    robot stands still under it, so that the wheels' torque there is worth (shift + stand) d of the reach."""
+
+    pole: float
+    reach: Array
+    answer: float
+    shift: Array
+    stand: Array
+
+    @classmethod
+    def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
+        """About the equilibrium for arm angles [rad]."""
+        base = robot._ball()
+        x, u = robot.equilibrium(arm)
+        a, b, pushed, offset, mass = _linear(robot, base, x, u)
+        pole, component = divergent(a, offset)
+        effect, answer = (component @ slope / pole for slope in (b, pushed))
+        shift = component[:, BASE:] @ np.linalg.inv(mass) / pole
+        limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
+        most = robot.description.limits.spin_effort
+        angles = 2.0 * np.pi * np.arange(directions) / directions
+        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
+        # at rest, leans and wheel torques bear the force: M⁻¹ (forces by pitch, roll, wheels) z + M⁻¹ d = 0
+        borne = np.linalg.pinv(mass @ np.hstack([a[BASE:, 3:BASE], b[BASE:]]))
+        stand = -offset @ borne[:2]
+        return cls(pole, np.array(reach), 0.5 * float(np.trace(answer)), shift, stand)
+
+
+def divergent(a: Array, offset: Array) -> tuple[float, Array]:
+    """The mean pole [1/s] and the divergent component (2, 10) of ẋ = a x, of which two modes grow: ξ = component @ x obeys
+    ξ̇ = Ω ξ, and its part by the angles is that of the ``offset`` (2, 2).
+
+    By an invariant subspace, not by eigenvectors: of two poles that are (nearly) the same, those are any pair.
+    """
+    fastest = float(np.linalg.eigvals(a).real.max())
+    form, basis, count = schur(a.T, sort=lambda real, _: real > 0.5 * fastest)
+    if count != 2:
+        raise InputError(f"balance: {count} poles of the base grow, not two (pitch and roll): {np.linalg.eigvals(a)}")
+    left = basis[:, :2].T
+    scale = offset @ np.linalg.inv(left[:, 3:BASE])
+    return 0.5 * float(np.trace(form[:2, :2])), scale @ left
+
+
+def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, the
+    offset's slope (2, 2) by (pitch, roll), and the base's mass matrix (5, 5)."""
+    q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
+    given, hand = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
+    more = ca.SX.zeros(robot.input.size - u.size)
+    force = base.generalised_force(q, ca.vertcat(given, more), ca.SX.zeros(robot.parameters.size))
+    force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
+    push = ca.jacobian(base.tool_force(q, ca.vertcat(hand, 0)), hand)
+    parts = [ca.jacobian(force, q), ca.jacobian(force, given), push, ca.jacobian(load_offset(base, q), q)]
+    slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
+    n, wheels = base.nq, len(base.input["wheel"])
+    by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
+    own = robot.mass_matrix(x[:n])[:BASE, :BASE]
+    mass = np.linalg.inv(own)
+    a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
+    accelerates = lambda slope: np.vstack([np.zeros((BASE, slope.shape[1])), mass @ slope[:BASE]])
+    return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE], own
+
+
+def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:
+    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
+    rows, bounds = (None, None) if not np.isfinite(most) else (np.vstack([spin, -spin]), [most, most])
+    found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
+    return float(-found.fun)

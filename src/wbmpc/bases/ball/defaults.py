@@ -1,0 +1,158 @@
+"""The whole-body problem of the ball robot: one set of weights for hand tasks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.ball.balance import Balance
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.studies.minniti2019.held_arm import ServoedArm
+
+
+class HandCost(Settings):
+    """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
+    which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
+    pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
+
+    weight: Weight = 300.0
+    orientation: Weight = 60.0
+    roll: Weight = 3.0
+    limit: float = Field(default=0.1, gt=0)
+    turn_limit: float = Field(default=0.1, gt=0)
+    twist: Weight = 1.0
+    angular: Weight = 0.2
+
+
+class BodyCost(Settings):
+    """Weights of ball position and speed, yaw and its rate, tilt rate, arm posture (against home) and arm rate, per second."""
+
+    ball: Weight = 0.0
+    ball_speed: Weight = 1.0
+    yaw: Weight = 1.0
+    yaw_rate: Weight = 0.5
+    tilt_rate: Weight = 2.0
+    arm: Weight = 0.0
+    arm_rate: Weight = 0.2
+
+
+class TorqueCost(Settings):
+    """Weights of wheel torques, of arm torques beyond what holds the arm where it is, and of force and moment of contacts
+    that are inputs."""
+
+    wheel: Weight = 0.05
+    arm: Weight = 0.005
+    force: Weight = 1.0
+    moment: Weight = 1.0
+
+
+class RezeroCost(Settings):
+    """All weights; the end of the horizon counts like one second (``terminal``) of it. ``lean``: a hard limit of the lean's
+    divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
+    ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
+
+    hand: HandCost = HandCost()
+    body: BodyCost = BodyCost()
+    torque: TorqueCost = TorqueCost()
+    terminal: Weight = 1.0
+    lean: float = Field(default=0.0, ge=0, le=1.0)
+    speed_slack: float = Field(default=1e3, gt=0)
+
+
+def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
+    first = settings.first_interval or None
+    ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
+    h, b, t = cost.hand, cost.body, cost.torque
+    pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
+    twist = np.array([h.twist] * 3 + [h.angular] * 3)
+    speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
+    body: dict[str, Any] = {
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
+        "base_velocity": speeds,
+        "arm": b.arm,
+        "arm_velocity": b.arm_rate,
+    }
+    end: dict[str, Any] = {
+        g: [cost.terminal * w for w in v] if isinstance(v, list) else cost.terminal * v for g, v in body.items()
+    }
+    ocp.add(
+        Cost(
+            "hand",
+            residuals.FramePose(robot, robot.tool, axes="reference"),
+            list(pose),
+            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),
+            at="all",
+            terminal_weight=list(cost.terminal * pose),
+        )
+    )
+    frame_twist = residuals.FrameTwist(robot, robot.tool)
+    ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
+    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
+    inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
+    ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
+    ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
+    limit_arm(ocp, robot, settings, cost)
+    limit_torques(ocp, robot, settings, cost, None)
+    return ocp
+
+
+def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> None:
+    """Hard limits of the arm's angles and speeds."""
+    limits = robot.limits
+    box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
+    free_state = residuals.State(robot, ["arm"], tracked=False)
+    rates = residuals.State(robot, ["arm_velocity"], tracked=False)
+    barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
+    ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
+    ocp.add(
+        Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=cost.speed_slack)
+    )
+
+
+def limit_torques(
+    ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost, groups: list[str] | None
+) -> None:
+    """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean."""
+    barrier, hard, limits = RelaxedBarrier(settings.barrier_mu, 0.1), settings.limits == "hard", robot.limits
+    free = residuals.Input(robot, groups, tracked=False)
+    box = sets.Box(limits.input_lower[free.indices], limits.input_upper[free.indices])
+    ocp.add(Constraint("torques", free, box, penalty=barrier, hard=hard))
+    spin = robot.description.limits.spin_effort
+    if np.isfinite(spin):
+        ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
+    if cost.lean > 0.0:
+        balance = Balance.of(robot, robot.home[robot.state["arm"]])
+        answer = balance.answer if "force" in robot.input else 0.0
+        pushed = groups is None  # a base whose arm others move has parameters of its own
+        lean = residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
+        reach = cost.lean * float(balance.reach.min())
+        ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
+
+
+def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+    """What is left of that problem for a base whose arm somebody else moves (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`): ball, yaw,
+    rates and wheel torques, the same limits."""
+    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
+    b = cost.body
+    body: dict[str, Any] = {
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
+        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
+        "arm": 0.0,
+        "arm_velocity": 0.0,
+    }
+    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
+    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
+    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
+    limit_torques(ocp, robot, settings, cost, ["wheel"])
+    return ocp
+
+
+def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
+    """The MPC of that problem with its real-time settings."""
+    return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)

@@ -1,0 +1,90 @@
+"""The fall that can be foreseen: plans, or a present state, with a lean which the wheels cannot stop any more."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wbmpc.bases.ball.balance import Balance, load_offset
+from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.errors import FallPredicted, InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
+
+
+class FallPredictor:
+    """Looks at every new plan of a ball robot's MPC, and at its state, and raises :class:`FallPredicted` when falling is certain.
+
+    The lean is a hard limit of the problem, relaxed only where it cannot be held. A plan in which its divergent component goes
+    beyond the wheels' reach (times ``share``) within its first ``ahead`` [s] says that the optimiser, with all torques that there
+    are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
+    says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
+    for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
+    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
+    input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
+    :class:`wbmpc.bases.ball.lean_control.LeanControl`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
+    """
+
+    def __init__(
+        self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 8, seconds: float = 0.05,
+        ahead: float = 0.1,
+    ) -> None:  # fmt: skip
+        positive("forecast of a fall", share=share)
+        not_negative("forecast of a fall", seconds=seconds, ahead=ahead)
+        if not isinstance(plans, int | np.integer) or plans < 1:
+            raise InputError(f"forecast of a fall: 'plans' must be a whole number, at least 1, got {plans}")
+        balance = Balance.of(robot, numbers("forecast of a fall", "arm", arm, len(robot.state.groups["arm"])))
+        given = "force" in robot.input
+        self._force = robot.input["force"] if given else None
+        self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
+        self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
+        n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
+        w = ca.SX.zeros(robot.parameters.size)
+        mass, hand = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
+        if "payload" in robot.parameters:
+            w[robot.parameters["payload"]] = mass
+        offset = load_offset(robot.base, x[:n], w)
+        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * hand
+        self._component = ca.Function("component", [x, mass, hand], [component])
+        self._seen: Policy | None = None
+
+    def look(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> None:
+        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
+        ``shift`` (2) [m] of the divergent component."""
+        if policy is self._seen:
+            return
+        self._seen = policy
+        soon = policy.times[1:] <= policy.times[0] + self._ahead
+        force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
+        most = self._most(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
+        self._bad = self._bad + 1 if most > self.reach else 0
+        if self._bad >= self._plans:
+            raise self._fall(f"{self._plans} plans in a row lean", most)
+
+    def feel(
+        self,
+        t: float,
+        x: np.ndarray,
+        payload: float = 0.0,
+        force: ArrayLike = (0.0, 0.0),
+        shift: ArrayLike = (0.0, 0.0),
+    ) -> None:
+        """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
+        ``shift`` (2) [m] of the divergent component."""
+        most = self._most(x[None], payload, np.asarray(force, float), shift)
+        if most <= self.reach or not np.isfinite(self._within):
+            self._within = t
+        if t - self._within >= self._seconds:
+            raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
+
+    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
+        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
+        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
+        return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
+
+    def _fall(self, who: str, most: float) -> FallPredicted:
+        return FallPredicted(
+            f"the robot will fall: {who} by {1e3 * most:.0f} mm at the centre of mass, and the wheels can stop "
+            f"{1e3 * self.reach:.0f} mm; motors off"
+        )

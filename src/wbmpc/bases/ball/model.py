@@ -1,0 +1,197 @@
+"""Ball-balancing bases on the minimal coordinates: ball position, ZYX Euler angles of the base, arm.
+
+Sources: Minniti et al., RA-L 2019 (arXiv 1902.10415), equation 1; Fankhauser and Gwerder, "Modeling and Control of a
+Ballbot" (2010). Rolling adds the ball's spin energy: I_b / r² on x and y. With wheel axes a_i in the base and the base's
+rotation R the wheels turn at ψ̇ = −(r / r_w) aᵀ Rᵀ (Ω − ω), Ω = (−ẏ / r, ẋ / r, 0): forces are the transpose of that map.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.kinematics import Chain, solve_spd
+from wbmpc.model.tree import Frame, Link, Tree
+from wbmpc.robots import BallBaseDescription, RobotDescription
+
+_EULER = (("yaw", (0, 0, 1)), ("pitch", (0, 1, 0)), ("roll", (1, 0, 0)))
+
+
+class BallBase:
+    """Full dynamics: state (q, q̇), inputs wheel torques, arm torques and (optionally) forces or wrenches of the world.
+
+    ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
+    ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``; ``mount`` (3) [m] of the inertial
+    unit in the base's frame. Parameters w: ``disturbance`` (nq),
+    generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``push`` (2) [m], by which a push that is felt
+    will move the lean (no part of the dynamics: limits of the lean leave room for it); ``payload`` [kg], a point mass at the tool,
+    where the description has it: left out, functions of w count none.
+    """
+
+    def __init__(self, description: RobotDescription, tree: Tree, ball: Link) -> None:
+        assert isinstance(description.base, BallBaseDescription)
+        self.base, self.ball = description.base, ball
+        self.radius = self.base.ball_radius
+        self.spin_mass = float(ball.inertia[0, 0]) / self.radius**2
+        links, shift = self._virtual(tree.links[0], ball)
+        for link in tree.links[1:]:
+            links.append(Link(**{**link.__dict__, "parent": link.parent + shift}))
+        frames = {n: Frame(f.link + shift, f.position, f.rotation) for n, f in tree.frames.items()}
+        self.tree = Tree(tuple(links), frames)
+        self.tool = frames[description.arm.tool]
+        self.mount = self._mount(description)
+        arm = list(description.arm.joints)
+        self._moving = [*range(5), *(self.tree.joint(n) for n in arm)]
+        pose = ["x", "y", "yaw", "pitch", "roll"]
+        self.nq = 5 + len(arm)
+        self.state = {"base": pose, "arm": arm, "base_velocity": pose, "arm_velocity": arm}
+        wheels = [f"wheel_{i}" for i in range(len(self.base.wheels.azimuths))]
+        axes = ["x", "y", "z"]
+        self.contacts = self._contacts(description.arm.tool)
+        given = {group: axes for groups in self.contacts.values() for group in groups.values()}
+        self.input = {"wheel": wheels, "arm": arm, **given}
+        self.mode: dict[str, list[str]] = {}
+        self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
+        self.parameters["push"] = ["x", "y"]
+        if self.base.payload:
+            self.parameters["payload"] = ["mass"]
+        self.unit_quaternions: tuple[int, ...] = ()
+
+    def _mount(self, description: RobotDescription) -> NDArray[np.float64]:
+        """Position (3) [m] of the inertial unit, the frame ``imu``, in the base's frame; the origin without one."""
+        frame = self.tree.frames.get("imu")
+        if frame is None:
+            return np.zeros(3)
+        link, position, rotation = frame.link, np.asarray(frame.position, float), frame.rotation
+        while link > 4 and self.tree.links[link].joint is None:  # a link of its own, without a joint
+            own = self.tree.links[link]
+            link, position, rotation = own.parent, own.position + own.rotation @ position, own.rotation @ rotation
+        if link != 4 or not np.allclose(rotation, np.eye(3), atol=1e-6):
+            raise InputError(
+                f"{description.model}: frame 'imu': the inertial unit of a base of type ball needs to be fixed to "
+                f"'{self.base.body}' with the same axes"
+            )
+        return position
+
+    def _contacts(self, tool: str) -> dict[str, dict[str, str]]:
+        """By frame the input groups of what acts there."""
+        kinds = {"none": (), "force": ("force",), "wrench": ("force", "moment")}[self.base.contact]
+        frames = (self.base.contact_frame or (tool,)) if kinds else ()
+        for frame in frames:
+            if frame not in self.tree.frames:
+                raise unknown_name("frame of the base or arm (key 'base.contact_frame')", frame, self.tree.frames)
+        name = lambda kind, frame: kind if len(frames) == 1 else f"{kind}_{frame}"
+        return {frame: {kind: name(kind, frame) for kind in kinds} for frame in frames}
+
+    def _virtual(self, root: Link, ball: Link) -> tuple[list[Link], int]:
+        """x, y (carrying the ball), yaw, pitch, roll (carrying the base body)."""
+        zero, none, eye = np.zeros(3), np.zeros((3, 3)), np.eye(3)
+        links = [
+            Link("virtual.x", -1, "x", "prismatic", np.array([1.0, 0, 0]), zero, eye, 0.0, zero, none),
+            Link("virtual.y", 0, "y", "prismatic", np.array([0, 1.0, 0]), zero, eye, ball.mass, zero, none),
+        ]
+        for k, (name, axis) in enumerate(_EULER):
+            last = k == 2
+            body = (root.mass, root.com, root.inertia) if last else (0.0, zero, none)
+            links.append(Link(f"virtual.{name}", 1 + k, name, "revolute", np.array(axis, float), zero, eye, *body))
+        return links, 4
+
+    # ------------------------------------------------------------------ kinematics
+    def chain(self, x: ca.SX, w: ca.SX | None = None) -> Chain:
+        """The tree at a state (or at q alone), with the payload of the parameters w."""
+        load = None if w is None else self.payload(w)
+        values = {link: x[k] for k, link in enumerate(self._moving)}
+        return Chain(self.tree.links, values, load=None if load is None else (self.tool, load))
+
+    def payload(self, w: ca.SX) -> ca.SX | None:
+        """The mass [kg] at the tool among the parameters w, if the model has it: the last of the base's own."""
+        last = sum(map(len, self.parameters.values()))
+        return w[last - 1] if "payload" in self.parameters else None
+
+    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+        """Joint rates by link; the root does not move by itself."""
+        return {link: x[self.nq + k] for k, link in enumerate(self._moving)}, ca.SX(3, 1), ca.SX(3, 1)
+
+    def wheel_axes(self) -> NDArray[np.float64]:
+        """Axes a_i (3, wheels) in the base frame."""
+        z = self.base.wheels.zenith
+        return np.array(
+            [[np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)] for b in self.base.wheels.azimuths]
+        ).T
+
+    def wheel_torque_map(self) -> NDArray[np.float64]:
+        """Torque (3, wheels) on the ball in base axes per unit wheel torque; the base feels the opposite."""
+        return -self.radius / self.base.wheels.radius * self.wheel_axes()
+
+    def wheel_speeds(self, q: ca.SX, v: ca.SX) -> ca.SX:
+        """Speeds (wheels) [rad/s] of the omni wheels relative to the base for rates v."""
+        chain = self.chain(q)
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        base = Frame(4, np.zeros(3), np.eye(3))
+        _, omega = chain.frame_velocity(base, rates, ca.SX(3, 1), ca.SX(3, 1))
+        spin = ca.vertcat(-v[1] / self.radius, v[0] / self.radius, ca.SX(1, 1))
+        rotation = chain.link_pose(4).rotation
+        return ca.DM(self.wheel_torque_map().T) @ (rotation.T @ (spin - omega))
+
+    # ------------------------------------------------------------------ dynamics
+    def mass_matrix(self, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
+        """M(q), (nq, nq), with the ball's spin and the payload of the parameters w."""
+        return self.chain(q, w).mass_matrix() + ca.diag(
+            ca.vertcat(self.spin_mass, self.spin_mass, ca.SX(self.nq - 2, 1))
+        )
+
+    def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX, w: ca.SX | None = None) -> ca.SX:
+        """M a + h: generalised forces (nq) for accelerations a, with the payload of the parameters w."""
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        accelerations = {link: a[k] for k, link in enumerate(self._moving)}
+        spin = self.spin_mass * ca.vertcat(a[0], a[1], ca.SX(self.nq - 2, 1))
+        return self.chain(q, w).inverse_dynamics(rates, accelerations) + spin
+
+    def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
+        """S(q)ᵀ τ + Jᵀ (F, M) + disturbance, by virtual power."""
+        v = ca.SX.sym("v", self.nq)
+        n, arm = len(self.base.wheels.azimuths), self.nq - 5
+        power = ca.dot(u[0:n], self.wheel_speeds(q, v)) + ca.dot(u[n : n + arm], v[5:])
+        if not self.contacts:
+            power += ca.dot(w[self.nq : self.nq + 3], self._velocities(q, v, self.tool)["force"])
+        start = n + arm
+        for frame, groups in self.contacts.items():
+            speeds = self._velocities(q, v, self.tree.frames[frame])
+            for kind in groups:
+                power += ca.dot(u[start : start + 3], speeds[kind])
+                start += 3
+        return ca.jacobian(power, v).T + w[0 : self.nq]
+
+    def _velocities(self, q: ca.SX, v: ca.SX, frame: Frame) -> dict[str, ca.SX]:
+        """What a force and a moment at a frame do work on: its linear and angular velocity, world axes."""
+        rates = {link: v[k] for k, link in enumerate(self._moving)}
+        linear, angular = self.chain(q).frame_velocity(frame, rates, ca.SX(3, 1), ca.SX(3, 1))
+        return {"force": linear, "moment": angular}
+
+    def tool_force(self, q: ca.SX, force: ca.SX) -> ca.SX:
+        """Generalised forces (nq) of a force (3) [N] on the tool, world axes."""
+        v = ca.SX.sym("v", self.nq)
+        return ca.jacobian(ca.dot(force, self._velocities(q, v, self.tool)["force"]), v).T
+
+    def tool_moment(self, q: ca.SX, moment: ca.SX) -> ca.SX:
+        """Generalised forces (nq) of a moment (3) [N m] on the tool, world axes."""
+        v = ca.SX.sym("v", self.nq)
+        return ca.jacobian(ca.dot(moment, self._velocities(q, v, self.tool)["moment"]), v).T
+
+    def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ = (v, M⁻¹ (forces − h))."""
+        q, v = x[: self.nq], x[self.nq :]
+        right = self.generalised_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1), w)
+        return ca.vertcat(v, solve_spd(self.mass_matrix(q, w), right))
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """f and its Jacobian: the derivative of the Newton-Euler residual, solved with one factor of M."""
+        q, v = x[: self.nq], x[self.nq :]
+        f = self.derivative(x, u, w, m)
+        a = ca.SX.sym("a", self.nq)
+        residual = self.inverse_dynamics(q, v, a, w) - self.generalised_force(q, u, w)
+        slope = ca.substitute(ca.jacobian(residual, ca.vertcat(x, u)), a, f[self.nq :])
+        kinematic = ca.horzcat(ca.SX(self.nq, self.nq), ca.SX.eye(self.nq), ca.SX(self.nq, u.shape[0]))
+        return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q, w), slope))

@@ -1,0 +1,304 @@
+"""The ball robot in MuJoCo: free base, ball on a ball joint, drives between them, floor contact with spin friction.
+
+The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model
+with rolling. Until its estimator exists the measurement is the simulator's state, late and with noise.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wbmpc import lie
+from wbmpc.bases.ball.sensors import BallSensors, Inertial, WheelGeometry
+from wbmpc.bases.ball.servo import ActuatorServo
+from wbmpc.checks import numbers, whole
+from wbmpc.errors import InputError
+from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
+from wbmpc.robots.checks import named
+from wbmpc.simulation.elastic_drives import ElasticDrives
+from wbmpc.simulation.payloads import add_payload, lay_cables
+from wbmpc.simulation.perturbation import SWERVE_ONLY, Perturbation
+from wbmpc.simulation.world import (
+    GROUND,
+    ROBOT,
+    TIMESTEP,
+    Array,
+    Edit,
+    InWorld,
+    World,
+    add_drive,
+    add_floor,
+    add_light,
+    set_options,
+    unwrap,
+)
+from wbmpc.types import BallCommand, BallMeasurement, Truth
+
+#: Contact softness of the ball (time constant [s], damping ratio).
+CONTACT = [0.005, 1.0]
+
+
+def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Array, arm_rate: Array) -> Array:
+    """(x, y, yaw, pitch, roll, arm; their rates) of a free body's pose and velocity.
+
+    ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s]
+    (MuJoCo's convention), ``position`` (3) of the ball's centre.
+    """
+    yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
+    rates = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
+    return np.array([position[0], position[1], yaw, pitch, roll, *arm, velocity[0], velocity[1], *rates, *arm_rate])
+
+
+def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
+    """Angular velocity (3) [rad/s] in body axes for ZYX Euler angles and their rates (yaw, pitch, roll)."""
+    _, pitch, roll = np.asarray(yaw_pitch_roll, float)
+    yaw_rate, pitch_rate, roll_rate = np.asarray(rates, float)
+    s, c = np.sin(roll), np.cos(roll)
+    return np.array(
+        [
+            roll_rate - np.sin(pitch) * yaw_rate,
+            c * pitch_rate + s * np.cos(pitch) * yaw_rate,
+            -s * pitch_rate + c * np.cos(pitch) * yaw_rate,
+        ]
+    )
+
+
+class BallPlant(InWorld):
+    """Physics and drives of a ball robot.
+
+    ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm
+    at the description's home); ``torque`` (6): what the drives give at the start (left out: none on the ball, the arm's
+    weight on the arm). ``payload`` [kg]: a mass at the tool. ``edit`` changes the specification before it is compiled;
+    ``external`` is called before every physics step with (model, data). ``sensors``: the encoders and the inertial unit,
+    whose faults can be set.
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        state: ArrayLike | None = None,
+        torque: ArrayLike | None = None,
+        perturbation: Perturbation | None = None,
+        seed: int = 0,
+        timestep: float = TIMESTEP,
+        *,
+        payload: float = 0.0,
+        edit: Edit | None = None,
+    ) -> None:
+        if not isinstance(description.base, BallBaseDescription):
+            raise InputError(f"{description.name}: this plant needs a ball base")
+        self.description, self.base, self.timestep = description, description.base, timestep
+        p = self.perturbation = perturbation or Perturbation()
+        if self.perturbation.brake_fault != "none":
+            raise InputError("plant.brake_fault: is for swerve robots only; a ball robot has no brakes")
+        p.refuse(["payload"], "is for swerve robots only; a ball robot's mass at the hand is 'payload'")
+        p.refuse(SWERVE_ONLY, "is for swerve robots only")
+        draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+        arm, spec = list(description.arm.joints), load_spec(description)
+        self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)
+        bodies = [b.name for b in spec.bodies if b.name != "world"]
+        self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
+        with named(description.model):
+            self._build(spec, payload, edit)
+        self.world = World(spec, description.model, self.base.body, description.arm.tool, arm)
+        self.model, self.data = self.world.model, self.world.data
+        self._arm_q = np.array([self.model.joint(n).qposadr[0] for n in arm])
+        self._arm_v = np.array([self.model.joint(n).dofadr[0] for n in arm])
+        self._ball = self.model.joint(self._ball_joint)
+        n = len(arm)
+        spread = [p.position_noise] * 2 + [p.angle_noise] * (3 + n) + [p.speed_noise] * 2 + [p.rate_noise] * (3 + n)
+        self._spread = np.array(spread)
+        # a constant error of the arm's encoders; they are not in the state's speeds
+        self.offset = np.zeros(10 + 2 * n)
+        self.offset[5 : 5 + n] = self.draw.arm_offset
+        self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
+        self._history: deque[tuple[Array, Array, Inertial, Array]] = deque(maxlen=1 + self._late + jitter)
+        wheels = WheelGeometry.of(self.base, self.draw.radius)
+        self.sensors = BallSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng)
+        self.servo = ActuatorServo(
+            p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
+        )
+        self._last: BallMeasurement | None = None
+        #: what the elastic drives do; none where all are rigid
+        self.drives = self._drives() if any(self._elastic) else None
+        dead = whole("plant.dead_time", p.dead_time, timestep, "physics steps", least=0)
+        self._commands: deque[Array] = deque(maxlen=1 + dead)
+        self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
+        home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
+        self._place(numbers("start", "state", home if state is None else state, 10 + 2 * n), torque)
+
+    # ------------------------------------------------------------------ building
+    def _build(self, spec: mujoco.MjSpec, payload: float, edit: Edit | None) -> None:
+        base, draw, limits = self.base, self.draw, self.description.limits
+        draw.apply_to_bodies(spec, balanced=(base.ball,))
+        set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        friction = [draw.friction, self.perturbation.spin_friction, 1e-4]
+        add_floor(spec, 4, friction, CONTACT)
+        if self.perturbation.cables > 0.0:
+            lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)
+        spec.body(base.body).add_freejoint(name="root")
+        add_light(spec.body(base.body))
+        ball = spec.body(base.ball)
+        ball.add_geom(
+            name="contact_ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[base.ball_radius, 0, 0], mass=0, condim=4,
+            friction=friction, solref=CONTACT, rgba=[0, 0, 0, 0], group=3, **ROBOT,
+        )  # fmt: skip
+        self._ball_joint = next(j.name for j in spec.joints if j.parent.name == base.ball)
+        for i, b in enumerate(base.wheels.azimuths):
+            z, ratio = base.wheels.zenith, base.ball_radius / (base.wheels.radius * float(draw.radius[i]))
+            axis = np.array([np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)])
+            kind, gear = mujoco.mjtTrn.mjTRN_JOINTINPARENT, [*(-ratio * axis), 0, 0, 0]
+            lag, rigid = draw.wheel_lag[i], not self._elastic[i]
+            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, lag, rigid)
+        for k, name in enumerate(self.description.arm.joints):
+            kind, gear = mujoco.mjtTrn.mjTRN_JOINT, [1.0, 0, 0, 0, 0, 0]
+            self._motor(
+                spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k], not self._elastic[-1]
+            )
+        if payload > 0.0:
+            add_payload(spec, self.description.arm.tool, payload)
+        if edit is not None:
+            edit(spec)
+
+    @staticmethod
+    def _motor(
+        spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float, lag: float,
+        rigid: bool,
+    ) -> None:  # fmt: skip
+        """``rigid``: the drive's limit and lag are MuJoCo's; else its control is the torque of a spring."""
+        if not rigid:
+            add_drive(spec, name, joint, kind, np.inf, 0.0).gear = gear
+            return
+        actuator = add_drive(spec, name, joint, kind, limit, lag)
+        actuator.gear = gear
+        if np.isfinite(limit):
+            actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+
+    def _drives(self) -> ElasticDrives:
+        p, limits, wheels = self.perturbation, self.description.limits, len(self.base.wheels.azimuths)
+        arm = self.description.arm.joints
+        effort = np.array([limits.wheel_effort] * wheels + [limits.effort.get(name, np.inf) for name in arm])
+        lag = np.concatenate([self.draw.wheel_lag, self.draw.arm_lag])
+        each = lambda wheel, joint: np.array([wheel] * wheels + [joint] * len(arm))[self._elastic]
+        return ElasticDrives(
+            each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
+            p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
+            each(limits.wheel_effort, np.inf),  # the wheels' limit is their traction on the ball, the arm's its motors'
+        )  # fmt: skip
+
+    def _mount(self) -> Array:
+        """Position (3) [m] of the inertial unit in the base's frame: of the site, or of the link, ``imu``."""
+        m, d = self.model, self.data
+        mujoco.mj_kinematics(m, d)
+        base = d.body(self.base.body)
+        for kind, count, get in (
+            (mujoco.mjtObj.mjOBJ_SITE, m.nsite, d.site),
+            (mujoco.mjtObj.mjOBJ_BODY, m.nbody, d.body),
+        ):
+            if count and mujoco.mj_name2id(m, kind, "imu") >= 0:
+                frame = get("imu")
+                return base.xmat.reshape(3, 3).T @ (frame.xpos - base.xpos)
+        return np.zeros(3)
+
+    def _place(self, state: Array, torque: ArrayLike | None) -> None:
+        d, n, r = self.data, self._arm_q.size, self.base.ball_radius
+        state = state - self.offset
+        rotation = lie.euler_zyx_to_rotation(*state[2:5])
+        omega = body_rates(state[2:5], state[7 + n : 10 + n])
+        vx, vy = state[5 + n : 7 + n]
+        d.qpos[0:3], d.qpos[3:7] = [state[0], state[1], r], lie.rotation_to_quaternion(rotation)
+        d.qpos[self._arm_q] = state[5 : 5 + n]
+        d.qvel[0:6] = [vx, vy, 0.0, *omega]
+        # rolling without spin: the ball's angular velocity is (−ẏ / r, ẋ / r, 0) in the world
+        ball = int(self._ball.dofadr[0])
+        d.qvel[ball : ball + 3] = rotation.T @ np.array([-vy / r, vx / r, 0.0]) - omega
+        d.qvel[self._arm_v] = state[10 + n :]
+        mujoco.mj_forward(self.model, d)
+        rest = np.concatenate([np.zeros(self.model.nu - n), d.qfrc_bias[self._arm_v]])
+        d.ctrl[:] = rest if torque is None else numbers("start", "torque", torque, self.model.nu)
+        d.act[:] = d.ctrl[self.model.actuator_actadr >= 0]
+        mujoco.mj_fwdActuation(self.model, d)
+        self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))
+        if self.drives is not None:
+            mujoco.mj_fwdVelocity(self.model, d)
+            self.drives.reset(d.ctrl[self._elastic], d.actuator_velocity[self._elastic])
+        self.world.restart()
+        self.sensors.restart()
+        self.servo.restart()
+        self._history.clear()
+        self._record()
+
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (16) has them, for pictures: no physics; the ball does not roll."""
+        d, n = self.data, self._arm_q.size
+        d.qpos[0:2], d.qpos[3:7] = state[:2], lie.rotation_to_quaternion(lie.euler_zyx_to_rotation(*state[2:5]))
+        d.qpos[self._arm_q] = state[5 : 5 + n]
+        mujoco.mj_kinematics(self.model, d)
+
+    def _record(self) -> None:
+        q, v, ball = self.data.qpos.copy(), self.data.qvel.copy(), self._ball
+        q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])
+        inertial, wheel = self.sensors.advance(q[0:7], v[0:6], q[q_ball : q_ball + 4], v[v_ball : v_ball + 3])
+        self._history.append((q, v, inertial, wheel))
+        self.servo.read(np.concatenate([wheel, q[self._arm_q]]))
+
+    # ------------------------------------------------------------------ running
+    def _state_of(self, q: Array, v: Array) -> Array:
+        return minimal_state(q[3:7], v[0:6], q[0:3], q[self._arm_q], v[self._arm_v])
+
+    def state(self) -> Array:
+        """The true state (16) in the planner's minimal coordinates, yaw not wrapped."""
+        state = self._state_of(self.data.qpos, self.data.qvel)
+        state[2] = self.world.yaw
+        return state
+
+    def measure(self) -> BallMeasurement:
+        """Sensors and state of ``state_age`` ago with noise. Asking twice at the same time gives the same message."""
+        if self._last is not None and self._last.time == self.time:
+            return self._last
+        now = max(len(self._history) - 1 - self._late, 0)
+        q, v, inertial, _ = self._history[now]
+        state = self._state_of(q, v)
+        state[2] = unwrap(state[2], self.world.yaw)
+        state = state + self.offset + self._spread * self._noise.normal(size=state.size)
+        gyro, accel = self.sensors.inertial(inertial)
+        then = self._history[max(now - self.sensors.jitter(), 0)]
+        wheel, arm = self.sensors.encoders(then[3], then[0][self._arm_q])
+        age = (len(self._history) - 1 - now) * self.timestep
+        self._last = BallMeasurement(self.time, state, age, wheel, arm, gyro, accel)
+        return self._last
+
+    def step(self, command: BallCommand, steps: int = 1) -> None:
+        """Hold torques for ``steps`` physics steps; drives clip at their limits."""
+        for k in range(steps):
+            self._commands.append(self.servo.torque(command, k * self.timestep))
+            self.world.advance(self._drive)
+            self._record()
+        self.world.check()
+
+    def _drive(self) -> None:
+        """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""
+        command, d = self._commands[0], self.data
+        d.ctrl[:] = command
+        if self.drives is not None:
+            d.ctrl[self._elastic] = self.drives.step(command[self._elastic], d.actuator_velocity[self._elastic])
+
+    @property
+    def torque(self) -> Array:
+        """What acts on ball (wheels) and arm joints [N m] in the last physics step."""
+        return self.data.actuator_force.copy()
+
+    def truth(self) -> Truth:
+        """Poses of base and tool, joints."""
+        return Truth(
+            time=self.time,
+            **self.world.frames(height=self.base.ball_radius),
+            tilt=self.world.tilt,
+            state=self.state(),
+            joints=self.world.joints(),
+            joint_speeds=self.world.joint_speeds(),
+        )

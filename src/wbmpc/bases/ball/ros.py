@@ -1,0 +1,309 @@
+"""A ball robot on a bus: torques out, its state from encoders and the inertial unit; it never stops balancing if it can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc import lie
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.filter import BallNoise
+from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.ocp import Reference
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.goals import HandTrack, Planner, Task
+from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.settings import BallSettings
+from wbmpc.studies.minniti2019.task import leaning_of, resting
+from wbmpc.types import BallCommand, BallMeasurement
+
+Array = np.ndarray
+#: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
+HOLD_AFTER = 0.3
+#: Postures are solved for (some 20 ms each) before and after at most so many changes of the hand's pose; on ways with more of
+#: them in so many poses.
+CHANGES, POSTURES = 12, 5
+
+
+@dataclass(frozen=True)
+class BallMessage:
+    """What the sensors said at ``time`` [s] of the runner's clock, seen ``now``; gyro and accelerometer are averages since the
+    message before."""
+
+    time: float
+    now: float
+    wheel: Array
+    arm: Array
+    gyro: Array
+    accel: Array
+
+
+class BusBallAgent(BallController):
+    """A ball robot's agent for messages that come when they like, and for policies that have no successor."""
+
+    #: the newest measurement, for other threads
+    seen: BallMeasurement | None = None
+    #: another localisation, and the wrench (6) [N, N m] with which the world is to answer the hand
+    fix: Callable[[], Fix | None] | None = None
+    answer = np.zeros(6)
+    _sampled: float | None = None
+    _held: tuple[Policy, PolicyQueue] | None = None
+
+    def measure(self, message: BallMessage) -> None:  # type: ignore[override]
+        """A new message moves estimator and observer by its own interval; an old one is only older."""
+        assert self.estimator is not None
+        age = max(message.now - message.time, 0.0)
+        interval = None if self._sampled is None else message.time - self._sampled
+        if interval is not None and interval <= 1e-6:
+            assert self.seen is not None
+            self.measured = self.seen = BallMeasurement(message.now, self.seen.state, age)
+            return
+        m = message
+        state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
+        self._sampled = message.time  # a message that was refused has not moved the estimator
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            state = self.estimator.correct(*fix)
+        self.measured = self.seen = BallMeasurement(message.now, state, age)
+        self._watch(message.time, message.arm, interval or self.period)
+        self._feel_shoves(state, interval or self.period)
+        if self.observer is not None:
+            self._learn(message.now, state, interval or self.period)
+        self.mpc.solver.set_parameters(self.parameters())
+
+    def parameters(self) -> dict[str, Array]:
+        """An announced moment counts as the generalised forces that it is for the robot as it stands now."""
+        force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
+        if moment.any():
+            assert self.measured is not None
+            disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
+        return {**super().parameters(), "disturbance": disturbance, "force": force}
+
+    def command(self, t: float, plans: PolicyQueue) -> BallCommand:
+        """Torques of the policy, or of the hold that it has become."""
+        policy = plans.current
+        assert policy is not None
+        if t > float(policy.times[0]) + HOLD_AFTER:
+            if self._held is None or self._held[0] is not policy:
+                self._held = policy, PolicyQueue()
+                self._held[1].current = held(policy, self.robot, t)
+            plans = self._held[1]
+        return super().command(t, plans)
+
+
+def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
+    """Rest, for ever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
+    looks farthest ahead (the last ones end with the horizon)."""
+    planned = policy.state(t)
+    rest, torque = robot.equilibrium(planned[robot.state["arm"]])
+    rest = rest.copy()
+    rest[:3] = planned[:3]
+    u = np.zeros(policy.u.shape[1])
+    u[: torque.size] = torque
+    return Policy(np.array([t, t + 1e6]), np.stack([rest, rest]), u[None], policy.gain[:1])
+
+
+def bodies(task: Task, robot: RobotModel, x: Array) -> Reference:
+    """The body's states (n, nx) during a task from state x (nx) on: so that a weight on the arm's posture moves no hand.
+
+    A carried hand keeps the arm as it is. A hand that is led has the arm with which the robot rests in some of its poses, and
+    what lies between them; it also turns the base, unless that has a way of its own.
+    """
+    base, hand, arm = task.base, task.hand, robot.state["arm"]
+    states = np.tile(robot.home, (base.times.size, 1))
+    states[:, :3], states[:, arm] = base.poses, x[arm]
+    if task.carried:
+        return Reference(base.times, states)
+    places = postures(hand.positions, hand.orientations)
+    rest, solved = np.empty((places.size, x.size)), -1
+    for row, k in enumerate(places):
+        if solved >= 0 and same_pose(hand, k, solved):
+            rest[row] = rest[row - 1]
+        else:
+            rest[row], solved = resting(robot, hand.positions[k], hand.orientations[k]), k
+    times = hand.times[places]
+    turns = base.poses[:, 2]
+    if np.ptp(turns) > 1e-9:
+        rest[:, 2] = np.interp(times, base.times, turns)
+    else:
+        rest[:, 2] = np.array([nearest_turn(a, x[2]) for a in rest[:, 2]])
+    return Reference(times, rest)
+
+
+def postures(positions: Array, orientations: Array) -> NDArray[np.int_]:
+    """Numbers of the poses of a way whose postures are solved for: before and after every change, or, of a way
+    with more than :data:`CHANGES` of them, :data:`POSTURES` evenly."""
+    poses = np.column_stack([positions, orientations])
+    changes = np.flatnonzero(np.any(np.diff(poses, axis=0) != 0.0, axis=1))
+    if changes.size <= CHANGES:
+        return np.unique(np.concatenate([[0], changes, changes + 1, [len(poses) - 1]]).astype(int))
+    first, last = int(changes[0]), int(changes[-1]) + 1
+    evenly = np.linspace(first, last, POSTURES).round().astype(int)
+    return np.unique(np.concatenate([[0], evenly, [len(poses) - 1]]))
+
+
+def same_pose(hand: HandTrack, i: int, k: int) -> bool:
+    """Whether two poses of a way are equal."""
+    return bool(np.all(hand.positions[i] == hand.positions[k]) and np.all(hand.orientations[i] == hand.orientations[k]))
+
+
+class BallPilot:
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The agent's model is an MPC of its own: a solver's memory has one owner."""
+
+    keeps = needs_imu = True
+    watches = "sensors and forces"
+    fix: Callable[[], Fix | None] | None = None
+
+    def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
+        self.robot, self.settings, self.period = robot, settings, period
+        self.planner = Planner(robot, settings.speeds, settings.goals)
+        self.pending = Pending()
+        self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
+        self.mpc.guess = self.pending
+        self.brakes: BrakeControl | None = None
+        self.legs: Array | None = None
+        self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
+        self._place, self._spread = (
+            np.zeros(3),
+            0.0,
+        )  # where the robot is put on the floor: x, y, yaw; how well that is known
+        self._standing: tuple[float, Array] | None = None
+        self._answer = np.zeros(6)
+        parameters = self._model.solver.problem.constant.slices["parameters"]
+        self.parameters: Callable[[], Array] = lambda: self._model.solver.ws.w[parameters]
+        self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+        robot.pose(robot.home)  # builds the functions: not in a tick
+        robot.mass_matrix(robot.home[: robot.base.nq])
+        robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
+        self._model.solver.simulate(robot.home, self._torque, period)
+        resting(robot, *robot.pose(robot.home))
+        self._push = (
+            PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
+        )
+        home = robot.home[robot.state["arm"]]
+        self._leaning = leaning_of(settings, robot, home)
+        self.agent: BusBallAgent = self._new_agent(robot.home)
+
+    def _new_agent(self, x: Array) -> BusBallAgent:
+        s = self.settings
+        estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
+        agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
+        agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
+        agent.leaning = self._leaning
+        if self._push is not None:
+            self._push.reset()
+        if self._leaning is not None:
+            self._leaning.reset()
+        return agent
+
+    @property
+    def faults(self) -> list[str]:
+        """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
+        return self.agent.faults
+
+    def inspect(self) -> None:
+        """Its filter finds them in the tick."""
+
+    # ------------------------------------------------------------------ commands
+    def rest(self) -> Groups:
+        """No torque."""
+        return self._rest
+
+    def groups(self, command: BallCommand) -> Groups:
+        """A command by groups."""
+        n = self._rest["wheel"].size
+        return {"wheel": command.torque[:n], "arm": command.torque[n:]}
+
+    # ------------------------------------------------------------------ states
+    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> BallMessage:
+        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
+        assert imu is not None
+        return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
+
+    def stand(self, m: BallMessage) -> None:
+        """Somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is."""
+        before, fix = self._standing, self.fix() if self.fix is not None else None
+        if fix is not None:
+            self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
+            self._spread = float(np.sqrt(np.diag(fix[2]).max()))
+        if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
+            self._standing = m.time, before[1]
+            return
+        x = self.robot.equilibrium(m.arm)[0].copy()
+        x[:3] = self._place
+        self._standing = m.time, x
+
+    def snapshot(self) -> tuple[float, Array] | None:
+        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
+        seen = self.agent.seen
+        if seen is not None:
+            return seen.time - seen.age, seen.state
+        return self._standing
+
+    def begin(self, x: Array) -> None:
+        """A new run: the robot stands upright and at rest, where it was last."""
+        rest, self._torque = self.robot.equilibrium(x[self.robot.state["arm"]])
+        self._place = x[:3].copy()
+        start = rest.copy()
+        start[:3] = self._place
+        self.agent = self._new_agent(start)
+        self._standing = 0.0, start
+        self.mpc.reset(start, self._torque)
+
+    def swing(self, legs: Array) -> None:
+        """This robot has no legs."""
+
+    def push(self, wrench: Array) -> None:
+        """The hand is to exert a wrench (6): the plan counts with the world's answer."""
+        self._answer = self.agent.answer = -wrench
+
+    def relocate(self) -> None:
+        """Whoever holds it, poses count as they come: see :meth:`stand`."""
+
+    # ------------------------------------------------------------------ tasks
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """For the hand and for the body at rest; the ball goes where the hand needs it. A way of the hand takes 0.1 s and more."""
+        hand = task.hand
+        return {
+            "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": bodies(task, self.robot, x),
+            "twist": Reference.constant(np.zeros(6)),
+        }  # fmt: skip
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self.pending.set({**references, "torque": Reference.constant(self._torque)})
+
+    # ------------------------------------------------------------------ what is told
+    def estimate(self) -> Estimate | None:
+        """The base's frame is the ball's centre; pose and twist of the filter."""
+        seen = self.snapshot()
+        if seen is None:
+            return None
+        x, nq = seen[1], self.robot.base.nq
+        rotation = lie.euler_zyx_to_rotation(*x[2:5])
+        estimator = self.agent.estimator
+        assert estimator is not None
+        p = estimator.filter.covariance
+        position, velocity, attitude, bias = (slice(k, k + 3) for k in (0, 3, 6, 9))
+        covariance, speeds = np.zeros((6, 6)), np.zeros((6, 6))
+        covariance[:3, :3] = p[position, position]
+        covariance[3:, 3:] = rotation @ p[attitude, attitude] @ rotation.T  # about the world's axes
+        covariance[:3, 3:] = p[position, attitude] @ rotation.T
+        covariance[3:, :3] = covariance[:3, 3:].T
+        speeds[:3, :3] = rotation.T @ p[velocity, velocity] @ rotation
+        speeds[3:, 3:] = p[bias, bias]
+        linear = rotation.T @ np.array([x[nq], x[nq + 1], 0.0])
+        return Estimate(
+            np.array([x[0], x[1], self.planner.lift]), lie.rotation_to_quaternion(rotation),
+            np.concatenate([linear, estimator.filter.rate]), covariance, speeds,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""A base that does not move."""

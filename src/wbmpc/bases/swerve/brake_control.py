@@ -1,0 +1,213 @@
+"""Who commands the brakes: one place that tells the brakes and the planner the same."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.model import SwerveGeometry
+from wbmpc.checks import numbers
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Mode, ModeSchedule
+
+Array = NDArray[np.float64]
+#: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
+FLOATING, PASS = 0.05, 1.0
+#: Length [m] that turns a yaw rate into a speed.
+_LEVER = 0.5
+#: Rate [rad/s] of legs whose speed has no limit.
+_AT_ONCE = 1e3
+
+
+def floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> tuple[float, Array]:
+    """How firmly the wheels hold the base (0: not at all), and the body motion (vx, vy, ω) [m/s, rad/s] that they hold least.
+
+    ``leg`` (n) [rad], ``brake`` (n, 1 = open). A wheel at the end of a leg that swings holds the base only along that leg: from
+    Pankert et al. 2022, equations 4 and 5, a motion v + ω ẑ × h with d · (v + ω ẑ × h) = 0 for every open leg (hinge h,
+    direction d) is one that leg rates cancel, and no wheel sees it. So it is with all legs parallel (H: sideways).
+    """
+    angle = geometry.leg_heading + geometry.leg_angles(leg)
+    rows = []
+    places = zip(geometry.hinge, geometry.steer_axes(leg), angle, np.asarray(brake, float), strict=True)
+    for hinge, axis, a, is_open in places:
+        at, held = (hinge, [(np.cos(a), np.sin(a))]) if is_open > 0.5 else (axis, [(1.0, 0.0), (0.0, 1.0)])
+        rows += [[x, y, (at[0] * y - at[1] * x) / _LEVER] for x, y in held]
+    _, values, motions = np.linalg.svd(np.array(rows))
+    motion = motions[-1] / [1.0, 1.0, _LEVER]
+    return float(values[-1]), motion * np.sign(motion[np.argmax(np.abs(motion))])
+
+
+def described(motion: Array) -> str:
+    """A body motion in words."""
+    parts = zip(motion / np.linalg.norm(motion), ("forwards", "sideways", "turning"), strict=True)
+    return " and ".join(name for part, name in parts if abs(part) > 0.3)
+
+
+def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
+    """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing,
+    or for what is not finite or of another length."""
+    n = geometry.modules
+    leg, brake = numbers("brakes", "leg", leg, n), numbers("brakes", "brake", brake, n)
+    held, motion = floating(geometry, leg, brake)
+    if held < FLOATING:
+        raise InputError(
+            f"brakes: with these legs {np.round(leg, 2)} rad nothing would hold the base against "
+            f"{described(motion)} once they are open; valid: a closed brake, or other leg angles at once"
+        )
+
+
+def refuse_floating_way(
+    geometry: SwerveGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
+) -> None:
+    """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
+    against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;
+    also for numbers that are not finite, of another length, or rates that are not positive.
+    """
+    n = geometry.modules
+    start, goal = numbers("brakes", "leg", leg, n), numbers("brakes", "goal", goal, n)
+    brake, way = numbers("brakes", "brake", brake, n), goal - start
+    rate = numbers("brakes", "rate", np.minimum(np.asarray(rate, float), _AT_ONCE), n)
+    if not (rate > 0.0).all():
+        raise InputError(f"brakes: 'rate' needs positive numbers [rad/s], got {rate}")
+    step, since = 0.05, np.inf
+    for t in np.arange(0.0, float(np.max(np.abs(way) / rate)) + step, step):
+        at = start + np.sign(way) * np.minimum(np.abs(way), t * rate)
+        held, motion = floating(geometry, at, brake)
+        since = min(since, t) if held < FLOATING else np.inf
+        if t - since > PASS:
+            raise InputError(
+                f"brakes: on the way to {np.round(goal, 2)} rad nothing would hold the base against "
+                f"{described(motion)} for more than {PASS:g} s; valid: one leg after the other, or other leg angles"
+            )
+
+
+class BrakeControl:
+    """Brakes of a robot's legs over time: events that are scheduled, or that come at any time.
+
+    ``commanded(t)`` (n, 1 = open) goes to the brakes. The planner's mode λ follows from it: a leg that is being closed is
+    held from the command on, one that is being opened only ``delay`` [s] after it. ``changed`` is called with the new
+    schedule whenever there is one: usually ``mpc.set_schedule``. Who keeps brakes closed besides says so by :meth:`hold`.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        start: ArrayLike | None = None,
+        delay: float = 0.0,
+        changed: Callable[[ModeSchedule], None] | None = None,
+    ) -> None:
+        if "brake" not in robot.mode:
+            raise InputError(f"{robot.description.name}: its legs have no brakes")
+        if not 0.0 <= delay < np.inf:
+            raise InputError(f"brakes: the delay must be finite and not negative, got {delay} s")
+        self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
+        self.geometry = robot.base.geometry
+        closed = np.zeros(len(self.legs))
+        # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
+        self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
+        self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than told
+        self._held = np.full(len(self.legs), -np.inf)
+        self._tell()
+
+    def _checked(self, brake: ArrayLike) -> Array:
+        try:
+            state = np.asarray(brake, float)
+        except (TypeError, ValueError):
+            state = np.empty(0)  # no numbers
+        if state.shape != (len(self.legs),) or not np.isin(state, (0.0, 1.0)).all():
+            raise InputError(f"brakes: {len(self.legs)} numbers, 0 (closed) or 1 (open), are needed, got {brake!r}")
+        return state.copy()
+
+    def set(self, t: float, brake: ArrayLike, leg: ArrayLike | None = None) -> None:
+        """From t [s] on the brakes (n) are as given; what was scheduled for later stays, what was for the same time goes.
+
+        ``leg`` (n) [rad]: where the legs will stay meanwhile. If nothing held the base then, as in H with open brakes, the
+        event is refused (:class:`InputError`). Missions that move their legs at once do not give it.
+        """
+        if not np.isfinite(t):
+            raise InputError(f"brakes: the time of an event must be finite, got {t}")
+        if leg is not None:
+            refuse_floating(self.geometry, leg, self._checked(brake))
+        state, (times, states) = self._checked(brake), self._events
+        place = int(np.searchsorted(times, t))
+        rest = place + int(place < len(times) and times[place] == t)
+        self._events = [*times[:place], float(t), *times[rest:]], [*states[:place], state, *states[rest:]]
+        self._tell()
+
+    def commanded(self, t: float) -> Array:
+        """Brakes (n) at t [s], 1 = open."""
+        times, states = self._events
+        return states[bisect_right(times, t + 1e-9) - 1]
+
+    def accept(self, fault: BrakeFault) -> None:
+        """Plan with what a brake really does until its next command: a leg that does not open is held, one that does not hold
+        is free; one that opens or holds after all is as commanded again."""
+        if fault.withdraws:
+            self._known.pop(fault.leg, None)
+        else:
+            self._known[fault.leg] = fault
+        self._tell()
+
+    def hold(self, until: ArrayLike) -> None:
+        """Plan with legs that are kept closed from now on, each until ``until`` (n) [s] (−inf: it is not), whatever is commanded.
+
+        A guard of the legs does that. Commands stay as they are, and count again afterwards. A leg that is held anew is
+        believed to hold: its brake has a new command.
+        """
+        held = np.asarray(until, float)
+        if held.shape != self._held.shape or np.isnan(held).any() or np.any(held == np.inf):
+            raise InputError(f"brakes: hold: {len(self.legs)} times [s] are needed, finite or -inf, got {held}")
+        anew = held > self._held
+        self._known = {leg: k for leg, k in self._known.items() if not anew[leg]}
+        self._held = held.copy()
+        self._tell()
+
+    def doubted(self, t: float) -> list[BrakeFault]:
+        """What is planned with at t [s] in place of commands: faults that were accepted, until the next command of the brake."""
+        return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
+
+    def forget(self, t: float) -> None:
+        """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
+        first = bisect_right(self._events[0], t - self.delay) - 1
+        if first > 0:
+            times, states = self._events
+            self._known = {leg: k for leg, k in self._known.items() if self._changes(leg, k.time) > times[first]}
+            self._events = [-np.inf, *times[first + 1 :]], states[first:]
+
+    def _changes(self, leg: int, since: float) -> float:
+        """When [s] the next command of a leg's brake comes after ``since`` [s]."""
+        times, states = self._events
+        first = bisect_right(times, since)
+        later = zip(times[first:], pairwise(states[first - 1 :]), strict=True)
+        return next((t for t, (a, b) in later if a[leg] != b[leg]), np.inf)
+
+    def schedule(self) -> ModeSchedule:
+        """The planner's modes over time."""
+        times = self._events[0]
+        held = self._held.tolist()
+        events = sorted({t for t in (*times, *(t + self.delay for t in (*times, *held))) if np.isfinite(t)})
+        states = [self._planned(-np.inf), *map(self._planned, events)]
+        modes = [Mode("".join("CO"[int(b)] for b in s), {"brake": tuple(s)}) for s in states]
+        # events at which nothing changes are left out
+        kept = [k for k, (a, b) in enumerate(pairwise(states)) if np.any(a != b)]
+        return ModeSchedule((modes[0], *(modes[k + 1] for k in kept)), tuple(events[k] for k in kept))
+
+    def _planned(self, t: float) -> Array:
+        """λ (n) at t [s]: open since at least the delay, and not held (when that began is of no interest any more)."""
+        times, states = self._events
+        recent = states[bisect_right(times, t - self.delay) : bisect_right(times, t)]
+        state = np.min([*recent, self.commanded(t), self.commanded(t - self.delay)], axis=0)
+        state = np.where(t + 1e-9 < self._held + self.delay, 0.0, state)
+        for fault in self.doubted(t):
+            state[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
+        return np.asarray(state)
+
+    def _tell(self) -> None:
+        if self.changed is not None:
+            self.changed(self.schedule())

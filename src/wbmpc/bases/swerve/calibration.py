@@ -1,0 +1,399 @@
+"""Self-calibration of a swerve base's wheels from a recorded run with global poses.
+
+The poses come from a localisation, or from a survey of a short reference drive (two poses, one before and one after a
+stroke, are enough for the directions that the drive shows). The filter of :mod:`wbmpc.estimation.fused_odometry` runs over the
+record; what it then believes of the wheels is the calibration, with its covariance: directions that the drive does not
+show keep the uncertainty that they had.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.bases.swerve.model import SwerveGeometry
+from wbmpc.errors import InputError
+from wbmpc.estimation.fused_odometry import FusedOdometry
+from wbmpc.estimation.odometry_filter import OdometryNoise
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+
+Array = NDArray[np.float64]
+#: Times of channels that differ by less [s] are the same (a microsecond's rounding, or single precision, is no other time).
+SAME = 1e-4
+#: A pose so little [s] before the first message or after the last counts there if the base stands: over so long [s] of messages
+#: its wheels and legs turn by less than this [rad].
+BESIDE, STANDS, STILL = 2.0, 0.2, 2e-3
+
+
+@dataclass(frozen=True)
+class WheelRecord:
+    """Messages at ``times`` (k) [s]: ``leg`` (k, n or 0), ``steer``, ``wheel`` (k, n) [rad] as the encoders gave them, ``gyro`` (k)
+    [rad/s] mean yaw rate since the message before (empty without a gyro), ``brake`` (k, n) of the hinges by then, 1 = open
+    (empty: closed, or not known: motions of the legs count, but show nothing of the wheels). Global poses:
+    ``place_times`` (m) [s] to which they belong, ``places`` (m, 3) x, y, yaw, ``place_std`` (m, 3) their standard deviations."""
+
+    times: Array
+    leg: Array
+    steer: Array
+    wheel: Array
+    place_times: Array
+    places: Array
+    place_std: Array
+    gyro: Array = field(default_factory=lambda: np.zeros(0))
+    brake: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @classmethod
+    def of(cls, channels: Mapping[str, Array], where: str = "log") -> WheelRecord:
+        """From the channels of a run's log.npz: ``steer``, ``wheel``, ``leg`` (hinged legs), ``gyro`` and ``brake`` (may be
+        missing), all with the times ``steer.time``, and ``place`` with rows (x, y, yaw, standard deviations) and its own times, in
+        any order. A pose up to 2 s before the first message or after the last, as of a survey, counts there if the base stands.
+        Raises :class:`InputError`."""
+        for name in ("steer", "wheel", "place"):
+            if name not in channels or f"{name}.time" not in channels:
+                known = sorted(c for c in channels if not c.endswith(".time"))
+                raise InputError(
+                    f"{where}: there is no channel '{name}' with its '{name}.time'; a calibration needs steer, wheel and place "
+                    f"(global poses: of a localisation or a survey); this one has: {', '.join(known)}"
+                )
+        read = lambda name: _read(channels, name, where)
+        times, steer, wheel = read("steer.time"), read("steer"), read("wheel")
+        leg = read("leg") if "leg" in channels else np.zeros((len(times), 0))
+        gyro = read("gyro") if "gyro" in channels else np.zeros(0)
+        brake = read("brake") if "brake" in channels else np.zeros((times.size, 0))
+        if times.ndim != 1 or times.size < 2 or (np.diff(times) < 0.0).any():
+            raise InputError(
+                f"{where}: channel 'steer.time': two or more times are needed, none before the one before it"
+            )
+        if steer.ndim != 2 or len(steer) != times.size:
+            raise InputError(
+                f"{where}: channel 'steer': one row for each of {times.size} times is needed, got {steer.shape}"
+            )
+        shapes = {"wheel": (steer.shape,), "leg": (steer.shape, (times.size, 0)), "gyro": (times.shape, (0,))}
+        shapes["brake"] = shapes["leg"]
+        for name, values in (("wheel", wheel), ("leg", leg), ("gyro", gyro), ("brake", brake)):
+            if values.shape not in shapes[name]:
+                raise InputError(
+                    f"{where}: channel '{name}' must have the same times as 'steer', and its shape be {shapes[name][0]}, "
+                    f"got {values.shape}"
+                )
+        for name in ("wheel", "leg", "gyro", "brake"):
+            if f"{name}.time" in channels:
+                _refuse_other_times(read(f"{name}.time"), times, name, where)
+        place, at = read("place"), read("place.time")
+        if place.ndim != 2 or place.shape[1] != 6 or len(place) < 2 or at.shape != (len(place),):
+            raise InputError(
+                f"{where}: channel 'place': rows of x, y, yaw and their 3 standard deviations are needed, two or more, each "
+                f"with its time, got {place.shape} and {at.shape}"
+            )
+        if (place[:, 3:] <= 0.0).any():
+            raise InputError(
+                f"{where}: channel 'place': standard deviations must be positive (a survey is not exact either)"
+            )
+        order = np.argsort(at, kind="stable")
+        at = _beside(at[order], times, np.concatenate([wheel, leg], axis=1), where)
+        return cls(times, leg, steer, wheel, at, place[order, :3], place[order, 3:], gyro, brake)
+
+
+def _read(channels: Mapping[str, Array], name: str, where: str) -> Array:
+    """A channel as finite numbers, or :class:`InputError`."""
+    try:
+        values = np.asarray(channels[name], float)
+    except (TypeError, ValueError):
+        values = np.array(np.nan)
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: channel '{name}': finite numbers are needed")
+    return values
+
+
+def _refuse_other_times(own: Array, times: Array, name: str, where: str) -> None:
+    """Raise :class:`InputError` for a channel whose ``own`` times [s] are not the ``times`` (k) of the steering."""
+    if own.shape != times.shape:
+        raise InputError(
+            f"{where}: channel '{name}.time' must be the same as 'steer.time': {times.size} times, got {own.shape}"
+        )
+    apart = float(np.max(np.abs(own - times)))
+    if apart > SAME:
+        raise InputError(
+            f"{where}: channel '{name}.time' must be the same as 'steer.time', and is up to {apart:.3g} s beside it; bring both to "
+            "the same times first"
+        )
+
+
+def _beside(at: Array, times: Array, turned: Array, where: str) -> Array:
+    """Times of poses (m) [s], moved into the record where they are a little beside it and wheels and legs ``turned`` (k, n) [rad]
+    stand; :class:`InputError` for others beside it."""
+    before, after = at < times[0], at > times[-1]
+    starts, ends = times <= times[0] + STANDS, times >= times[-1] - STANDS
+    for beside, part, gap in ((before, starts, times[0] - at), (after, ends, at - times[-1])):
+        if not beside.any():
+            continue
+        moves = part.sum() < 2 or np.ptp(turned[part], axis=0).max() > STILL
+        if moves or gap[beside].max() > BESIDE:
+            why = "the base moves there" if moves else f"up to {gap[beside].max():.3g} s, more than {BESIDE:g} s"
+            raise InputError(
+                f"{where}: channel 'place': {beside.sum()} of {at.size} global poses are {'before' if part is starts else 'after'} "
+                f"the record of the wheels ({times[0]:.6g} to {times[-1]:.6g} s; {why}): they cannot be used, leave them out"
+            )
+    return np.clip(at, times[0], times[-1])
+
+
+def replay(
+    geometry: SwerveGeometry,
+    record: WheelRecord,
+    *,
+    prior: WheelCalibration | None = None,
+    noise: OdometryNoise | None = None,
+) -> FusedOdometry:
+    """The filter once over a record: its ``calibration``, and how many poses were ``taken``. They come as soon as they are true.
+
+    ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out). Raises :class:`InputError` for a record of
+    another base: another number of modules, hinges that swing where the robot has none, or no leg angles where it has hinges.
+    """
+    if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
+        raise InputError(
+            f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}"
+        )
+    _refuse_other_legs(geometry, record)
+    doubt = np.maximum(10.0 * record.place_std[0], 0.05)
+    odometry = FusedOdometry(geometry, record.places[0], calibration=prior, noise=noise, pose_std=doubt)
+    place = 0
+    for k, t in enumerate(record.times):
+        gyro = float(record.gyro[k]) if record.gyro.size else None
+        brake = record.brake[k] if record.brake.size else None
+        odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro, brake)
+        while place < len(record.place_times) and record.place_times[place] <= t:
+            odometry.correct(
+                float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2)
+            )
+            place += 1
+    return odometry
+
+
+def _refuse_other_legs(geometry: SwerveGeometry, record: WheelRecord) -> None:
+    """Raise :class:`InputError` for legs that are not those of this base."""
+    if geometry.has_hinge:
+        if record.leg.shape[1] == 0:
+            raise InputError(
+                "log: the robot's legs have hinges, and there is no channel 'leg' with their angles; valid: such a channel, or a "
+                "robot with fixed legs"
+            )
+        return
+    swung = float(np.ptp(record.leg, axis=0).max(initial=0.0))
+    if swung > STILL or np.any(record.brake > 0.5):
+        what = f"turn by {swung:.3g} rad" if swung > STILL else "have open brakes"
+        raise InputError(
+            f"log: the robot's legs are fixed, and those of the channel '{'leg' if swung > STILL else 'brake'}' {what}: this is a "
+            "log of a robot with hinged legs"
+        )
+
+
+@dataclass(frozen=True)
+class WheelFit:
+    """What a record shows of the wheels: ``calibration``, of what was believed ``before`` (its doubt wider than the one given where
+    the record asked for it); global poses ``used`` and ``given``."""
+
+    calibration: WheelCalibration
+    before: WheelCalibration
+    used: int
+    given: int
+
+    def hidden(self) -> dict[str, tuple[Array, Array]]:
+        """Combinations of the wheels' numbers that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
+        1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
+        out = {}
+        for name, part in _PARTS(self.calibration.modules).items():
+            root, shown, ways = _shown(self.before, self.calibration, part)
+            weights = ways.T[shown < SHOWN] @ np.linalg.pinv(root)
+            weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
+            covariance = weights @ self.calibration.covariance[part, part] @ weights.T
+            out[name] = (weights, np.sqrt(np.diag(covariance)))
+        return out
+
+
+#: Steer zeros and radii in the covariance of n modules.
+_PARTS: Callable[[int], dict[str, slice]] = lambda n: {"steer zeros": slice(0, n), "radii": slice(n, 2 * n)}
+
+
+def _shown(before: WheelCalibration, found: WheelCalibration, part: slice) -> tuple[Array, Array, Array]:
+    """A root (n, k) of what was doubted before of a part, and there, in units of that doubt, the directions (columns) with the
+    share of their variance that a record took away, ascending."""
+    values, axes = np.linalg.eigh(before.covariance[part, part])
+    some = values > 1e-12 * max(values[-1], 1e-30)
+    root = axes[:, some] * np.sqrt(values[some])
+    back = np.linalg.pinv(root)
+    left = back @ found.covariance[part, part] @ back.T
+    shown, ways = np.linalg.eigh(np.eye(len(left)) - 0.5 * (left + left.T))
+    return root, shown, ways
+
+
+def _numbers(wheels: WheelCalibration, geometry: SwerveGeometry) -> Array:
+    """Zeros [rad] and relative errors of radii (2n)."""
+    return np.concatenate([wheels.steer_zero, wheels.wheel_radius / geometry.wheel_radius - 1.0])
+
+
+def _surprise(before: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
+    """By how many of its standard deviations what was found is ``apart`` (2n) from before, in the direction of most."""
+    root, shown, ways = _shown(before, found, part)
+    if shown.size == 0 or shown[-1] < SHOWN:
+        return 0.0
+    along = ways.T @ np.linalg.pinv(root) @ apart[part]
+    return float(np.max(np.abs(along[shown >= SHOWN]) / np.sqrt(shown[shown >= SHOWN])))
+
+
+#: A direction of which less than this share of its variance went away was not shown.
+SHOWN = 0.1
+#: Found so many standard deviations from what was believed: the belief was wrong. So much wider where only the poses say so.
+SURPRISING, WIDER = 2.5, 5.0
+#: Ratio of the wheels' contradiction to what their doubt explains; over many wheels and directions it is close to 1.
+CROOKED = 1.5
+#: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tyre made.
+MOST = (0.2, 0.1)
+#: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
+PASSES, MOVED = 8, 0.1
+#: Refused share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
+#: their way: above this a record contradicts itself, and no numbers explain it.
+REFUSED, MISFIT, ABSURD = 0.1, 9.0, 0.15
+
+
+def fit_wheels(
+    geometry: SwerveGeometry,
+    record: WheelRecord,
+    *,
+    prior: WheelCalibration | None = None,
+    noise: OdometryNoise | None = None,
+) -> WheelFit:
+    """Steer zeros and wheel radii that a record shows.
+
+    The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
+    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record
+    that still contradicts itself then (by its channel 'gyro', where it does not without it), or shows nothing; other arguments and
+    errors as of :func:`replay`.
+    """
+    try:
+        return _fitted(geometry, record, prior, noise)
+    except InputError:
+        if _fits_without_gyro(geometry, record, prior, noise):
+            raise InputError(
+                "log: the channel 'gyro' contradicts wheels and global poses, which fit each other without it; the mean yaw rate "
+                "since the row before is needed, in rad/s, positive to the left; or leave the channel out"
+            ) from None
+        raise
+
+
+def _fits_without_gyro(
+    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+) -> bool:
+    if not record.gyro.any():
+        return False
+    try:
+        _fitted(geometry, replace(record, gyro=np.zeros(0)), prior, noise)
+    except InputError:
+        return False
+    return True
+
+
+def _fitted(
+    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+) -> WheelFit:
+    """As :func:`fit_wheels`, whatever it is that contradicts itself."""
+    prior = prior or WheelCalibration.unknown(geometry)
+    before, start, widened = prior, prior, False
+    for _ in range(PASSES):
+        odometry = replay(geometry, record, prior=start, noise=noise)
+        if odometry.contradiction > ABSURD:
+            raise InputError(
+                f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg "
+                "and wheel angles are needed in radians, with the signs and in the order of the robot's file"
+            )
+        found = _as_believed(geometry, odometry.calibration, before, start)
+        moved = _numbers(found, geometry) - _numbers(start, geometry)
+        wide = _doubts(geometry, before, found, odometry)
+        if max(wide) <= 1.0 and not (widened and np.abs(moved / _std(before)).max() > MOVED):
+            break
+        scale = np.repeat(wide, geometry.modules)
+        widened, before = True, replace(before, covariance=before.covariance * np.outer(scale, scale))
+        start = replace(found, covariance=before.covariance)
+    _checked(odometry, record, before, found)
+    return WheelFit(found, before, odometry.taken, len(record.places))
+
+
+def _as_believed(
+    geometry: SwerveGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
+) -> WheelCalibration:
+    """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins
+    is for the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
+    moved = _numbers(start, geometry) - _numbers(before, geometry)
+    moved = found.covariance @ np.linalg.pinv(before.covariance, hermitian=True) @ moved
+    apart = _numbers(found, geometry) - moved - _numbers(before, geometry)
+    n = geometry.modules
+    for part in _PARTS(n).values():
+        root, shown, ways = _shown(before, found, part)
+        ways = ways[:, shown >= SHOWN]
+        apart[part] = root @ ways @ ways.T @ np.linalg.pinv(root) @ apart[part]
+    radius = before.wheel_radius + geometry.wheel_radius * apart[n:]
+    return replace(found, steer_zero=before.steer_zero + apart[:n], wheel_radius=radius)
+
+
+def _contradicted(odometry: FusedOdometry) -> bool:
+    """Whether too few global poses fit, or those that do fit badly."""
+    lost = odometry.refused > REFUSED * (odometry.taken + odometry.refused)
+    return odometry.taken < 2 or lost or odometry.misfit > MISFIT
+
+
+def _doubts(
+    geometry: SwerveGeometry, before: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
+) -> list[float]:
+    """Factors by which zeros and radii are to be doubted more than before: 1 where they need not."""
+    apart = _numbers(found, geometry) - _numbers(before, geometry)
+    parts = list(_PARTS(geometry.modules).values())
+    wide = [_surprise(before, found, part, apart) for part in parts]
+    std = _std(before)
+    # wheels that point beside each other show zeros and radii that no pose shows, 2n - 3 parts of 2n of them
+    n = geometry.modules
+    crooked = odometry.contradiction / np.sqrt(2.0 * np.mean(std**2) * (2 * n - 3) / (2 * n))
+    if crooked > CROOKED:
+        wide = [max(w, SURPRISING * crooked / CROOKED) for w in wide]
+    if _contradicted(odometry) and max(wide) <= SURPRISING:
+        wide = [max(w, WIDER) for w in wide]
+    limits = [most / std[part].max() for most, part in zip(MOST, parts, strict=True)]
+    return [max(1.0, min(w, most)) if w > SURPRISING else 1.0 for w, most in zip(wide, limits, strict=True)]
+
+
+def _std(wheels: WheelCalibration) -> Array:
+    """Standard deviations (2n) of zeros [rad] and radii (relative), never 0."""
+    return np.maximum(np.concatenate(wheels.std), 1e-12)
+
+
+def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibration, found: WheelCalibration) -> None:
+    """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
+    n, given = found.modules, len(record.places)
+    if _contradicted(odometry):
+        why = (
+            ""
+            if odometry.taken < 2
+            else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
+        )
+        raise InputError(
+            f"log: {odometry.taken} of {given} global poses fit what wheels and gyro say{why}, though steer zeros may be "
+            f"{1e3 * before.std[0].max():.3g} mrad off and radii {100 * before.std[1].max():.2g} %; check units, signs, times "
+            "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
+        )
+    if max(_shown(before, found, part)[1].max(initial=0.0) for part in _PARTS(n).values()) < SHOWN:
+        raise InputError(
+            "log: the record shows nothing of the wheels that was not known before: the base must roll on between global poses, "
+            "straight ahead and sideways for zeros and radii, farther than the poses are uncertain"
+        )
+
+
+def calibrate(
+    geometry: SwerveGeometry,
+    record: WheelRecord,
+    *,
+    prior: WheelCalibration | None = None,
+    noise: OdometryNoise | None = None,
+) -> WheelCalibration:
+    """Steer zeros and wheel radii that a record shows, with their covariance; arguments and errors of :func:`fit_wheels`."""
+    return fit_wheels(geometry, record, prior=prior, noise=noise).calibration

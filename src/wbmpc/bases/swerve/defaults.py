@@ -1,0 +1,121 @@
+"""The whole-body problem of the swerve robots: one set of weights for all their experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC, Guess
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.settings import MpcSettings, Settings, Weight
+
+#: Of the rolling rows in a receding horizon. The planned steering angles that a plan is shifted to are consistent up to the
+#: integration error of an interval only, and rows of four wheels that nearly depend on each other can then be met exactly
+#: by absurd motions only. On uniform grids (0.1 and 0.2 s) 0 fails, 1e-9 to 1e-4 do not; the plan slips by 1e-6 m/s at most.
+ROLLING_COMPLIANCE = 1e-6
+
+
+class HandCost(Settings):
+    """Weights of the hand: position [1/m²], orientation [1/rad²], per second."""
+
+    weight: Weight = 1000.0
+    orientation: Weight = 200.0
+
+
+class StateCost(Settings):
+    """Weights of base position, base yaw, leg angles, steering angles and arm posture, per second."""
+
+    position: Weight = 1.0
+    yaw: Weight = 5.0
+    leg: Weight = 1.0
+    steer: Weight = 0.0
+    arm: Weight = 0.05
+
+
+class InputCost(Settings):
+    """Weights of the body twist (against the reference), leg, steering, wheel and arm rates, per second."""
+
+    base: Weight = 0.5
+    leg: Weight = 1.0
+    steer: Weight = 0.05
+    wheel: Weight = 0.001
+    arm: Weight = 0.1
+
+
+class SwerveCost(Settings):
+    """All weights; ``terminal``: seconds by which the state's weights are multiplied at the end of the horizon."""
+
+    hand: HandCost = HandCost()
+    state: StateCost = StateCost()
+    input: InputCost = InputCost()
+    terminal: Weight = 10.0
+
+
+def swerve_problem(
+    robot: RobotModel,
+    settings: MpcSettings,
+    cost: SwerveCost,
+    side_compliance: float = 0.0,
+    *,
+    accelerations: bool = False,
+    scrubbing: bool = False,
+) -> OptimalControlProblem:
+    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
+
+    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``scrubbing``: the
+    reference "rolling" lets wheels slip sideways while they turn about.
+    """
+    first = settings.first_interval or None
+    ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
+    hand = np.array([cost.hand.weight] * 3 + [cost.hand.orientation] * 3)
+    s, i = cost.state, cost.input
+    state = residuals.State(robot)
+    posture: dict[str, Any] = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}
+    posture = {g: v for g, v in posture.items() if g in robot.state}
+    rates = {"base": i.base, "leg": i.leg, "steer": i.steer, "wheel": i.wheel, "arm": i.arm}
+    rates = {g: v for g, v in rates.items() if g in robot.input}
+    end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
+    frame = residuals.FramePose(robot, robot.tool)
+    ocp.add(Cost("hand", frame, list(hand), at="all", terminal_weight=list(cost.terminal * hand)))
+    ocp.add(Cost("state", state, posture, at="all", terminal_weight=end))
+    ocp.add(Cost("input", residuals.Input(robot), rates))
+    ocp.add(Constraint("rolling", residuals.Rolling(robot, scrubbing), compliance=side_compliance))
+    if "leg" in robot.input:
+        ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
+    barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
+    limits = robot.limits
+    free_state = residuals.State(robot, tracked=False)
+    box = sets.Box(limits.state_lower, limits.state_upper)
+    ocp.add(Constraint("positions", free_state, box, at="all", penalty=barrier, hard=hard))
+    limited = [g for g in robot.input.groups if accelerations and np.isfinite(limits.input_rate[robot.input[g]]).all()]
+    free_input = residuals.Input(robot, tracked=False)
+    box = sets.Box(limits.input_lower, limits.input_upper)
+    ocp.add(Constraint("speeds", free_input, box, penalty=barrier, hard=hard))
+    if limited:  # with a slack, unlike speeds: a brake that closes under a moving leg stops wheels harder than they may
+        reachable = residuals.AccelerationLimit(robot, limited)
+        ocp.add(Constraint("accelerations", reachable, sets.NonNegative(), penalty=barrier, hard=hard))
+    return ocp
+
+
+def swerve_mpc(
+    robot: RobotModel,
+    settings: MpcSettings,
+    cost: SwerveCost,
+    guess: Guess | None = None,
+    side_compliance: float = ROLLING_COMPLIANCE,
+    *,
+    scrubbing: bool = False,
+) -> MPC:
+    """The MPC of that problem with its real-time settings."""
+    ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True, scrubbing=scrubbing)
+    return MPC(ocp, settings.solver(), settings.rate, guess=guess)
+
+
+def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:
+    """Legs stay closed; what takes their faults, so that the plan counts with them. None for fixed legs."""
+    return BrakeControl(robot, changed=mpc.set_schedule).accept if "brake" in robot.mode else None

@@ -1,0 +1,391 @@
+"""The swerve base with its arm in MuJoCo.
+
+Choices (measured with MuJoCo 4.0): ellipsoid wheels with three-dimensional contacts; velocity servos under the
+`discrete` integrator; brakes as switched dry friction of 200 N m on the hinges with stiff constraint settings; tyres as
+contact softness; arm servos with the arm's weight fed forward (as a joint torque: MuJoCo's own gravity compensation
+would take the weight off the wheels).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wbmpc import lie
+from wbmpc.bases.swerve.brakes import Brakes
+from wbmpc.checks import numbers
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
+from wbmpc.robots.checks import named
+from wbmpc.simulation.localization import Localisation
+from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
+from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
+from wbmpc.simulation.world import (
+    ROBOT,
+    TIMESTEP,
+    Array,
+    Edit,
+    InWorld,
+    World,
+    add_drive,
+    add_floor,
+    add_light,
+    set_options,
+)
+from wbmpc.types import SwerveCommand, SwerveMeasurement, Truth
+
+#: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
+WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
+#: Speed limits [rad/s] of the wheel and steer drives.
+WHEEL_SPEED, STEER_SPEED = 11.52, 5.76
+#: Half width [m] of a wheel.
+WHEEL_HALF_WIDTH = 0.02
+#: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
+TYRE = [0.01, 1.0]
+#: Gain [N m s/rad] of the wheel and steer servos; of the arm's per N m of effort limit, but not below its floor.
+_VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
+_BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
+#: Settings of the plant that are for ball robots, and what swerve robots have in their place.
+_UNREAD = (
+    (("dead_time", "wheel_spring", "arm_spring"), "a swerve robot's drives have 'plant.drive_lag'"),
+    (
+        ("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
+        "a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', 'plant.gyro_noise'",
+    ),
+    (("spin_friction",), "a swerve robot's wheels hold the floor by 'plant.friction' alone"),
+)
+#: Interval [s] that sets the noise of the inertial unit's first sample.
+_IMU_INTERVAL = 0.0025
+
+
+def refuse_two_wheels(description: RobotDescription) -> None:
+    """Raise :class:`InputError` for a swerve base that cannot stand by itself."""
+    assert isinstance(description.base, SwerveBaseDescription)
+    if len(description.base.modules) < 3:
+        raise InputError(
+            f"{description.name}: it stands on 2 wheels, and would tip over: casters are not simulated; valid: 3 modules or "
+            "more (odometry and 'wbmpc calibrate' take 2)"
+        )
+
+
+class SwervePlant(InWorld):
+    """Physics, drives, brakes and sensors of a swerve robot.
+
+    ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
+    of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
+    specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
+    before time 0. ``external`` is called before every physics step with (model, data). ``brakes``: those of the hinges.
+    ``localisation``: a source of global poses, which come with the messages.
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        state: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        perturbation: Perturbation | None = None,
+        seed: int = 0,
+        timestep: float = TIMESTEP,
+        *,
+        edit: Edit | None = None,
+        lift: float = 0.0,
+        settle: float = 0.5,
+        localisation: Localisation | None = None,
+    ) -> None:
+        if not isinstance(description.base, SwerveBaseDescription):
+            raise InputError(f"{description.name}: this plant needs a swerve base")
+        refuse_two_wheels(description)
+        self.description, self.base, self.timestep = description, description.base, timestep
+        self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        if self.perturbation.cables > 0.0:
+            raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
+        for names, instead in _UNREAD:
+            self.perturbation.refuse(names, f"is for ball robots only; {instead}")
+        self._refuse_brake_fault()
+        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        modules, arm = self.base.modules, list(description.arm.joints)
+        self._names = {
+            "leg": [m.hinge for m in modules if m.hinge],
+            "steer": [m.steer for m in modules],
+            "wheel": [m.wheel for m in modules],
+            "arm": arm,
+        }
+        spec = load_spec(description)
+        bodies = [b.name for b in spec.bodies if b.name != "world"]
+        self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
+        with named(description.model):
+            self._build(spec, edit)
+        self.world = World(
+            spec, description.model, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g]
+        )
+        self.model, self.data = self.world.model, self.world.data
+        self._index()
+        self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
+        self._set_sensors(self.draw)
+        self._place(self._groups(state), lift, settle)
+
+    def _refuse_brake_fault(self) -> None:
+        p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
+        if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
+            valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with hinged legs"
+            raise InputError(
+                f"plant.brake_fault_leg: {self.description.name} has no leg {p.brake_fault_leg} with a brake; valid: {valid}"
+            )
+
+    # ------------------------------------------------------------------ building
+    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+        p, draw, limits = self.perturbation, self.draw, self.description.limits
+        wheel_bodies = {spec.joint(n).parent.name for n in self._names["wheel"]}
+        draw.apply_to_bodies(spec, balanced=wheel_bodies)
+        set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_DISCRETE)
+        friction = [draw.friction, 0.005, 1e-4]
+        add_floor(spec, 3, friction, TYRE)
+        spec.body(self.base.body).add_freejoint(name="root")
+        add_light(spec.body(self.base.body))
+        for i, module in enumerate(self.base.modules):
+            radius = self.base.wheel_radius * float(draw.radius[i])
+            spec.joint(module.wheel).parent.add_geom(
+                name=f"contact_{module.wheel}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+                size=[radius, WHEEL_HALF_WIDTH, radius], condim=3, friction=friction, solref=TYRE, mass=0,
+                rgba=[0, 0, 0, 0], group=3, **ROBOT,
+            )  # fmt: skip
+            self._normal_force_sensor(spec, f"contact_{module.wheel}")
+            for joint in (module.steer, module.wheel):
+                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.joint_loss
+            if module.hinge:
+                spec.joint(module.hinge).damping = [1.0, 0, 0]
+            self._servo(spec, module.wheel, _VELOCITY_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
+            self._servo(spec, module.steer, _VELOCITY_GAIN, STEER_TORQUE, draw.steer_lag[i])
+        for k, name in enumerate(self._names["arm"]):
+            spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
+            effort = limits.effort.get(name, np.inf)
+            gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
+            self._servo(spec, name, gain, effort, draw.arm_lag[k])
+        self._add_imu(spec)
+        if p.payload > 0.0:
+            add_payload(spec, self.description.arm.tool, p.payload)
+        if p.load > 0.0:
+            add_load(spec, self.base.body, p.load)
+        if p.slope > 0.0:
+            incline(spec, p.slope, draw.downhill)
+        if edit is not None:
+            edit(spec)
+
+    def _servo(self, spec: mujoco.MjSpec, joint: str, gain: float, limit: float, lag: float) -> None:
+        add_drive(spec, joint, joint, mujoco.mjtTrn.mjTRN_JOINT, limit, lag, gain)
+
+    @staticmethod
+    def _normal_force_sensor(spec: mujoco.MjSpec, geom: str) -> None:
+        """Net force on a geom's contacts in world axes (data: force; reduction 3: net force)."""
+        spec.add_sensor(
+            name=geom, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=geom,
+            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
+        )  # fmt: skip
+
+    def _add_imu(self, spec: mujoco.MjSpec) -> None:
+        site = "imu" if any(s.name == "imu" for s in spec.sites) else "wbmpc_imu"
+        if site == "wbmpc_imu":
+            spec.body(self.base.body).add_site(name=site)
+        for name, kind in (("gyro", mujoco.mjtSensor.mjSENS_GYRO), ("accel", mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+
+    def _index(self) -> None:
+        m, names = self.model, self._names
+        self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
+        self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
+        self._all = np.concatenate(list(self._q.values()))
+        driven = ("wheel", "steer", "arm")
+        self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in driven}
+        speed = self.description.limits.velocity
+        self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
+        self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
+        self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
+        self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
+        self._imu = {n: slice(int(m.sensor(n).adr[0]), int(m.sensor(n).adr[0]) + 3) for n in ("gyro", "accel")}
+        self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in names["wheel"]], dtype=int)
+        self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
+        self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
+        # soft settings would let a closed brake creep
+        for dof in self._v["leg"]:
+            m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
+
+    def _set_sensors(self, draw: Draw) -> None:
+        p, n = self.perturbation, len(self._names["leg"])
+        offset = {"leg": draw.leg_offset[:n], "steer": draw.steer_offset, "wheel": np.zeros(len(self._names["wheel"]))}
+        self.offsets = {**offset, "arm": draw.arm_offset}
+        counts = {"leg": p.encoder_counts, "steer": p.encoder_counts, "wheel": p.encoder_counts, "arm": p.arm_counts}
+        self._counts, self._all_offsets = counts, np.concatenate([self.offsets[g] for g in self._q])
+        self._bias = {"gyro": draw.gyro_bias.copy(), "accel": draw.accel_bias.copy()}
+        self._density = {"gyro": (p.gyro_noise, p.gyro_walk), "accel": (p.accel_noise, p.accel_walk)}
+        self._ages = round(p.encoder_jitter / self.timestep)
+        self._history: deque[Array] = deque(maxlen=1 + self._ages)
+        self._last: SwerveMeasurement | None = None
+
+    def _groups(self, state: Mapping[str, ArrayLike] | ArrayLike | None) -> dict[str, Array]:
+        """Start by group, (x, y, yaw) for the base."""
+        home = {g: np.array([self.description.home.get(n, 0.0) for n in names]) for g, names in self._names.items()}
+        groups: dict[str, Array] = {"base": np.zeros(3), **home}
+        if isinstance(state, Mapping):
+            given = {g: np.asarray(v, float) for g, v in state.items()}
+        elif state is None:
+            given = {}
+        else:
+            sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
+            vector, stops = numbers("start", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
+            given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
+        for group, values in given.items():
+            if group not in groups:
+                raise unknown_name("group of the state", group, groups)
+            if group == "base" and values.size == 7:
+                yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(values[3:7]))[0]
+                values = np.array([values[0], values[1], yaw])
+            groups[group] = numbers("start", f"state.{group}", values, groups[group].size)
+        return groups
+
+    def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:
+        d, (x, y, yaw) = self.data, state["base"]
+        d.qpos[0:3] = [x, y, 0.0]
+        d.qpos[3:7] = lie.quaternion_about([0.0, 0.0, 1.0], yaw)
+        for group, index in self._q.items():
+            d.qpos[index] = state[group] - self.offsets[group]
+        d.qpos[2] = self._standing_height() + lift
+        self._advance_brakes()
+        for _ in range(round(settle / self.timestep)):
+            self.world.advance(self._arm_weight)
+        self.world.restart()
+        self._history.append(d.qpos[self._all])
+
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
+        d, groups = self.data, self._groups(state)
+        d.qpos[0:2], d.qpos[3:7] = groups["base"][:2], lie.quaternion_about([0.0, 0.0, 1.0], groups["base"][2])
+        for group, index in self._q.items():
+            d.qpos[index] = groups[group]
+        d.qpos[2] = self._standing_height()
+        mujoco.mj_kinematics(self.model, d)
+
+    def _standing_height(self) -> float:
+        """Height [m] of the base at which its wheels touch the floor on average, for the joints as they are."""
+        mujoco.mj_kinematics(self.model, self.data)
+        wheels = [self.model.geom(f"contact_{m.wheel}").id for m in self.base.modules]
+        below = self.data.geom_xpos[wheels, 2] - self.model.geom_size[wheels, 0]
+        return float(self.data.qpos[2] - below.mean())
+
+    # ------------------------------------------------------------------ running
+    def _advance_brakes(self) -> None:
+        self.model.dof_frictionloss[self._v["leg"]] = self.brakes.advance(self.timestep)
+
+    def _arm_weight(self) -> None:
+        """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
+        d, m, dofs = self.data, self.model, self._v["arm"]
+        weight = d.qfrc_bias[dofs]
+        if self._payload is not None:
+            jacobian = np.zeros((3, m.nv))
+            mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
+            weight = weight + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
+        d.qfrc_applied[dofs] = weight
+
+    def step(self, command: SwerveCommand, steps: int = 1) -> None:
+        """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
+        d, names = self.data, self._names
+        n = len(names["wheel"])
+        wheel, steer = numbers("command", "wheel", command.wheel, n), numbers("command", "steer", command.steer, n)
+        arm = numbers("command", "arm", command.arm, len(names["arm"]))
+        legs = len(names["leg"])
+        # fixed legs have no brakes: what is commanded to them is ignored
+        brake = numbers("command", "brake", command.brake, legs if legs else np.size(command.brake))[:legs]
+        self.world.refresh()
+        d.ctrl[self._control["wheel"]] = np.clip(wheel, -WHEEL_SPEED, WHEEL_SPEED)
+        d.ctrl[self._control["steer"]] = np.clip(steer, -STEER_SPEED, STEER_SPEED)
+        d.ctrl[self._control["arm"]] = np.clip(arm, -self._arm_speed, self._arm_speed)
+        self.brakes.command(brake)
+        p = self.perturbation
+        if p.brake_fault != "none" and self.time >= p.brake_fault_time:
+            self.brakes.fail(p.brake_fault_leg, p.brake_fault)
+        for _ in range(steps):
+            self._advance_brakes()
+            self.world.advance(self._arm_weight)
+            self._history.append(d.qpos[self._all])
+        self.world.check()
+
+    def measure(self) -> SwerveMeasurement:
+        """Encoder positions (quantised, with their zero errors, up to the jitter old; all joints of a message share one
+        age) and the inertial unit. Asking twice at the same time gives the same message."""
+        if self._last is not None and self._last.time == self.time:
+            return self._last
+        self.world.refresh()
+        age = int(self._noise.integers(0, self._ages + 1))
+        raw = self._history[max(len(self._history) - 1 - age, 0)] + self._all_offsets
+        values, start = {}, 0
+        for group, index in self._q.items():
+            part = raw[start : start + len(index)]
+            if group == "steer" and self.perturbation.steer_noise > 0.0:
+                part = part + self.perturbation.steer_noise * self._noise.normal(size=len(index))
+            values[group] = quantise(part, self._counts[group])
+            start += len(index)
+        interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
+        imu = {name: self._inertial(name, interval) for name in ("gyro", "accel")}
+        place = None
+        if self.localisation is not None:
+            place = self.localisation.observe(self.time, np.array([*self.data.qpos[:2], self.world.yaw]))
+        self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
+        return self._last
+
+    def _inertial(self, name: str, interval: float) -> Array:
+        """A reading with its walking bias and the noise of a sample that stands for ``interval`` [s]."""
+        noise, walk = self._density[name]
+        draws = self._noise.normal(size=(2, 3))
+        self._bias[name] = self._bias[name] + walk * np.sqrt(interval) * draws[0]
+        true: Array = self.data.sensordata[self._imu[name]]
+        reading: Array = true + self._bias[name] + noise / np.sqrt(interval) * draws[1]
+        return reading
+
+    # ------------------------------------------------------------------ truth
+    def truth(self) -> Truth:
+        """Poses, joints, wheel slip and load."""
+        frames = self.world.frames(height=0.0)
+        d = self.data
+        pose = frames["pose"] if self.base.orientation == "yaw" else d.qpos[0:7].copy()
+        along = self._slip()
+        return Truth(
+            time=self.time,
+            **frames,
+            tilt=self.world.tilt,
+            state=np.concatenate([pose, d.qpos[self._all]]),
+            joints=self.world.joints(),
+            joint_speeds=self.world.joint_speeds(),
+            slip=np.hypot(along[:, 0], along[:, 1]),
+            slip_along=along,
+            wheel_force=np.abs(d.sensordata[self._forces]),
+        )
+
+    def _slip(self) -> Array:
+        """Velocity (n, 2) [m/s] of each wheel's contact point over the floor, along the wheel and along its axle.
+
+        Of several contacts of one wheel the deepest counts; a wheel in the air has none.
+        """
+        d, contacts = self.data, self.data.contact
+        n = len(self._wheel_geoms)
+        slip, depth, velocity = np.zeros((n, 2)), np.full(n, np.inf), np.zeros(6)
+        geoms, distance, at, frame = contacts.geom, contacts.dist, contacts.pos, contacts.frame
+        for c in range(d.ncon):
+            i = self._wheel_of.get(int(geoms[c, 0]), self._wheel_of.get(int(geoms[c, 1])))
+            if i is None or distance[c] >= depth[i]:
+                continue
+            depth[i] = distance[c]
+            body = self._wheel_bodies[i]
+            mujoco.mj_objectVelocity(self.model, d, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+            normal, arm = frame[c, :3], at[c] - d.xpos[body]
+            point = velocity[3:] + _cross(velocity[:3], arm)
+            along = _cross(d.xmat[body, 1::3], normal)
+            along /= max(float(np.sqrt(along @ along)), 1e-9)
+            slip[i] = point @ along, point @ _cross(normal, along)
+        return slip
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (np.cross is slow for single ones)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

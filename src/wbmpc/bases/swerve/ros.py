@@ -1,0 +1,275 @@
+"""A swerve robot on a bus: speeds out, odometry from wheels and gyro, brakes and legs."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.controller import SwerveController, Tick
+from wbmpc.bases.swerve.defaults import swerve_mpc
+from wbmpc.bases.swerve.model import rolling_inverse_kinematics
+from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Reference
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.settings import GROUPS, RosSettings
+from wbmpc.solver import Solver
+from wbmpc.types import SwerveCommand, SwerveMeasurement
+
+_LOG = logging.getLogger("wbmpc")
+Array = np.ndarray
+#: The monitor of brakes looks at so many ticks at once at most: 10 s of them.
+BACKLOG = 1000
+#: A brake is open this long [s] after its command.
+BRAKE_DELAY = 0.1
+#: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
+SWING, STRAIGHT = 0.3, 0.03
+#: Of what a planar odometry says nothing about.
+_UNKNOWN = 1e6
+
+
+class BusAgent(SwerveController):
+    """A swerve robot's agent that other threads may ask for what it saw last."""
+
+    #: the newest measurement with the pose that belongs to it
+    seen: tuple[SwerveMeasurement, Array] | None = None
+
+    fix: Callable[[], Fix | None] | None = None
+    _placed = False
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+        self.to_hold: deque[Array] = deque(maxlen=1)  # the newest for the planner
+
+    def hold(self, until: Array) -> None:
+        """Kept for the node's own thread, to which commanded brakes belong."""
+        self.to_hold.append(until.copy())
+
+    def judge(self, tick: Tick) -> None:
+        """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
+        self.ticks.append(tick)
+
+    def measure(self, measurement: SwerveMeasurement) -> None:
+        """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
+        super().measure(measurement)
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            self._correct(*fix)
+        self.seen = measurement, self.odometry.pose
+
+    def _correct(self, t: float, pose: Array, covariance: Array) -> None:
+        """A pose without a covariance is exact; the first one says where the robot is."""
+        exact = not covariance.any()
+        if self._placed and not exact:
+            self.odometry.correct(t, pose, covariance)
+            return
+        self._placed = True
+        place = [pose[0], pose[1], nearest_turn(pose[2], self.odometry.pose[2])]
+        self.odometry.place(place, None if exact else covariance)
+
+
+class SwervePilot:
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`."""
+
+    keeps = needs_imu = False
+    watches = "brakes"
+    parameters = None
+    fix: Callable[[], Fix | None] | None = None
+
+    def __init__(self, robot: RobotModel, settings: RosSettings, period: float) -> None:
+        self.robot, self.settings, self.period = robot, settings, period
+        self.planner = Planner(robot, settings.speeds, settings.goals)
+        self._steering = SteeringGuess(robot, self._preview)
+        self.pending = Pending(self._steering)
+        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending)
+        self._twists: Reference | None = None
+        self._has_imu = False
+        given = robot.input.groups
+        self._rest = {g: np.zeros(len(given.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
+        self.brakes = self._new_brakes()
+        self.agent = self._new_agent(np.zeros(3))
+        self.legs: Array | None = None  # where the legs are to go [rad]
+        robot.pose(robot.home)  # builds the function: not in a tick
+
+    def _new_brakes(self) -> BrakeControl | None:
+        """All closed."""
+        has = "brake" in self.robot.mode
+        return BrakeControl(self.robot, delay=BRAKE_DELAY, changed=self.pending.schedule) if has else None
+
+    def _new_agent(self, pose: Array) -> BusAgent:
+        s = self.settings
+        gyro = s.use_gyro and self._has_imu
+        agent = BusAgent(
+            self.robot, pose, self.period, self.brakes, lag=s.drive_lag, use_gyro=gyro, monitor=self._new_monitor(),
+            leg_guard=s.leg_guard,
+        )  # fmt: skip
+        agent.fix = self.fix
+        return agent
+
+    def _new_monitor(self) -> BrakeMonitor | None:
+        if self.brakes is None:
+            return None
+        names = [self.settings.bus_name(n) for n in self.brakes.legs]
+        return BrakeMonitor(names, limit=self.robot.limits.input_upper[self.robot.input["leg"]])
+
+    def _preview(self, times: Array, pose: Array) -> Array:
+        assert self._twists is not None
+        twists = self._twists
+        columns = [np.interp(times, twists.times, v) for v in twists.values[:, self.robot.input["base"]].T]
+        return np.stack(columns, axis=1)
+
+    @property
+    def faults(self) -> list[str]:
+        """Brakes that do not answer, until their next command, or until they do after all."""
+        if self.brakes is None or self.agent.seen is None:
+            return []
+        return [str(fault) for fault in self.brakes.doubted(self.agent.seen[0].time)]
+
+    def inspect(self) -> None:
+        """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
+        agent = self.agent  # another thread begins the next run with another one
+        monitor, ticks = agent.monitor, agent.ticks
+        if monitor is None or self.brakes is None:
+            return
+        while agent.to_hold:
+            self.brakes.hold(agent.to_hold.popleft())
+        while ticks:
+            for fault in monitor.update(*ticks.popleft()):
+                _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
+                agent.note(fault)
+                self.brakes.accept(fault)
+
+    # ------------------------------------------------------------------ commands
+    def rest(self) -> Groups:
+        """Everything at rest, brakes closed."""
+        return self._rest
+
+    def groups(self, command: SwerveCommand) -> Groups:
+        """A command by groups."""
+        return {g: getattr(command, g) for g in GROUPS}
+
+    # ------------------------------------------------------------------ states
+    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> SwerveMeasurement:
+        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
+        self._has_imu = imu is not None
+        if imu is None:
+            return SwerveMeasurement(at, **sample.groups)  # type: ignore[arg-type]
+        return SwerveMeasurement(at, **sample.groups, gyro=imu.gyro, accel=imu.accel)  # type: ignore[arg-type]
+
+    def stand(self, m: SwerveMeasurement) -> None:
+        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        agent = self.agent
+        agent.use_gyro = self.settings.use_gyro and self._has_imu
+        agent.fix = self.fix
+        if agent.measured is None or m.time > agent.measured.time:
+            agent.measure(m)
+
+    def snapshot(self) -> tuple[float, Array] | None:
+        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
+        if self.agent.seen is None:
+            return None
+        m, pose = self.agent.seen
+        parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
+        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+
+    def begin(self, x: Array) -> None:
+        """A new run: the odometry goes on, the runner's clock starts at 0."""
+        old, self.brakes, self.legs = self.agent, self._new_brakes(), None
+        self.agent = self._new_agent(old.odometry.pose)
+        self.agent.seen, self.agent.odometry = old.seen, old.odometry
+        self.agent.odometry.restart_clock()
+        self.agent._placed = old._placed
+        self.mpc.reset(x)
+
+    def swing(self, legs: Array) -> None:
+        """Legs are to go to ``legs`` (n) [rad]. Wheels that do not point along a leg's circle cannot move it, and for small
+        steps of the planner they never will: the plan starts from wheels that turn first."""
+        self.legs = legs
+        self.pending.guess(partial(swing_guess, self.robot, legs))
+
+    def push(self, wrench: Array) -> None:
+        """Drives that follow speeds cannot exert a wrench: it counts in the zero-moment point only."""
+
+    def relocate(self) -> None:
+        """The next pose of another localisation counts whatever was known before."""
+        self.agent._placed = False
+
+    # ------------------------------------------------------------------ tasks
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """Of a task; legs go where ``legs`` says, or stay."""
+        return references_of(task, self.robot, x, self.legs)
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self._twists = references["input"]
+        self.pending.set(references)
+
+    # ------------------------------------------------------------------ what is told
+    def estimate(self) -> Estimate | None:
+        """Planar pose and twist; the rest is unknown."""
+        seen = self.snapshot()
+        if seen is None:
+            return None
+        odometry = self.agent.odometry
+        x, y, yaw = seen[1][self.robot.state["base"]]
+        v = odometry.twist
+        return Estimate(
+            np.array([x, y, self.robot.base.height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
+            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), _spatial(odometry.covariance), _spatial(odometry.twist_covariance),
+        )  # fmt: skip
+
+
+def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:
+    """For the terms ``hand``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
+    likes its home."""
+    base, hand = task.base, task.hand
+    states = np.tile(robot.home, (base.times.size, 1))
+    states[:, robot.state["base"]] = base.poses
+    if "leg" in robot.state:
+        states[:, robot.state["leg"]] = x[robot.state["leg"]] if legs is None else legs
+    inputs = np.zeros((base.times.size, robot.input.size))
+    inputs[:, robot.input["base"]] = base.twists
+    return {
+        "hand": Reference.poses(hand.times, hand.positions, hand.orientations),
+        "state": Reference(base.times, states),
+        "input": Reference(base.times, inputs),
+    }
+
+
+def swing_guess(robot: RobotModel, legs: Array, solver: Solver, x0: Array) -> None:
+    """Trajectories of a base that stands while its wheels turn to the legs' circles and the legs then go to ``legs`` (n)."""
+    state, given, geometry = robot.state, robot.input, robot.base.geometry
+    x, u, steer, leg = solver.ws.x, solver.ws.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
+    lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
+    most = 0.6 * robot.limits.input_upper[given["steer"]]
+    for k, h in enumerate(np.diff(solver.ws.grid)):
+        rate = np.clip((legs - leg) / max(h, 0.5), -SWING, SWING)
+        target, _ = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
+        target = np.where(target > upper, target - np.pi, np.where(target < lower, target + np.pi, target))
+        turn = np.clip((target - steer) / h, -most, most)
+        if np.abs(target - steer).max() > STRAIGHT:
+            rate = np.zeros_like(rate)
+        x[k, state["base"]], x[k, state["leg"]], x[k, state["steer"]] = x0[state["base"]], leg, steer
+        u[k, given["base"]], u[k, given["leg"]], u[k, given["steer"]] = 0.0, rate, turn
+        _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
+        leg, steer = leg + rate * h, steer + turn * h
+    x[-1, state["base"]], x[-1, state["leg"]], x[-1, state["steer"]] = x0[state["base"]], leg, steer
+
+
+def _spatial(planar: Array) -> Array:
+    """A covariance (3, 3) of x, y and yaw in six dimensions."""
+    out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
+    out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
+    return out

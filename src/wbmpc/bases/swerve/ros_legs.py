@@ -1,0 +1,224 @@
+"""Legs and brakes from the bus: a service and topics that say where legs are to go and which brakes are to open.
+
+A leg that is sent somewhere has its brake opened; when it has arrived the brake closes. The service has a type of its own,
+``wbmpc_msgs/srv/SetLegs``; the topics have standard types, for peers that know no such service.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases.swerve.brake_control import BrakeControl, refuse_floating, refuse_floating_way
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.stability import leg_angles
+
+_LOG = logging.getLogger("wbmpc")
+Array = np.ndarray
+SET_LEGS = "wbmpc_msgs/srv/SetLegs"
+#: Brakes (n, 1 = open) and legs (n) [rad].
+Now = tuple[Array, Array]
+#: A leg is where it should be within this [rad].
+THERE = 0.01
+
+
+class Legs:
+    """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
+    ``refused``: why the last bad order was not taken, empty when one has been taken since.
+
+    ``ready()``: why no order can be taken; ``now()``: how brakes and legs are. :meth:`apply` and :meth:`watch` belong to the
+    node's own thread.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        robot: RobotModel,
+        settings: RosSettings,
+        ready: Callable[[], str],
+        now: Callable[[], Now | None],
+    ) -> None:
+        self.robot, self.settings, self._ready, self._now = robot, settings, ready, now
+        self.names = robot.state.groups["leg"]
+        self.angles: Array | None = None
+        self.moving = np.zeros(len(self.names), dtype=bool)
+        self.refused = ""
+        self._order: tuple[Array, Array] | None = None
+        self._lock = threading.Lock()
+        topics = settings.topics
+        takes: dict[str, Callable[[Any], str]] = {
+            "legs": lambda m: self._wanted("", list(m.name), m.position, ()),
+            "brakes": lambda m: self._brakes(m.data),
+            "leg_configuration": lambda m: self._wanted(m.data, [], (), ()),
+        }
+        for key, take in takes.items():
+            if topic := getattr(topics, key):
+                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+        if topics.set_legs:
+            try:
+                node.serve(topics.set_legs, SET_LEGS, self._asked)
+            except (ImportError, AttributeError, ValueError, InputError) as error:
+                _LOG.warning("%s is not served (%s); the topics are there", topics.set_legs, error)
+
+    # ------------------------------------------------------------------ from the bus
+    def _asked(self, request: Any) -> Mapping[str, Any]:
+        why = self._ready()
+        try:
+            if why:
+                raise InputError(why)
+            said = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
+        except Exception as error:
+            self.refuse(f"{self.settings.topics.set_legs}: {sentence_of(error)}")
+            return {"success": False, "message": sentence_of(error)}
+        return {"success": True, "message": said}
+
+    def _from_topic(self, topic: str, take: Callable[[Any], str], message: Any) -> None:
+        try:
+            if why := self._ready():
+                raise InputError(why)
+            take(message)
+        except Exception as error:
+            self.refuse(f"{topic}: {sentence_of(error)}")
+
+    def refuse(self, sentence: str) -> None:
+        """Say once why an order is not taken."""
+        if sentence != self.refused:
+            _LOG.warning("%s", sentence)
+        self.refused = sentence
+
+    def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
+        """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
+        n = len(self.names)
+        goal, brake = np.full(n, np.nan), np.full(n, np.nan)
+        if configuration:
+            if legs:
+                raise InputError("legs: either a configuration or single legs are needed, not both")
+            goal[:] = leg_angles(self.robot, configuration)
+        else:
+            places = [self._place(name) for name in legs]
+            angle, open_ = np.asarray(angles, float), np.asarray(opened, float)
+            if (
+                not legs
+                or len(set(places)) < len(places)
+                or angle.size not in (0, len(legs))
+                or open_.size not in (0, len(legs))
+            ):
+                raise InputError("legs: a configuration, or different legs with as many angles or brakes, are needed")
+            if not np.isfinite(angle).all():
+                raise InputError("legs: an angle is not a finite number")
+            if angle.size:
+                goal[places] = angle
+            if open_.size:
+                brake[places] = open_
+        self._check(goal)
+        self._put(goal, brake)
+        going = ", ".join(f"{m} to {a:.3f} rad" for m, a in zip(self.names, goal, strict=True) if a == a)
+        opens = ", ".join(f"{m} {'opens' if b else 'closes'}" for m, b in zip(self.names, brake, strict=True) if b == b)
+        return "; ".join(part for part in (going, opens) if part) or "nothing to do"
+
+    def _brakes(self, values: Any) -> str:
+        brake = np.asarray(values, float)
+        if brake.shape != (len(self.names),) or not np.isin(brake, (0.0, 1.0)).all():
+            raise InputError(f"brakes: {len(self.names)} numbers, 0 (closed) or 1 (open), are needed, got {brake}")
+        self._put(np.full(brake.size, np.nan), brake)
+        return ""
+
+    def _place(self, name: str) -> int:
+        on_bus = [self.settings.bus_name(n) for n in self.names]
+        if name in on_bus:
+            return on_bus.index(name)
+        raise unknown_name("leg", name, on_bus)
+
+    def _check(self, goal: Array) -> None:
+        part, limits = self.robot.state["leg"], self.robot.limits
+        for name, angle, low, high in zip(
+            self.names, goal, limits.state_lower[part], limits.state_upper[part], strict=True
+        ):
+            if np.isinf(angle) or angle < low or angle > high:
+                raise InputError(f"legs: {name} at {angle:g} rad is outside its limits {low:g} to {high:g}")
+
+    def _put(self, goal: Array, brake: Array) -> None:
+        with self._lock:
+            if self._order is not None:  # what has not been taken yet is completed
+                goal = np.where(np.isnan(goal), self._order[0], goal)
+                brake = np.where(np.isnan(brake), self._order[1], brake)
+            if (now := self._now()) is not None:
+                self._refuse(goal, *self._outcome(goal, brake, now[0]), now[1])
+            self._order = goal, brake
+        self.refused = ""
+
+    def _refuse(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
+        """Raise :class:`InputError` where open legs would hold the base against nothing, at rest or for long on the way."""
+        geometry = self.robot.base.geometry
+        if not moving.any():
+            refuse_floating(geometry, leg, state)
+            return
+        before = leg if self.angles is None else self.angles
+        there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
+        refuse_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
+
+    def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
+        """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""
+        moving = (self.moving | ~np.isnan(goal)) & ~(brake == 0.0)
+        return moving, np.where(np.isnan(brake), np.where(moving, 1.0, commanded), brake)
+
+    # ------------------------------------------------------------------ in the node's thread
+    @property
+    def waiting(self) -> bool:
+        """Whether there is an order that has not been taken."""
+        return self._order is not None
+
+    def drop(self) -> None:
+        """Forget an order that has not been taken."""
+        with self._lock:
+            self._order = None
+
+    def apply(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
+        """Carry out an order at time t [s], legs being at ``leg`` (n) [rad]; whether there was one."""
+        with self._lock:
+            order, self._order = self._order, None
+        if order is None:
+            return False
+        goal, brake = order
+        sent = ~np.isnan(goal)
+        before = self.angles
+        self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
+        self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
+        brakes.forget(t)
+        try:
+            brakes.set(t, state, None if self.moving.any() else leg)
+        except InputError as error:
+            self.refuse(f"an order to the legs is refused: {error}")
+            self.angles = before
+            return False
+        # a leg that is let go, or held where it is, goes nowhere
+        stays = ~self.moving & ~np.isnan(brake)
+        self.angles = np.where(stays, leg, self.angles)
+        return True
+
+    def watch(self, brakes: BrakeControl, t: float, leg: Array) -> None:
+        """Close the brakes of legs that have arrived."""
+        if self.angles is None or not self.moving.any():
+            return
+        there = self.moving & (np.abs(leg - self.angles) < THERE)
+        if there.any():
+            brake = brakes.commanded(t).copy()
+            brake[there] = 0.0
+            brakes.forget(t)
+            brakes.set(t, brake)
+            self.moving &= ~there
+            _LOG.info("%s arrived: brakes closed", ", ".join(n for n, a in zip(self.names, there, strict=True) if a))
+
+    def stop(self) -> None:
+        """The robot has stopped: brakes are closed, nobody is on the way."""
+        self.moving[:] = False
+        self.angles = None

@@ -1,0 +1,279 @@
+"""Steering of a swerve base: which way round the wheels go, and a guess for a base that is to move from rest.
+
+A wheel rolls along a direction in two ways, ψ and ψ + π, and the steering's range ends at about ±π: which way round is a
+combinatorial choice that a local optimiser does not make. :func:`plan_steering` makes it by a dynamic programme over
+the previewed motion.
+
+At standstill the linearised rolling rows do not see the steering angles (their derivative is proportional to the speed):
+a sideways goal with straight wheels is an exact stationary point. So, once, when the previewed motion begins while the
+plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
+
+On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
+turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases.swerve.model import SwerveGeometry, rolling_inverse_kinematics
+from wbmpc.model.robot import RobotModel
+from wbmpc.solver import Solver
+
+#: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
+SLOW, FAST, MOVING = 0.02, 0.04, 0.005
+#: Lever [m] that turns a yaw rate into a speed.
+LEVER = 0.8
+
+#: (times (n,) [s], pose (3)) -> body twists (n, 3) that the references ask for.
+Preview = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def speed(twist: np.ndarray) -> np.ndarray:
+    """A size [m/s] of body twists (..., 3)."""
+    return np.asarray(np.hypot(twist[..., 0], twist[..., 1]) + LEVER * np.abs(twist[..., 2]))
+
+
+#: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
+#: takes; how often [s] the plan is looked at, and how long it is left alone after it was written anew.
+ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
+#: Cost [m] of a stop besides the way that it loses: no stop without a reason.
+STOP = 1e-3
+#: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
+LATER = 1e-7
+#: Nodes of the programme, dense enough that between two of them a direction turns by less than a quarter turn (coarser ones
+#: mistake which way round it went); largest turn [rad] of a rolling wheel from one node of the horizon to the next.
+NODES, BEND = 100, 0.8
+
+
+@dataclass(frozen=True)
+class SteeringPlan:
+    """Steering angles ``steer`` (k, n) [rad] at ``times`` (k,) [s]; ``stops``: indices of the nodes before which the base
+    has to stand while wheels turn round."""
+
+    times: np.ndarray
+    steer: np.ndarray
+    stops: tuple[int, ...]
+
+    def nearest(self, t: float, steer: np.ndarray) -> np.ndarray:
+        """``steer`` (n), or the same direction of each wheel the other way round, as the plan has it at time ``t`` [s]."""
+        k = min(int(np.searchsorted(self.times, t - 1e-9)), len(self.times) - 1)
+        return np.asarray(steer + np.pi * np.round((self.steer[k] - steer) / np.pi))
+
+
+def plan_steering(
+    geometry: SwerveGeometry,
+    leg: np.ndarray,
+    steer: np.ndarray,
+    times: np.ndarray,
+    twists: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray],
+    rate: float,
+) -> SteeringPlan:
+    """The ways round that lose least of the motion's way: a dynamic programme over the nodes at which the base may stop.
+
+    ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``: lower and upper (n) [rad]; ``rate`` [rad/s] of
+    a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
+    times the speed there, nothing while the base rests; all wheels may turn round at it.
+    """
+    ways, speeds = wheel_directions(geometry, leg, steer, twists)
+    speeds = speeds.max(axis=1)
+    ways[0] = steer + _wrapped(ways[0] - steer)
+    ways = np.unwrap(ways, axis=0, period=np.pi)
+    cost = np.append(speeds[0], np.minimum(speeds[1:], speeds[:-1])) * np.pi / rate + STOP
+    low, high = _rounds(ways, *limits)
+    starts = _cheapest(cost, _reach(low, high), _first(np.any((low > 0) | (high < 0), axis=1)))
+    steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
+    for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
+        # as few turns as possible; where the range is too small for a direction, the end is left to the limits
+        least, most = low[j:k].max(axis=0), high[j:k].min(axis=0)
+        before, shift = shift, np.clip(shift, least, np.maximum(most, least))
+        steered[j:k] = ways[j:k] + np.pi * shift
+        if (shift != before).any() and cost[j] > STOP:
+            stops.append(j)
+    return SteeringPlan(times, steered, tuple(stops))
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    """Within ±π/2, by half turns."""
+    return np.asarray((angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+
+
+def _rounds(ways: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest number (k, n) of half turns that keep each wheel in its range at each node."""
+    return np.ceil((lower - ways) / np.pi - 1e-9), np.floor((upper - ways) / np.pi + 1e-9)
+
+
+def _first(flags: np.ndarray) -> int:
+    """Index of the first true one of ``flags`` (k), or k."""
+    return int(np.argmax(flags)) if flags.any() else len(flags)
+
+
+def _reach(low: np.ndarray, high: np.ndarray) -> list[int]:
+    """From each node the first one (k) up to which no numbers of half turns, one for each wheel, are good for all nodes between."""
+    count = len(low)
+    # no more half turns than a range asks for: none at all where it has no end
+    turns = np.arange(min(high.min(), 0.0), max(low.max(), 0.0) + 1.0)
+    good = (low[:, :, None] <= turns) & (turns <= high[:, :, None])
+    ends = np.where(good, count, np.arange(count)[:, None, None])
+    ends = np.minimum.accumulate(ends[::-1], axis=0)[::-1]
+    reach: list[int] = ends.max(axis=2, initial=0).min(axis=1).tolist()
+    return reach
+
+
+def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
+    """First nodes of the parts into which stops of ``costs`` (k) divide the way: shortest path over the nodes.
+
+    ``reach`` (k): where a part from each node ends at the latest; ``kept``: the same from the start on without a stop before
+    it. Parts that can still reach on are a queue of rising cost: what comes later and is cheaper makes all before it useless.
+    """
+    cost: list[float] = costs.tolist()
+    count = len(cost)
+    if kept == count:
+        return [0]
+    source = [0] * (count + 1)
+    starts, queue, best = [0.0] * count, deque[tuple[float, int]](), 0.0
+    for k in range(count):
+        start = best + cost[k]
+        value = start - LATER * k
+        while queue and queue[-1][0] > value:
+            queue.pop()
+        queue.append((value, k))
+        starts[k] = start
+        if k < kept:
+            continue
+        # a part of one node is always possible: there may be no better way where the range is too small
+        while queue[0][1] < k and reach[queue[0][1]] <= k:
+            queue.popleft()
+        source[k + 1] = queue[0][1]
+        best = starts[source[k + 1]]
+    parts = [source[count]]
+    while parts[-1] > 0:
+        parts.append(source[parts[-1]])
+    return parts[::-1]
+
+
+def wheel_directions(
+    geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
+    already has the direction that comes next (or keeps its last)."""
+    s = geometry.steer_axes(leg)
+    vx = twists[:, :1] - twists[:, 2:] * s[:, 1]
+    vy = twists[:, 1:2] + twists[:, 2:] * s[:, 0]
+    speeds = np.hypot(vx, vy)
+    angle = np.arctan2(vy, vx) - geometry.wheel_heading - geometry.leg_angles(leg)
+    count, moving = len(twists), speeds > MOVING
+    index = np.where(moving, np.arange(count)[:, None], count)
+    later = np.minimum.accumulate(index[::-1], axis=0)[::-1]
+    earlier = np.maximum.accumulate(np.where(moving, index, -1), axis=0)
+    source = np.where(later < count, later, earlier)
+    angle = np.where(source >= 0, np.take_along_axis(angle, np.maximum(source, 0), axis=0), steer)
+    return angle, np.where(moving, speeds, 0.0)
+
+
+class SteeringGuess:
+    """Callable for :class:`wbmpc.mpc.mpc.MPC` (``guess=``)."""
+
+    def __init__(self, robot: RobotModel, preview: Preview) -> None:
+        self.robot, self.preview = robot, preview
+        steer = robot.state["steer"]
+        self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
+        self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
+        self._armed, self._done = True, False
+        self._look = -np.inf
+
+    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
+        base = self.robot.input["base"]
+        now = float(speed(solver.ws.u[0, base]))
+        if now > FAST:
+            self._armed, self._done = False, False
+        elif now < SLOW:
+            self._armed = True
+        if not self._armed or self._done:
+            self._go_on(solver, t, x0)
+            return
+        grid = solver.ws.grid
+        twists = self.preview(t + grid, x0[self.robot.state["base"]])
+        soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
+        if soon.max() < MOVING or not self._stuck(solver, twists):
+            return
+        self._done, self._look = True, t + WRITTEN
+        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
+
+    def _stuck(self, solver: Solver, twists: np.ndarray) -> bool:
+        """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
+        return True
+
+    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
+        """Where wheels of the plan stop following the preview, as at the end of their range, write the way on anew, with a stop."""
+        if t < self._look:
+            return
+        self._look = t + LOOK
+        grid = solver.ws.grid
+        twists = self.preview(t + grid, x0[self.robot.state["base"]])
+        lost = self._lost(solver, twists, x0)
+        if lost is None:
+            return
+        plan = self.plan(t, float(grid[-1]), x0)
+        stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
+        self._look = t + WRITTEN
+        self._write(solver, twists, x0, plan, max(min(stop, lost) - 1, 0))
+
+    def _lost(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> int | None:
+        """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
+        leg, steer = self._angles(x0)
+        geometry, grid = self.robot.base.geometry, solver.ws.grid
+        ways, speeds = wheel_directions(geometry, leg, steer, twists)
+        off = np.abs(_wrapped(ways - solver.ws.x[:, self.robot.state["steer"]])) > OFF
+        off &= speeds > ROLLS
+        since = np.full(off.shape[1], np.nan)
+        for k, now in enumerate(off):
+            since = np.where(now, np.where(np.isnan(since), grid[k], since), np.nan)
+            if np.any(grid[k] - since >= LOST):
+                return int(np.searchsorted(grid, np.nanmin(since)))
+        return None
+
+    def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
+        """Which way round the wheels go over a horizon [s] of the preview; times from ``t`` on."""
+        times = np.linspace(0.0, horizon, NODES)
+        twists = self.preview(t + times, x0[self.robot.state["base"]])
+        leg, steer = self._angles(x0)
+        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate)
+
+    def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        state, modules = self.robot.state, self.robot.base.geometry.modules
+        return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
+
+    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0) -> None:
+        """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
+        state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
+        grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
+        leg, steer = self._angles(x0)
+        pose = x0[state["base"]].copy()
+        if start > 0:
+            pose, steer = x[start, state["base"]].copy(), x[start, state["steer"]].copy()
+        rolling, moving = start > 0, np.flatnonzero(speed(twists) > MOVING)
+        if not moving.size:
+            return
+        for k, h in enumerate(np.diff(grid)[start:], start):
+            # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
+            later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
+            wanted = twists[k] if k in moving else np.zeros(3)
+            target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later])
+            target = plan.nearest(grid[later], target)
+            rate = np.clip((target - steer) / h, -self.rate, self.rate)
+            # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
+            rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
+            if not rolling:
+                wanted = np.zeros(3)
+            x[k, state["base"]], x[k, state["steer"]] = pose, steer
+            u[k, given["base"]], u[k, given["steer"]] = wanted, rate
+            _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, wanted)
+            pose, steer = lie.se2_step(pose, wanted * h), steer + rate * h
+        x[-1, state["base"]], x[-1, state["steer"]] = pose, steer

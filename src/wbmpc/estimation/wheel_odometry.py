@@ -1,0 +1,214 @@
+"""Wheel odometry of swerve bases from positions that were measured together.
+
+Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), section III-B: least squares for the twist over all wheels, leg
+motion subtracted. Here with increments of positions instead of speeds (nothing is lost between two samples), angles at
+the middle of the interval, and exact integration on SE(2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import lie
+from wbmpc.bases.swerve.model import SwerveGeometry
+from wbmpc.checks import each, numbers, positive
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+#: Row vectors times this: turned by a quarter to the left.
+_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+#: A leg's swing of which twists explain all but so much shows nothing.
+WEAK = 0.1
+#: Positions (n) [rad] of legs, steering and wheels that were read together.
+Sample = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Increment:
+    """What the wheels say about a motion between two samples.
+
+    ``twist`` (dx, dy, dyaw) [m, rad]: integral of the body twist that fits best; ``residual`` (n, 2) [m]: by what each
+    wheel's displacement differs from it; ``rolled`` (n) [m] and ``heading`` (n) [rad]: length of each wheel's path, with
+    sign, and its direction in the body; ``fit`` (3, n, 2): derivative of the twist by the wheels' displacements.
+    """
+
+    twist: Array
+    residual: Array
+    rolled: Array
+    heading: Array
+    fit: Array
+
+    def by_steer_zero(self) -> Array:
+        """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
+        across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
+        return np.asarray(-across * self.rolled)
+
+    def shown_by_legs(self, arms: Array, is_open: Mask) -> Array:
+        """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some hinges are open; ``arms`` (n, 2) [m]
+        from hinge to steer axis, ``is_open`` (n) bool.
+
+        The wheels push each other with forces that balance and, at an open hinge, lie along the leg: slip is in their span.
+        What is left is the span of P T (P: without what twists give, T: what leg rates give). Directions in which a leg must swing
+        far for a small contradiction, as all four do in X when they turn the base, are left out.
+        """
+        n = len(arms)
+        swings = np.zeros((n, n, 2))
+        swings[np.arange(n), np.arange(n)] = arms @ _QUARTER_TURN
+        swings = swings[is_open]
+        # fit (3, n, 2) is the left inverse of the twists' displacements; its rows span the same space as those
+        twists = np.linalg.qr(self.fit.reshape(3, -1).T)[0]
+        off = swings.reshape(len(swings), -1)
+        off = off - (off @ twists) @ twists.T
+        _, values, rows = np.linalg.svd(off, full_matrices=False)
+        return np.asarray(rows[values > WEAK * np.hypot(*arms.T).max()])
+
+    def by_radius(self) -> Array:
+        """Derivative (3, n) of the twist by the wheels' radii, relative."""
+        along = self.fit[:, :, 0] * np.cos(self.heading) + self.fit[:, :, 1] * np.sin(self.heading)
+        return np.asarray(along * self.rolled)
+
+
+def fit_twist(
+    geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+) -> Increment:
+    """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
+
+    Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its heading
+    turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
+    solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
+    """
+    (leg0, steer0, wheel0), (leg1, steer1, wheel1) = before, now
+    turn = (leg1 - leg0) + (steer1 - steer0)
+    heading = geometry.wheel_heading + 0.5 * (leg0 + leg1 + steer0 + steer1)
+    rolled = radius * (wheel1 - wheel0) * np.sinc(turn / (2.0 * np.pi))
+    s0 = geometry.steer_axes(leg0)
+    s1 = geometry.steer_axes(leg1) if (leg0 != leg1).any() else s0
+    b = s0 - s1
+    b[:, 0] += rolled * np.cos(heading)
+    b[:, 1] += rolled * np.sin(heading)
+    s = 0.5 * (s0 + s1)
+    if weights is None:
+        share, middle = np.full((len(s), 1), 1.0 / len(s)), s.sum(axis=0) / len(s)
+        away = moved = s - middle
+    else:
+        share = (weights / weights.sum())[:, None]
+        middle = (share * s).sum(axis=0)
+        away = s - middle
+        moved = share * away
+    fit = np.empty((3, *b.shape))
+    fit[2, :, 0], fit[2, :, 1] = -moved[:, 1], moved[:, 0]
+    fit[2] /= (moved * away).sum()
+    fit[0], fit[1] = share * [1.0, 0.0], share * [0.0, 1.0]
+    fit[0] += middle[1] * fit[2]
+    fit[1] -= middle[0] * fit[2]
+    twist = fit.reshape(3, -1) @ b.ravel()
+    residual = b - twist[:2] - twist[2] * (s @ _QUARTER_TURN)
+    return Increment(twist, residual, rolled, heading, fit)
+
+
+def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
+    """Which wheel the others do without best, and the share of all squares that is gone without it; ``residual`` (n, 2) of a
+    least-squares twist that counts all wheels alike, ``axes`` (n, 2) [m] of the wheels.
+
+    Leaving out wheel i lowers the sum of squares by r_i' (1 - H_ii)^-1 r_i, H being the projection on what twists give.
+    """
+    away = axes - axes.mean(axis=0)
+    across = away @ _QUARTER_TURN
+    left = (1.0 - 1.0 / len(axes)) * np.eye(2) - across[:, :, None] * across[:, None, :] / np.sum(away**2)
+    less = np.einsum("ni,ni->n", residual, np.linalg.solve(left, residual[:, :, None])[:, :, 0])
+    i = int(np.argmax(less))
+    return i, float(less[i] / max(float(np.sum(residual**2)), 1e-300))
+
+
+class WheelOdometry:
+    """Planar pose of a swerve base by dead reckoning.
+
+    ``pose`` (x, y, yaw) starts at ``pose0``, yaw not wrapped; ``increment`` (dx, dy, dyaw): integral of the body twist
+    over the last update; ``residual`` (n, 2) [m]: by what each wheel's displacement differs from it. Calibration:
+    ``wheel_radius`` [m], one or one per wheel (the geometry's when left out); ``leg_zero``, ``steer_zero`` (n, or one for all)
+    [rad]: true angle = measured − zero. Raises :class:`InputError` for what is not finite, of another length, or no radius.
+    """
+
+    def __init__(
+        self,
+        geometry: SwerveGeometry,
+        pose0: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        wheel_radius: ArrayLike | None = None,
+        leg_zero: ArrayLike = 0.0,
+        steer_zero: ArrayLike = 0.0,
+    ) -> None:
+        n = self._n = geometry.modules
+        self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
+        radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
+        self.radius = each("odometry", "wheel_radius", radius, n)
+        positive("odometry", wheel_radius=float(self.radius.min()))
+        self._leg_zero = each("odometry", "leg_zero", leg_zero, n)
+        self._steer_zero = each("odometry", "steer_zero", steer_zero, n)
+        self._last: Sample | None = None
+        self.increment: Array = np.zeros(3)
+        self.residual: Array = np.zeros((n, 2))
+
+    def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
+        """The pose after positions (n) [rad] of legs (empty or ignored for fixed legs), steering and wheels.
+
+        The first call only stores them.
+        """
+        now = self.checked(leg, steer, wheel)
+        if self._last is not None:
+            moved = fit_twist(self.geometry, self.radius, self._last, now)
+            self.increment, self.residual = moved.twist, moved.residual
+            self.pose = lie.se2_step(self.pose, self.increment)
+        self._last = now
+        return self.pose
+
+    @property
+    def slip(self) -> float:
+        """Root mean square [m] of what the wheels of the last increment contradict each other: a detector of slip."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Sample:
+        """True angles (leg, steer) and wheel angles (n each) of a message, or :class:`InputError`."""
+        n = self._n
+        steered = numbers("odometry", "steer", steer, n) - self._steer_zero
+        rolled = numbers("odometry", "wheel", wheel, n).copy()
+        # fixed legs have no angle; their heading is part of the geometry
+        angle = numbers("odometry", "leg", leg, n) - self._leg_zero if self.geometry.has_hinge else np.zeros(n)
+        return angle, steered, rolled
+
+
+class ReleaseOdometry:
+    """The odometry of leggedrobotics/swerve_steering, as a baseline: angles of steering and legs are refreshed every
+    ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
+    :class:`InputError` for times that are not positive."""
+
+    def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
+        positive("odometry", period=period, refresh=refresh)
+        self._fit = WheelOdometry(geometry, pose0)
+        self.pose = self._fit.pose
+        self._every, self._count = max(1, round(refresh / period)), 0
+        self._held: tuple[Array, Array] | None = None
+        self._last: tuple[Array, Array] | None = None
+
+    def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
+        """The pose after positions (n) [rad]; the first call only stores them."""
+        now_leg, now_steer, now_wheel = self._fit.checked(leg, steer, wheel)
+        if self._held is None or self._count % self._every == 0:
+            self._held = (now_leg, now_steer)
+        self._count += 1
+        if self._last is not None:
+            held_leg, held_steer = self._held
+            leg0, wheel0 = self._last
+            swing = now_leg - leg0
+            before = (held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0)
+            now = (held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel)
+            dx, dy, turn = fit_twist(self._fit.geometry, self._fit.radius, before, now).twist
+            c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
+            self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
+        self._last = (now_leg, now_wheel)
+        return self.pose

@@ -1,0 +1,46 @@
+"""Policies in force and on their way, and who uses them."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Protocol
+
+from wbmpc.mpc.mpc import Observation
+from wbmpc.mpc.policy import Policy
+
+
+class PolicyQueue:
+    """A queue of policies with the time at which each comes into force (several when computing takes long)."""
+
+    def __init__(self) -> None:
+        self.current: Policy | None = None
+        self._queue: deque[tuple[float, Policy]] = deque()
+
+    def add(self, t: float, policy: Policy) -> None:
+        """``policy`` comes into force at time ``t`` [s]; the very first one at once."""
+        if self.current is None:
+            self.current = policy
+        else:
+            self._queue.append((t, policy))
+
+    def activate(self, t: float) -> None:
+        """Make the newest policy that is due at time ``t`` the current one."""
+        while self._queue and self._queue[0][0] <= t + 1e-9:
+            self.current = self._queue.popleft()[1]
+
+    def at(self, t: float) -> Policy | None:
+        """The policy that will be in force at time ``t``."""
+        found = self.current
+        for start, policy in self._queue:
+            if start <= t + 1e-9:
+                found = policy
+        return found
+
+
+class Controller(Protocol):
+    """What stands between measurements, MPC and commands of one robot. Times in s; see :mod:`wbmpc.control`."""
+
+    def measure(self, measurement: Any) -> None: ...
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation: ...
+    def command(self, t: float, plans: PolicyQueue) -> Any: ...
+    def stop(self) -> Any: ...

@@ -1,0 +1,105 @@
+"""Commands to the controllers of ros2_control."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
+from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.convert import header, stamp
+from wbmpc.ros2.settings import GROUPS, Controller, RosSettings
+
+Place = tuple[str, int]
+#: How far trajectories look ahead [s]: if the node dies, the robot is at rest after that. A stop takes the other one [s].
+AHEAD, STOP = 0.5, 0.2
+
+
+class Sender:
+    """One controller that takes numbers: those at ``places`` of the groups, in its order."""
+
+    def __init__(self, node: Node, topic: str, kind: str, places: list[Place]) -> None:
+        self._to, self._places = node.publisher(topic, kind, DEFAULT), places
+
+    def send(self, values: dict[str, np.ndarray]) -> None:
+        """A command by groups."""
+        self._to.publish({"data": [values[g][i] for g, i in self._places]})
+
+
+def places_of(robot: RobotModel) -> dict[str, Place]:
+    """Group and number of every drive by its name."""
+    given = robot.input.groups
+    names = {g: list(given.get(g, ())) for g in GROUPS} | {"brake": [f"brake/{n}" for n in given.get("leg", ())]}
+    return {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
+
+
+def senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[Sender]:
+    """One for each controller that takes numbers."""
+    places = places_of(robot)
+    return [
+        Sender(node, c.topic, c.type, [places[j] for j in c.joints])
+        for c in settings.command_topics(robot).values()
+        if c.takes == "numbers"
+    ]
+
+
+class TrajectorySender:
+    """One controller that follows trajectories: what the policy plans for its joints, sent anew at a rate."""
+
+    def __init__(self, node: Node, robot: RobotModel, settings: RosSettings, controller: Controller) -> None:
+        self._to = node.publisher(controller.topic, controller.type, DEFAULT)
+        self._names = [settings.bus_name(n) for n in controller.joints]
+        arm = list(robot.state.groups["arm"])
+        self._places = [robot.state["arm"].start + arm.index(n) for n in controller.joints]
+        rates = robot.input["arm"].start
+        self._rates = [rates + arm.index(n) for n in controller.joints]
+        self.period, self.due = 1.0 / settings.rates.trajectory, -np.inf
+
+    def send(self, policy: Policy, t: float, now: float) -> None:
+        """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds."""
+        self.due = t + self.period
+        times = policy.times[(policy.times > t + 1e-3) & (policy.times < t + AHEAD)]
+        points = [
+            {
+                "positions": policy.state(float(s))[self._places], "velocities": policy.feedforward(float(s))[self._rates],
+                "time_from_start": stamp(float(s) - t),
+            }
+            for s in times
+        ]  # fmt: skip
+        if points:
+            self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
+
+    def hold(self, x: np.ndarray, now: float) -> None:
+        """Stay at a state (nx)."""
+        point = {
+            "positions": x[self._places],
+            "velocities": np.zeros(len(self._places)),
+            "time_from_start": stamp(STOP),
+        }
+        self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": [point]})
+
+
+class Trajectories:
+    """All controllers that follow trajectories; ``now()``: the bus's time [s]."""
+
+    def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
+        controllers = settings.command_topics(robot).values()
+        self._senders = [TrajectorySender(node, robot, settings, c) for c in controllers if c.takes == "trajectory"]
+
+    def anew(self) -> None:
+        """The next trajectories are due at once."""
+        for sender in self._senders:
+            sender.due = -np.inf
+
+    def send(self, policy: Policy, t: float, now: Callable[[], float]) -> None:
+        """Those that are due at t [s]."""
+        for sender in self._senders:
+            if t >= sender.due:
+                sender.send(policy, t, now())
+
+    def hold(self, x: np.ndarray, now: Callable[[], float]) -> None:
+        """Stay at a state (nx)."""
+        for sender in self._senders:
+            sender.hold(x, now())

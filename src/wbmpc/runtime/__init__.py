@@ -1,0 +1,1 @@
+"""The real-time runner: clocks, shared memory, the solver's process, safety."""

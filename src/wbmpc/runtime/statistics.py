@@ -1,0 +1,162 @@
+"""What the real-time runner counted."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from wbmpc.runtime.shared_memory import Board
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, 95 %, 99 % and largest [s] of a figure, and how many samples."""
+
+    median: float
+    p95: float
+    p99: float
+    max: float
+    count: int
+
+    @classmethod
+    def of(cls, samples: np.ndarray) -> Spread:
+        """All NaN without samples."""
+        if not samples.size:
+            samples, count = np.full(1, np.nan), 0
+        else:
+            count = int(samples.size)
+        median, p95, p99, most = (float(q) for q in np.percentile(samples, [50, 95, 99, 100]))
+        return cls(median, p95, p99, most, count)
+
+
+class Punctuality:
+    """Whether commands leave at their time, by the sender's own clock, and what took long before those that did not.
+
+    A command's time is its tick's plus what the way from there to the robot usually takes (a running mean). ``late``: how many
+    left more than :data:`LATE` after it; ``because``: the same by the part of the tick that exceeded its own usual time most.
+    """
+
+    #: Parts of a tick in their order; ``begin``: until it began.
+    PARTS = ("begin", "read", "estimate", "predict", "command", "write")
+    #: What is late [s], and the share by which one tick moves the means.
+    LATE, SHARE = 1e-3, 0.01
+
+    def __init__(self) -> None:
+        self.late, self.because = 0, dict.fromkeys(self.PARTS, 0)
+        self._usual: list[float] | None = None
+        self._last, self._parts = 0.0, [0.0]
+
+    def begin(self, due: float, now: float) -> None:
+        """A tick that was due at ``due`` [s] begins."""
+        self._last, self._parts = now, [now - due]
+
+    def over(self, now: float) -> None:
+        """The next part of the tick is over."""
+        self._parts.append(now - self._last)
+        self._last = now
+
+    def sent(self) -> float:
+        """The command has left, and all parts are over: how long after the tick's time [s]."""
+        parts, usual = self._parts, self._usual or self._parts
+        beyond = [a - b for a, b in zip(parts, usual, strict=True)]
+        if sum(beyond) > self.LATE:
+            self.late += 1
+            self.because[self.PARTS[beyond.index(max(beyond))]] += 1
+        else:
+            self._usual = [b + self.SHARE * d for b, d in zip(usual, beyond, strict=True)]
+        return sum(parts)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was counted up to now.
+
+    ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
+    ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
+    planned for; ``passed``: plans with states outside hard limits by more than 0.1 % of the range, ``worst_passed``: by how much
+    of it at most, ``passed_where``: a sentence of that; ``apart``: plans that start elsewhere than in the state they were asked to,
+    ``worst_apart``: by how much of 1 + |x| at most; ``clamped``: ticks at which the policy asked for more than the drives
+    give. ``latency``: from observation to policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin
+    late; ``tick``: their duration; ``sent``: from a tick's time to its command; ``late_commands``: by part of the tick, see
+    :class:`Punctuality`.
+    """
+
+    state: str
+    seconds: float
+    ticks: int
+    misses: int
+    updates: int
+    mpc_misses: int
+    failures: int
+    repeated: int
+    policies: int
+    late: int
+    clamped: int
+    passed: int
+    worst_passed: float
+    passed_where: str
+    apart: int
+    worst_apart: float
+    latency: Spread
+    ready: Spread
+    jitter: Spread
+    tick: Spread
+    sent: Spread
+    late_commands: dict[str, int]
+    solve: Spread
+    update: Spread
+
+    @classmethod
+    def of(cls, state: str, seconds: float, own: Board, board: Board, punctuality: Punctuality) -> Report:
+        """From what the control thread (``own``) and the MPC's side (``board``) have written down up to now."""
+        count = lambda name: int(own[name])
+        spread = lambda name: Spread.of(own.samples(name))
+        return cls(
+            state=state,
+            seconds=seconds,
+            updates=int(board["updates"]),
+            mpc_misses=int(board["misses"]),
+            failures=int(board["failures"]),
+            repeated=int(board["repeated"]),
+            solve=Spread.of(board.samples("solve_time")),
+            update=Spread.of(board.samples("update_time")),
+            ticks=count("ticks"),
+            misses=count("misses"),
+            policies=count("policies"),
+            late=count("late"),
+            clamped=count("clamped"),
+            passed=int(board["passed"]),
+            worst_passed=board["worst_passed"],
+            passed_where=board.note,
+            apart=int(board["apart"]),
+            worst_apart=board["worst_apart"],
+            latency=spread("latency"),
+            ready=spread("ready"),
+            jitter=spread("jitter"),
+            tick=spread("tick"),
+            sent=spread("sent"),
+            late_commands=dict(punctuality.because),
+        )
+
+    def __str__(self) -> str:
+        ms = lambda s: f"{1e3 * s.median:.2f} ms (99 % {1e3 * s.p99:.2f}, longest {1e3 * s.max:.2f})"
+        outside = (
+            f"; {self.passed} plans outside hard limits, worst {100.0 * self.worst_passed:.2g} % ({self.passed_where})"
+        )
+        apart = f"; {self.apart} plans start elsewhere, worst by {100.0 * self.worst_apart:.2g} % of 1 + |x|"
+        return "\n".join(
+            [
+                f"{self.state}",
+                f"controller: {self.ticks} ticks, {self.misses} missed; begins late by {ms(self.jitter)}, takes {ms(self.tick)}",
+                f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
+                + (outside if self.passed else "")
+                + (apart if self.apart else ""),
+                f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
+            ]
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)

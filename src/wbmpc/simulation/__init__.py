@@ -1,0 +1,1 @@
+"""Simulated robots in MuJoCo, perturbed against the planner's model, and the lockstep loop."""

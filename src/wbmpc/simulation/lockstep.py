@@ -1,0 +1,271 @@
+"""The lockstep loop: plant, controller and MPC in virtual time, with a modelled computation delay. Repeatable."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from wbmpc.checks import whole
+from wbmpc.errors import (
+    DisturbanceTooLarge,
+    EndedByUser,
+    FallPredicted,
+    InputError,
+    NotFinite,
+    RunAborted,
+    SensorFailure,
+)
+from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy_queue import Controller, PolicyQueue
+
+_LOG = logging.getLogger("wbmpc")
+Progress = Callable[[float, str], None]
+#: How long [s] the robot is held at a stop after a run that ended early.
+STOP_TIME = 0.5
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended: an empty ``reason`` when it completed; ``fell`` and ``interrupted`` (by the user: Ctrl-C, a view) say what
+    kind of end it was."""
+
+    reason: str = ""
+    fell: bool = False
+    interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Whole numbers of physics steps: of a controller tick, of an MPC period, of the computation delay (in ticks)."""
+
+    period: float
+    steps: int
+    mpc_every: int
+    delay: int
+
+    @classmethod
+    def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
+        """Check rates [Hz] and delay [s] against the physics step [s]."""
+        steps = whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
+        period = steps * timestep
+        if mpc_rate > control_rate:
+            raise InputError(
+                f"mpc.rate: {mpc_rate:g} Hz is faster than the controller (control.rate), {control_rate:g} Hz, which follows the "
+                f"plans; valid: the controller's rate or a whole part of it"
+            )
+        every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
+        return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
+
+
+@dataclass(frozen=True)
+class Running:
+    """What runs: the loop's parts (``agent``, ``mpc`` None: there is none) and its ``duration`` [s].
+
+    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` tells loops of one run apart.
+    """
+
+    plant: Any
+    agent: Any
+    mpc: Any
+    timing: Timing
+    duration: float
+    interrupted: Callable[[], bool] = lambda: False
+    name: str = ""
+
+
+class Watcher(Protocol):
+    """Sees a run as it goes: recordings, live views. ``tick`` is called once per controller period, with the plant as it is
+    before the command acts; it may wait, since time is virtual, and end the run by raising :class:`RunAborted`, or
+    :class:`EndedByUser` where no other loop of the same run shall follow."""
+
+    def begin(self, running: Running) -> None: ...
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None: ...
+    def end(self, ending: Ending) -> None: ...
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
+
+    progress: Progress | None
+    watchers: tuple[Watcher, ...] = ()
+    name: str = ""
+
+    def __call__(self, fraction: float, note: str) -> None:
+        if self.progress is not None:
+            self.progress(fraction, note)
+
+
+def part(progress: Progress | None, k: int, count: int, name: str = "") -> Progress | None:
+    """The progress of the ``k``-th of ``count`` parts of a run, its notes after ``name``; watchers come along."""
+    if progress is None:
+        return None
+    told = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
+    return Watch(told, progress.watchers, name) if isinstance(progress, Watch) else told
+
+
+def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
+    return (progress.watchers, progress.name) if isinstance(progress, Watch) else ((), "")
+
+
+@contextmanager
+def interrupt_noted() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C was pressed: what is being done (a tick, a run's files) is finished first, so
+    that it stays whole.
+
+    The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
+    Nothing is changed outside the main thread, or where somebody else handles the signals.
+    """
+    pressed = threading.Event()
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        given: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
+
+    def note(number: int, frame: Any) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+        getattr(before[number], "noted", lambda: None)()
+
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield pressed.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def watched(
+    plant: Any, period: float, duration: float, progress: Progress | None, agent: Any = None
+) -> Iterator[Callable[[float, Any], None]]:
+    """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
+
+    Gives ``tick(t, command)``, to be called every ``period`` [s], ``t`` [s] after the loop's start, before the plant steps. It
+    raises :class:`EndedByUser` once Ctrl-C was pressed, so that a run ends between two steps.
+    """
+    watchers, name = _watchers(progress)
+    plans, ending = PolicyQueue(), Ending("an error of the program")
+    with interrupt_noted() as interrupted:
+        timing = Timing(period, round(period / plant.timestep), 1, 0)
+        for watcher in watchers:
+            watcher.begin(Running(plant, agent, None, timing, duration, interrupted, name))
+
+        def tick(t: float, command: Any) -> None:
+            if interrupted():
+                raise EndedByUser(f"interrupted at {t:.2f} s")
+            for watcher in watchers:
+                watcher.tick(t, command, plans)
+            if progress is not None and round(t / period) % 40 == 0:
+                progress(min(t / duration, 1.0), f"{t:.1f} of {duration:.1f} s")
+
+        try:
+            yield tick
+            ending = Ending("the robot fell", fell=True) if plant.fell else Ending()
+        except RunAborted as error:
+            ending = Ending(str(error), interrupted=isinstance(error, EndedByUser))
+            raise
+        finally:
+            for watcher in watchers:
+                watcher.end(ending)
+
+
+def run_lockstep(
+    plant: Any,
+    agent: Controller,
+    mpc: MPC | None,
+    timing: Timing,
+    duration: float,
+    record: Callable[[float, Any, PolicyQueue], None],
+    progress: Progress | None = None,
+) -> Ending:
+    """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
+    robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
+    last command. Before, in the first period, errors (bad settings) are raised.
+
+    ``mpc`` None: for agents that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
+    before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
+    """
+    plans, ticks, ending = PolicyQueue(), round(duration / timing.period), Ending()
+    watchers, name = _watchers(progress)
+    # what is not finite is found by its value; NumPy's warnings would only repeat it
+    with interrupt_noted() as interrupted, np.errstate(over="ignore", invalid="ignore"):
+        for watcher in watchers:
+            watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted, name))
+        for i in range(ticks):
+            t = i * timing.period
+            if interrupted():
+                ending = Ending(f"interrupted at {t:.2f} s", interrupted=True)
+                break
+            ending = _tick(plant, agent, mpc, timing, i, plans, record, watchers)
+            if ending.reason:
+                break
+            if progress is not None and i % 40 == 0:
+                progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
+        if ending.reason and not plant.diverged:
+            plant.step(agent.stop(), round(STOP_TIME / timing.period) * timing.steps)
+        for watcher in watchers:
+            watcher.end(ending)
+    if progress is not None and not ending.reason:
+        progress(1.0, f"{duration:.1f} s")
+    return ending
+
+
+def _tick(
+    plant: Any,
+    agent: Controller,
+    mpc: MPC | None,
+    timing: Timing,
+    i: int,
+    plans: PolicyQueue,
+    record: Callable[[float, Any, PolicyQueue], None],
+    watchers: tuple[Watcher, ...],
+) -> Ending:
+    """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
+    t = i * timing.period
+    try:
+        agent.measure(plant.measure())
+        plans.activate(t)
+        if mpc is not None and i % timing.mpc_every == 0:
+            until = t + timing.delay * timing.period
+            plans.add(until, mpc.update(agent.predict(t, until, plans)))
+            plans.activate(t)
+        command = agent.command(t, plans)
+        _check(command)
+        record(t, command, plans)
+        for watcher in watchers:
+            watcher.tick(t, command, plans)
+        plant.step(command, timing.steps)
+    except FallPredicted as error:
+        return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
+    except (SensorFailure, DisturbanceTooLarge) as error:
+        return Ending(f"stopped at {t:.2f} s: {error}")
+    except RunAborted as error:
+        return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
+    except NotFinite as error:
+        return Ending(f"stopped at {t:.2f} s: {error}")
+    except Exception as error:
+        if i == 0:
+            raise
+        _LOG.debug("what was raised at %.2f s:", t, exc_info=error)  # the traceback, for who looks for the mistake
+        return Ending(f"stopped at {t:.2f} s: {type(error).__name__}: {error}")
+    if plant.diverged:
+        return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
+    return Ending(f"the robot fell at {t:.2f} s", fell=True) if plant.fell else Ending()
+
+
+def _check(command: Any) -> None:
+    """Raise :class:`NotFinite` naming the part of a command that is not finite: it must not reach the drives."""
+    for name, values in vars(command).items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise NotFinite(f"command: '{name}' of drive {bad[0]} is not finite")

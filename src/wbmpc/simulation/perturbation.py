@@ -1,0 +1,218 @@
+"""How the simulated robot differs from the planner's model, and how its sensors and drives misbehave."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+#: What only swerve robots have, beside what the ball robot's plant refuses with words of its own.
+SWERVE_ONLY = ("load", "slope", "steer_zero", "joint_loss", "brake_delay", "encoder_counts", "steer_noise")
+
+
+class Perturbation(BaseModel):
+    """Spreads of the differences between plant and model; each is drawn uniformly within ± its value, per seed.
+
+    Bodies: ``mass`` and ``inertia`` relative, ``com`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
+    ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
+    ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
+    drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
+    open to closed and back. ``friction`` of the floor: a range, or one number; ``spin_friction`` [m], of a ball on it, about the
+    vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a
+    message are up to this old.
+    ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
+    ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
+    order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
+    [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
+
+    Ball robots only, and not spreads: ``dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
+    elastic drives (:mod:`wbmpc.simulation.elastic_drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
+    ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
+    ``torque_damping``.
+    Their figures are assumed: none are published for this robot.
+
+    Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
+    whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
+    whose direction is drawn; ``brake_fault``: from ``brake_fault_time`` [s] of the plant on, at the start of which the robot stands
+    for ``rest``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
+    Ball robots only: ``cables`` [m]: height of a grid of cables on the floor.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    mass: float = Field(default=0.05, ge=0, lt=0.5)
+    inertia: float = Field(default=0.10, ge=0, lt=0.5)
+    com: float = Field(default=0.010, ge=0)
+    joint_offset: float = Field(default=0.002, ge=0)
+    steer_zero: float = Field(default=0.003, ge=0)
+    wheel_radius: float = Field(default=0.002, ge=0, lt=0.2)
+    wheel_radius_each: float = Field(default=0.0, ge=0, lt=0.2)
+    drive_lag: float = Field(default=0.020, ge=0)
+    drive_lag_spread: float = Field(default=0.30, ge=0, lt=1)
+    dead_time: float = Field(default=0.0, ge=0, le=0.5)
+    wheel_spring: float = Field(default=0.0, ge=0)
+    arm_spring: float = Field(default=0.0, ge=0)
+    wheel_rotor: float = Field(default=0.010, ge=0)
+    arm_rotor: float = Field(default=0.050, ge=0)
+    spring_damping: float = Field(default=0.02, ge=0, le=2)
+    torque_gain: float = Field(default=1.0, ge=0, le=20)
+    torque_damping: float = Field(default=0.2, ge=0, le=2)
+    joint_loss: float = Field(default=2.0, ge=0)
+    brake_delay: float = Field(default=0.10, ge=0)
+    friction: tuple[float, float] = (0.6, 0.9)
+    spin_friction: float = Field(default=0.01, ge=0, le=1)
+    encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
+    encoder_counts: int = Field(default=2**14, ge=0)
+    arm_counts: int = Field(default=2**17, ge=0)
+    steer_noise: float = Field(default=0.0, ge=0)
+    gyro_noise: float = Field(default=2e-4, ge=0)
+    gyro_bias: float = Field(default=0.01, ge=0)
+    gyro_walk: float = Field(default=2e-5, ge=0)
+    accel_noise: float = Field(default=1e-3, ge=0)
+    accel_bias: float = Field(default=0.01, ge=0)
+    accel_walk: float = Field(default=3e-3, ge=0)
+    state_age: float = Field(default=0.005, ge=0, le=1.0)
+    position_noise: float = Field(default=1e-3, ge=0)
+    angle_noise: float = Field(default=2e-3, ge=0)
+    speed_noise: float = Field(default=0.01, ge=0)
+    rate_noise: float = Field(default=0.02, ge=0)
+    payload: float = Field(default=0.0, ge=0, le=50)
+    load: float = Field(default=0.0, ge=0, le=500)
+    slope: float = Field(default=0.0, ge=0, le=0.5)
+    brake_fault: Literal["none", "open", "closed"] = "none"
+    brake_fault_leg: int = Field(default=0, ge=0)
+    brake_fault_time: float = Field(default=0.0, ge=0)
+    cables: float = Field(default=0.0, ge=0, le=0.02)
+
+    @field_validator("friction", mode="before")
+    @classmethod
+    def _one_number_is_a_range(cls, value: Any) -> Any:
+        return (value, value) if isinstance(value, (int, float)) else value
+
+    @field_validator("friction")
+    @classmethod
+    def _range_in_order(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 <= value[0] <= value[1]:
+            raise ValueError("one number, or two with 0 ≤ lower ≤ upper, are needed")
+        return value
+
+    @model_validator(mode="after")
+    def _fault_of_a_brake(self) -> Self:
+        if self.brake_fault == "none":
+            for name in ("brake_fault_leg", "brake_fault_time"):
+                if getattr(self, name):
+                    raise ValueError(f"{name}: nothing uses it without brake_fault=open or brake_fault=closed")
+        return self
+
+    @model_validator(mode="after")
+    def _rigid_drives(self) -> Self:
+        loop = ("spring_damping", "torque_gain", "torque_damping")
+        for springs, idle in (
+            (("wheel_spring",), ("wheel_rotor",)),
+            (("arm_spring",), ("arm_rotor",)),
+            (("wheel_spring", "arm_spring"), loop),
+        ):
+            for name in filter(self.asked, () if any(getattr(self, s) for s in springs) else idle):
+                raise ValueError(f"{name}: nothing uses it without {' or '.join(springs)}")
+        return self
+
+    def asked(self, name: str) -> bool:
+        """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
+        return getattr(self, name) not in (0, type(self).model_fields[name].default)
+
+    def refuse(self, names: Collection[str], why: str) -> None:
+        """Raise :class:`InputError` for the first of ``names`` that is :meth:`asked` for."""
+        for name in filter(self.asked, names):
+            raise InputError(f"plant.{name}: {why}")
+
+    @classmethod
+    def none(cls, **changes: Any) -> Perturbation:
+        """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
+        kept = {"drive_lag": 0.020, "friction": 0.8, "spin_friction": 0.01, "brake_fault": "none"}
+        return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
+
+    def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:
+        """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints."""
+
+        def around(spread: float, *size: int) -> Array:
+            return rng.uniform(-spread, spread, size)
+
+        def lag(size: int) -> Array:
+            return self.drive_lag * (1.0 + around(self.drive_lag_spread, size))
+
+        return Draw(
+            mass={name: 1.0 + float(around(self.mass)) for name in bodies},
+            inertia={name: 1.0 + float(around(self.inertia)) for name in bodies},
+            com={name: around(self.com, 3) for name in bodies},
+            friction=float(rng.uniform(*self.friction)),
+            radius=(1.0 + around(self.wheel_radius)) * (1.0 + around(self.wheel_radius_each, wheels)),
+            leg_offset=around(self.joint_offset, wheels),
+            steer_offset=around(self.steer_zero, wheels),
+            arm_offset=around(self.joint_offset, arm),
+            wheel_lag=lag(wheels),
+            steer_lag=lag(wheels),
+            arm_lag=lag(arm),
+            gyro_bias=around(self.gyro_bias, 3),
+            accel_bias=around(self.accel_bias, 3),
+            # the last one: the numbers before it are those of a level floor
+            downhill=float(rng.uniform(-np.pi, np.pi)),
+        )
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The numbers of one plant: factors by body, shifts (3) [m] of centres of mass in the body's frame, and the rest
+    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``downhill`` [rad]: the
+    direction in which a slope falls."""
+
+    mass: dict[str, float]
+    inertia: dict[str, float]
+    com: dict[str, Array]
+    friction: float
+    radius: Array
+    leg_offset: Array
+    steer_offset: Array
+    arm_offset: Array
+    wheel_lag: Array
+    steer_lag: Array
+    arm_lag: Array
+    gyro_bias: Array
+    accel_bias: Array
+    downhill: float = 0.0
+
+    def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
+        """Other masses, inertias and centres of mass of a specification, in place.
+
+        Bodies that are ``balanced`` (wheels, the ball: they turn) keep their centres of mass. An inertia is scaled as a
+        whole: scaling its moments one by one can break the triangle inequality.
+        """
+        nominal = spec.compile()
+        for body in spec.bodies:
+            name = body.name
+            if name not in self.mass:
+                continue
+            b = nominal.body(name).id
+            if nominal.body_mass[b] <= 0.0:
+                continue
+            body.explicitinertial = True
+            body.fullinertia = np.full(6, np.nan)
+            body.mass = float(nominal.body_mass[b]) * self.mass[name]
+            body.inertia = nominal.body_inertia[b] * self.inertia[name]
+            body.iquat = nominal.body_iquat[b]
+            body.ipos = nominal.body_ipos[b] + (0.0 if name in balanced else self.com[name])
+
+
+def quantise(values: Array, counts: int) -> Array:
+    """Angles [rad] as an encoder with ``counts`` per turn reports them (0: exact)."""
+    if counts == 0:
+        return values
+    step = 2.0 * np.pi / counts
+    return np.round(values / step) * step

@@ -1,0 +1,343 @@
+"""Compiled code of inequalities and multiplier rows: relaxed barriers, interior point, augmented Lagrangian.
+
+A row h(z) contributes the quadratic ½ w σ (J δz + e)² to its node's subproblem (w: the interval's length) and gets the
+multiplier −σ (J δz + e) after the step:
+
+- HARD, slack t, multiplier l, L1 slack s with y = ν − l: σ = 1 / (t/l + s/y), e = h − μ/l + μ/y − l/σ;
+- MULTIPLIER: σ = ρ where λ > ρ h, else 0; e = h − λ/ρ;
+- EQUAL: σ = ρ, e = h + λ/ρ, multiplier +σ (J δz + e).
+
+The rows of a node come in vectors of eight (:mod:`wbmpc.solver.inequality_algebra`): first those of one variable, then general
+ones, then rows that do nothing, up to a multiple of eight. Without L1 slack ("open", infinite ν): s = 0, and y counts as 1
+wherever it only scales.
+
+Sources: Nocedal and Wright 2006, sections 19.2 and 17.4; derivation in docs/derivations.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.solver.barriers import add_square
+from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUMS, call3, compiled
+from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
+from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, look_outside, node_rows
+from wbmpc.solver.memory_layout import (
+    ADD_ROWS,
+    BASE,
+    DU,
+    DUAL,
+    DX,
+    END_J,
+    END_ROW_GENERAL,
+    END_ROW_VALUES,
+    END_ROWS_J,
+    GRID,
+    KIND,
+    LEFT,
+    LX,
+    LZ,
+    MU,
+    NP,
+    NU,
+    NX,
+    OFFSET,
+    PRIMAL,
+    PRODUCT,
+    PULLED,
+    RESIDUAL,
+    ROW_C,
+    ROW_D,
+    ROW_DS,
+    ROW_DT,
+    ROW_E,
+    ROW_GENERAL,
+    ROW_H,
+    ROW_J,
+    ROW_L,
+    ROW_N,
+    ROW_S,
+    ROW_SCALED,
+    ROW_SLOPE,
+    ROW_T,
+    ROW_TRIAL,
+    ROW_Y,
+    ROWS,
+    SIGN,
+    SMALL,
+    STATE,
+    WATCHED,
+    N,
+    P,
+    U,
+    X,
+)
+from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
+from wbmpc.solver.stages import row_index, stage_end
+
+
+# ---------------------------------------------------------------------- all rows of a node
+@compiled(NUM, NUMS, INTS, INT, INT, INT)
+def box_value(m, o, r, x, u):  # type: ignore[no-untyped-def]
+    """h of a row of one variable."""
+    i, first = o[row_index(o) + r], o[NX] + 1
+    return m[entry(o, SIGN, r)] * (m[x + i] if i < first else m[u + i - first]) + m[entry(o, OFFSET, r)]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
+def collect_values(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
+    """h of node k's rows at ``out``: those of one variable from x and u, general ones from where their function left them."""
+    first, boxes, general = node_rows(o, k)
+    for j in range(boxes):
+        m[out + j] = box_value(m, o, first + j, x, u)
+    for j in range(general):
+        m[out + boxes + j] = m[o[SMALL] + 16 + j]
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def end_values(m, o, x):  # type: ignore[no-untyped-def]
+    """Values of the general rows of the end into ``small`` from entry 16 on."""
+    if o[END_ROW_GENERAL] > 0:
+        out = o[SMALL] + 16
+        stage_end(o, END_ROW_VALUES, x, o[P] + o[N] * o[NP], out, out)
+
+
+@compiled(NUM2, NUMS, INTS, INT, INT, INT, NUM)
+def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
+    """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w.
+
+    The values of its general rows are in ``small``."""
+    first, boxes, general = node_rows(o, k)
+    if boxes + general == 0:
+        return 0.0, 0.0
+    place, mu, values = k * o[ROWS], m[o[STATE] + MU], o[ROW_TRIAL]
+    collect_values(m, o, k, x, u, values)
+    if m[o[STATE] + WATCHED] > 0.0:
+        look_outside(m, o, k)
+    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    for j in range(0, boxes + general, LANES):
+        q, at = place + j, values + j
+        kind, penalty, active = eight_rows(m, o, first + j, k)
+        h, l = m[at : at + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
+        t = m[o[ROW_T] + q : o[ROW_T] + q + LANES] + alpha * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
+        s = m[o[ROW_S] + q : o[ROW_S] + q + LANES] + alpha * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+        c, v, factor = merits(kind, h, t, l, s, penalty)
+        cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
+        product = product * np.where(active, factor, 1.0)
+        if not np.all((product > 1e-200) & (product < 1e200)):
+            logs += log_of_product(m, o, product)
+            product = np.full(LANES, 1.0)
+    logs += log_of_product(m, o, product)
+    return np.sum(cost) - mu * logs, np.sum(violation)
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, INT, INT)
+def add_general(m, o, k, jacobian, place, general, w, matrix, ld):  # type: ignore[no-untyped-def]
+    """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
+    lz, base = o[LZ], o[BASE]
+    if k < o[N]:
+        for j in range(general):
+            scale = w * m[o[ROW_C] + place + j]
+            for c in range(0, lz, LANES):
+                out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
+                m[out : out + LANES] = scale * m[row : row + LANES]
+        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
+        return
+    for j in range(general):
+        scale, row = w * m[o[ROW_C] + place + j], jacobian + j * lz
+        for a in range(o[NX] + 1):
+            for b in range(o[NX] + 1):
+                m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, INT, INT)
+def add_boxes(m, o, first, place, boxes, w, matrix, ld):  # type: ignore[no-untyped-def]
+    """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
+    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    for j in range(boxes):
+        slope = w * m[o[ROW_C] + place + j] * m[signs + j]
+        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + place + j])
+
+
+@compiled(NUM2, NUMS, INTS, INT, INT, INT, INT, INT)
+def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
+    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
+
+    The functions of general rows along the path have been called: values in ``small``, Jacobian in its place.
+    """
+    first, boxes, general = node_rows(o, k)
+    if boxes + general == 0:
+        return 0.0, 0.0
+    w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
+    mu, place, lz = m[o[STATE] + MU], k * o[ROWS], o[LZ]
+    jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
+    if general > 0 and k == o[N]:
+        stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
+    collect_values(m, o, k, x, u, o[ROW_H] + place)
+    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    for j in range(0, boxes + general, LANES):
+        q = place + j
+        kind, penalty, active = eight_rows(m, o, first + j, k)
+        h, t = m[o[ROW_H] + q : o[ROW_H] + q + LANES], m[o[ROW_T] + q : o[ROW_T] + q + LANES]
+        l, s = m[o[ROW_L] + q : o[ROW_L] + q + LANES], m[o[ROW_S] + q : o[ROW_S] + q + LANES]  # noqa: E741
+        sigma, e = weights(kind, h, t, l, s, m[o[ROW_Y] + q : o[ROW_Y] + q + LANES], penalty, mu)
+        m[o[ROW_C] + q : o[ROW_C] + q + LANES] = np.where(active, sigma, 0.0)
+        m[o[ROW_E] + q : o[ROW_E] + q + LANES] = np.where(active, e, 0.0)
+        c, v, factor = merits(kind, h, t, l, s, penalty)
+        cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
+        product = product * np.where(active, factor, 1.0)
+        if not np.all((product > 1e-200) & (product < 1e200)):
+            logs += log_of_product(m, o, product)
+            product = np.full(LANES, 1.0)
+    logs += log_of_product(m, o, product)
+    add_boxes(m, o, first, place, boxes, w, matrix, ld)
+    for j in range(general):
+        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + place + boxes + j]
+    if general > 0:
+        add_general(m, o, k, jacobian, place + boxes, general, w, matrix, ld)
+    return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def row_changes(m, o, k):  # type: ignore[no-untyped-def]
+    """J δz of node k's rows into ``rows_d``."""
+    first, boxes, general = node_rows(o, k)
+    dx, du, nx, lz, out = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX], o[LZ], o[ROW_D] + k * o[ROWS]
+    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    for j in range(boxes):
+        i = o[index + j]
+        m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
+    for j in range(general):
+        row, total = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz, 0.0
+        for i in range(nx):
+            total += m[row + i] * m[dx + i]
+        if k < o[N]:
+            for i in range(o[NU]):
+                total += m[row + nx + 1 + i] * m[du + i]
+        m[out + boxes + j] = total
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def add_rows_product(m, o, k, w):  # type: ignore[no-untyped-def]
+    """w Jᵀ σ J δz of node k by [x, 1, u] into ``pulled``: what the rows have put into H δz."""
+    first, boxes, general = node_rows(o, k)
+    place, lz, out = k * o[ROWS], o[LZ], o[PULLED]
+    for i in range(lz):
+        m[out + i] = 0.0
+    for j in range(boxes):
+        q = place + j
+        m[out + o[row_index(o) + first + j]] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, SIGN, first + j)]
+    size = lz if k < o[N] else o[NX]
+    for j in range(general):
+        q = place + boxes + j
+        row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
+        for i in range(size):
+            m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
+
+
+# ---------------------------------------------------------------------- all nodes
+@compiled(NONE, NUMS, INTS, NUM)
+def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
+    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see places.py).
+
+    ``tau``: fraction to the boundary.
+    """
+    state, mu, zero = o[STATE], m[o[STATE] + MU], np.full(LANES, 0.0)
+    primal, dual, slope, product, residual, left = zero, zero, zero, zero, zero, zero
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
+        row_changes(m, o, k)
+        for j in range(0, boxes + general, LANES):
+            q = k * o[ROWS] + j
+            kind, penalty, active = eight_rows(m, o, first + j, k)
+            change, h = m[o[ROW_D] + q : o[ROW_D] + q + LANES], m[o[ROW_H] + q : o[ROW_H] + q + LANES]
+            t, l = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
+            s, y = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+            reach, hard = change + m[o[ROW_E] + q : o[ROW_E] + q + LANES], active & (kind == HARD)
+            following = -m[o[ROW_C] + q : o[ROW_C] + q + LANES] * reach
+            dt, ds, dl, shrink, fall, rise = steps(t, l, s, y, penalty, following, h + change, mu)
+            m[o[ROW_DT] + q : o[ROW_DT] + q + LANES] = np.where(hard, dt, 0.0)
+            m[o[ROW_DS] + q : o[ROW_DS] + q + LANES] = np.where(hard, ds, 0.0)
+            primal = np.maximum(primal, np.where(hard, shrink, 0.0))
+            dual = np.maximum(dual, np.where(hard, fall, 0.0))
+            slope = slope + w * np.where(hard, rise, 0.0)
+            closed = penalty < np.inf
+            product = np.maximum(product, np.where(hard, np.maximum(l * t, np.where(closed, y * s, 0.0)), 0.0))
+            slack = np.where(closed, s, 0.0)
+            residual = np.maximum(residual, np.where(hard, abs(h + slack - t), 0.0))
+            following = np.where(hard, l + dl, l)
+            if not np.all(kind == HARD):
+                equal, one_sided = active & (kind == EQUAL), active & (kind == MULTIPLIER)
+                pull = np.maximum(l - penalty * h, 0.0)
+                after = np.maximum(l - penalty * (h + change), 0.0)
+                slope = slope - w * np.where(one_sided, pull * change, 0.0)
+                residual = np.maximum(residual, np.where(one_sided, abs(np.minimum(h, l / penalty)), 0.0))
+                residual = np.maximum(residual, np.where(equal, abs(h), 0.0))
+                left = left + w * np.where(equal, abs(h + change), 0.0)
+                following = np.where(one_sided, after, np.where(equal, penalty * reach, following))
+            m[o[ROW_N] + q : o[ROW_N] + q + LANES] = following
+    m[state + PRIMAL], m[state + DUAL] = tau / max(np.max(primal), tau), tau / max(np.max(dual), tau)
+    m[state + ROW_SLOPE], m[state + PRODUCT] = np.sum(slope), np.max(product)
+    m[state + RESIDUAL], m[state + LEFT] = np.max(residual), np.sum(left)
+
+
+@compiled(NONE, NUMS, INTS, NUM, NUM, BOOL)
+def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
+    """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``."""
+    moved = primal if solved else 0.0
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        for j in range(0, boxes + general, LANES):
+            q = k * o[ROWS] + j
+            kind = m[entry(o, KIND, first + j) : entry(o, KIND, first + j) + LANES]
+            length = np.where(kind == HARD, dual, np.where(kind == MULTIPLIER, moved, primal))
+            change = length * (m[o[ROW_N] + q : o[ROW_N] + q + LANES] - m[o[ROW_L] + q : o[ROW_L] + q + LANES])
+            m[o[ROW_L] + q : o[ROW_L] + q + LANES] += change
+            m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] -= change
+            m[o[ROW_T] + q : o[ROW_T] + q + LANES] += primal * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
+            m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+
+
+@compiled(NONE, NUMS, INTS, NUM, BOOL, BOOL)
+def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
+    """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
+
+    ``keep_slacks``: slacks that there are stay too.
+    """
+    mu = m[o[STATE] + MU]
+    kept = np.inf if keep else -1.0  # multipliers below it are kept
+    slacks_kept = np.inf if keep and keep_slacks else -1.0
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        if boxes + general == 0:
+            continue
+        x, u, values = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU], o[ROW_TRIAL]
+        if k == o[N]:
+            end_values(m, o, x)
+        elif general > 0:
+            if k % LANES == 0:
+                load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
+                evaluate_rows(m, o)
+            take_rows_of_lane(m, o, k % LANES)
+        collect_values(m, o, k, x, u, values)
+        for j in range(0, boxes + general, LANES):
+            q, at = k * o[ROWS] + j, values + j
+            kind, penalty, _ = eight_rows(m, o, first + j, k)
+            h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
+            t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
+            s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+            t = np.where(h > least, h, least)  # also for a NaN
+            l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
+            l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
+            y = penalty - l
+            s = np.where(closed, np.maximum(t - h, mu / y), 0.0)
+            stay = (t_old > 0.0) & (abs(l_old) < slacks_kept)
+            other = np.where(abs(l_old) < kept, l_old, 0.0)
+            l = np.where(hard, np.where(stay, l_old, l), other)  # noqa: E741
+            t, s = np.where(hard, np.where(stay, t_old, t), t_old), np.where(hard, np.where(stay, s_old, s), s_old)
+            y = np.where(hard, np.where(stay, y_old, y), y_old)
+            m[o[ROW_T] + q : o[ROW_T] + q + LANES] = t
+            m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
+            m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
+            m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y

@@ -1,0 +1,162 @@
+"""Compiled code: what the table of rows says, and by how much planned inputs and states are outside hard rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.ocp.constraint_classification import Kind
+from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, LANES, MASK, NONE, NUM, NUMS, VEC, compiled
+from wbmpc.solver.memory_layout import (
+    COUNTS,
+    COUNTS_FIRST,
+    DUAL,
+    END_ROW_BOXES,
+    END_ROW_GENERAL,
+    GIVEN_WAY,
+    KIND,
+    LIMIT_TOLERANCE,
+    MISSED,
+    MOST_AT,
+    PASSED,
+    PASSED_AT,
+    PENALTY,
+    RHO,
+    ROW_BOXES,
+    ROW_D,
+    ROW_END,
+    ROW_GENERAL,
+    ROW_H,
+    ROW_L,
+    ROW_N,
+    ROW_TABLE,
+    ROW_TOTAL,
+    ROW_TRIAL,
+    ROWS,
+    STATE,
+    UNDUE,
+    N,
+)
+
+HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
+#: Inputs that are less outside [ranges of the rows] are inside.
+ROUNDING = 1e-9
+#: A multiplier beyond this share of its L1 slack's weight says that the row gives way.
+GIVES_WAY = 0.9
+
+
+@compiled(INT3, INTS, INT)
+def node_rows(o, k):  # type: ignore[no-untyped-def]
+    """(first row in the row table, rows of one variable, general rows) of node k."""
+    if k < o[N]:
+        return 0, o[ROW_BOXES], o[ROW_GENERAL]
+    return o[ROW_END], o[END_ROW_BOXES], o[END_ROW_GENERAL]
+
+
+@compiled(INT, INTS, INT, INT)
+def entry(o, column, r):  # type: ignore[no-untyped-def]
+    """Place of row r in a column of the row table."""
+    return o[ROW_TABLE] + column * o[ROW_TOTAL] + r
+
+
+@compiled(BOOL, NUMS, INTS, INT, INT)
+def counts(m, o, r, k):  # type: ignore[no-untyped-def]
+    """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
+    return m[entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)] > 0.0
+
+
+@compiled(INT, NUMS, INTS, INT)
+def kind_of(m, o, r):  # type: ignore[no-untyped-def]
+    """HARD, MULTIPLIER or EQUAL."""
+    return int(m[entry(o, KIND, r)])
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def row_penalty(m, o, r):  # type: ignore[no-untyped-def]
+    """Weight of a hard row's L1 slack, or ρ of a multiplier row (which grows while its residual does not shrink)."""
+    penalty = m[entry(o, PENALTY, r)]
+    return penalty if kind_of(m, o, r) == HARD else penalty * m[o[STATE] + RHO]
+
+
+@compiled((VEC, VEC, MASK), NUMS, INTS, INT, INT)
+def eight_rows(m, o, r, k):  # type: ignore[no-untyped-def]
+    """(kinds, penalties, whether they count at node k) of the rows from r on."""
+    kind, penalty = (
+        m[entry(o, KIND, r) : entry(o, KIND, r) + LANES],
+        m[entry(o, PENALTY, r) : entry(o, PENALTY, r) + LANES],
+    )
+    column = entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
+    penalty = np.where(kind == HARD, penalty, penalty * m[o[STATE] + RHO])
+    return kind, penalty, m[column : column + LANES] > 0.0
+
+
+# ---------------------------------------------------------------------- inputs and states outside
+@compiled(BOOL, NUMS, INTS, INT)
+def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
+    """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
+    return kind_of(m, o, r) == HARD and m[entry(o, COUNTS_FIRST, r)] > 0.0
+
+
+@compiled(NONE, NUMS, INTS)
+def forget_outside(m, o):  # type: ignore[no-untyped-def]
+    """Nothing is known to be outside."""
+    m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY] = 0.0, 0.0
+    m[o[STATE] + PASSED], m[o[STATE] + UNDUE] = 0.0, 0.0
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
+    """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
+    _, boxes, general = node_rows(o, k)
+    for j in range(boxes + general):
+        if bounds_inputs(m, o, j):
+            place, by = o[STATE] + (GIVEN_WAY if row_penalty(m, o, j) < np.inf else MISSED), -m[o[ROW_TRIAL] + j]
+            if by > max(m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY]):
+                m[o[STATE] + MOST_AT] = k * o[ROWS] + j
+            m[place] = max(m[place], by)
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def tell_passed(m, o, k):  # type: ignore[no-untyped-def]
+    """Remember in ``state`` by how much node k's state is outside: all rows, and those that do not give way a step further."""
+    first, boxes, general = node_rows(o, k)
+    state = o[STATE]
+    for j in range(boxes + general):
+        r, q, by = first + j, k * o[ROWS] + j, -m[o[ROW_TRIAL] + j]
+        if by <= LIMIT_TOLERANCE or bounds_inputs(m, o, r) or kind_of(m, o, r) != HARD or not counts(m, o, r, k):
+            continue
+        if by > m[state + PASSED]:
+            m[state + PASSED], m[state + PASSED_AT] = by, q
+        following = m[o[ROW_L] + q] + m[state + DUAL] * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
+        if following < GIVES_WAY * row_penalty(m, o, r):
+            m[state + UNDUE] = max(m[state + UNDUE], by)
+
+
+@compiled(NUM, NUMS, INTS)
+def start_outside(m, o):  # type: ignore[no-untyped-def]
+    """By how much the measured state is outside hard rows of the state of which the iterate's start is inside, or nearly, after a
+    direction; 0 where there is none. (The rows do not count there.)"""
+    _, boxes, general = node_rows(o, 0)
+    worst = 0.0
+    for j in range(boxes + general):
+        if kind_of(m, o, j) == HARD and counts(m, o, j, 1) and not bounds_inputs(m, o, j):
+            outside, change = -(m[o[ROW_H] + j] + m[o[ROW_D] + j]), -m[o[ROW_D] + j]
+            worst = max(worst, outside if change > 0.5 * outside else 0.0)
+    return worst
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def look_outside(m, o, k):  # type: ignore[no-untyped-def]
+    """As :func:`tell_outside` and :func:`tell_passed`, of a node of which most often nothing is outside."""
+    first, boxes, general = node_rows(o, k)
+    inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
+    for j in range(0, boxes + general, LANES):
+        r, at, bounds = first + j, o[ROW_TRIAL] + j, entry(o, COUNTS_FIRST, first + j)
+        kind, column = m[entry(o, KIND, r) : entry(o, KIND, r) + LANES], entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
+        over = np.where((kind == HARD) & (m[column : column + LANES] > 0.0), -m[at : at + LANES], 0.0)
+        of_inputs = m[bounds : bounds + LANES] > 0.0
+        inputs = np.maximum(inputs, np.where(of_inputs, over, 0.0))
+        states = np.maximum(states, np.where(of_inputs, 0.0, over))
+    if np.max(inputs) > ROUNDING:
+        tell_outside(m, o, k)
+    if np.max(states) > LIMIT_TOLERANCE:
+        tell_passed(m, o, k)

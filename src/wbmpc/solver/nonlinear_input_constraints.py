@@ -1,0 +1,317 @@
+"""Compiled code of hard rows that are curved in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
+are held within the true rows.
+
+A linearised row says little about where the true one ends. Two things help. The Hessian takes the rows' second derivatives by the
+inputs, times the multipliers, at nodes where they are positive semidefinite, as those of convex sets are (Nocedal and Wright 2006,
+section 18.1). And in real time every trial point is corrected node by node from the first one on: inputs outside a true row move
+along the rows' gradients by the shortest way (Newton's method for one row, cyclic projection for several; Bauschke and Borwein
+1996), and the states behind follow by the linearised dynamics. Roll-outs of single shooting are held within straight rows too:
+their feedback takes inputs far beyond what the step was made for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, compiled
+from wbmpc.solver.exact import clear_second, costate_node, stage_with
+from wbmpc.solver.inequalities import collect_values
+from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, row_penalty, tell_outside
+from wbmpc.solver.memory_layout import (
+    AB,
+    BENT,
+    BEST,
+    CHAINED,
+    EPS,
+    GRID,
+    HOLD,
+    LAGRANGIAN,
+    LANE_ROWS,
+    LANE_U,
+    LANE_VALUES,
+    LANE_X,
+    LANES_ROWS_J,
+    LZ,
+    MU,
+    NG,
+    NP,
+    NU,
+    NU_ROWS,
+    NX,
+    PULLED,
+    ROW_DS,
+    ROW_DT,
+    ROW_GENERAL,
+    ROW_L,
+    ROW_S,
+    ROW_SCALED,
+    ROW_T,
+    ROW_TRIAL,
+    ROWS,
+    SECOND,
+    SIGN,
+    SIGNED,
+    SMALL,
+    STATE,
+    UNPACK_ROWS,
+    UT,
+    XT,
+    P,
+    U,
+    X,
+)
+from wbmpc.solver.simd_batch import load_block, stage_lanes, take_rows_of_lane, unpack
+from wbmpc.solver.stages import row_index
+
+#: Corrections of a node's inputs at most. A circle takes five from three times its radius, rows at acute angles many.
+CORRECTIONS = 30
+#: Where corrections aim [units of the rows], so that they end inside.
+INSIDE = 1e-6
+#: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
+LEAST_SHARE = 0.1
+
+
+@compiled(BOOL, NUMS, INTS, INT)
+def held(m, o, r):  # type: ignore[no-untyped-def]
+    """Whether inputs are held within row r: with an L1 slack, which may be there to be used, in real time only."""
+    return bounds_inputs(m, o, r) and (m[o[STATE] + HOLD] > 1.0 or not row_penalty(m, o, r) < np.inf)
+
+
+@compiled(NUM, NUMS, INTS, INT, INT)
+def inside(m, o, k, j):  # type: ignore[no-untyped-def]
+    """Where a correction onto row j of node k aims: what a step may leave of its slack."""
+    _, boxes, _ = node_rows(o, k)
+    q = k * o[ROWS] + j
+    if j < boxes:
+        return min(INSIDE, LEAST_SHARE * m[o[ROW_T] + q])
+    return LEAST_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + MU] / m[o[ROW_L] + q], LEAST_SHARE))
+
+
+# ---------------------------------------------------------------------- second derivatives
+@compiled(BOOL, NUMS, INTS)
+def semidefinite(m, o):  # type: ignore[no-untyped-def]
+    """Whether the inputs' block of ``second`` is positive semidefinite up to rounding; its factor goes to ``chained``."""
+    nu, lz, first = o[NU], o[LZ], o[NX] + 1
+    rounding = 1e-300
+    for i in range(first, first + nu):
+        rounding += 1e-9 * abs(m[o[SECOND] + i * lz + i])
+    for a in range(nu):
+        for b in range(a + 1):
+            total = m[o[SECOND] + (first + a) * lz + first + b] + (rounding if a == b else 0.0)
+            for c in range(b):
+                total -= m[o[CHAINED] + a * lz + c] * m[o[CHAINED] + b * lz + c]
+            if a == b:
+                if not total > 0.0:
+                    return False
+                total = np.sqrt(total)
+            else:
+                total /= m[o[CHAINED] + b * lz + b]
+            m[o[CHAINED] + a * lz + b] = total
+    return True
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def hard_multipliers(m, o, k):  # type: ignore[no-untyped-def]
+    """−l of node k's general hard rows of the inputs to ``signed``, 0 for the others and for equalities."""
+    _, boxes, general = node_rows(o, k)
+    for j in range(general):
+        hard = bounds_inputs(m, o, boxes + j)
+        m[o[SIGNED] + j] = -m[o[ROW_L] + k * o[ROWS] + boxes + j] if hard else 0.0
+    m[o[SMALL] + 2] = m[o[GRID] + k + 1] - m[o[GRID] + k]
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, INT)
+def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+    """Second derivatives by the inputs of node k's rows, times their multipliers, onto its Hessian, where the subproblem stays
+    convex. ``rows``: where its equality rows are."""
+    nx, nu, lz = o[NX], o[NU], o[LZ]
+    if o[BENT] > 0:
+        costate_node(m, o, k, rows)
+    else:
+        hard_multipliers(m, o, k)
+    clear_second(m, o)
+    x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
+    stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
+    share, along = 1.0, 0.0
+    if not semidefinite(m, o):
+        along = steepness(m, o, rows) if o[BENT] > 0 else 0.0
+        share = largest_share(m, o, matrix, rows, along)
+    if share == 0.0:
+        return
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, nx + 1 + nu):
+            m[matrix + i * lz + j] += share * m[o[SECOND] + i * lz + j]
+    if along > 0.0:
+        add_along(m, o, matrix, rows, along)
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def steepness(m, o, rows):  # type: ignore[no-untyped-def]
+    """c for c Eᵀ E of the equality rows E: ten times the size of ``second`` across the least of the rows."""
+    nx, nu, lz, size, least = o[NX], o[NU], o[LZ], 0.0, np.inf
+    for i in range(nx + 1, nx + 1 + nu):
+        for j in range(nx + 1, i + 1):
+            size += m[o[SECOND] + i * lz + j] ** 2
+    for q in range(o[NG]):
+        square = 0.0
+        for i in range(nx + 1, nx + 1 + nu):
+            square += m[rows + q * lz + i] ** 2
+        if square > 1e-12 and m[o[EPS] + q] <= 1e-13:
+            least = min(least, square)
+    return 10.0 * np.sqrt(size) / least
+
+
+@compiled(NUM, NUMS, INTS, INT, INT, NUM)
+def largest_share(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """Largest share of ``second`` with which the node's Hessian by the inputs stays positive definite where equalities let them
+    move: with ``along`` Eᵀ E, which does not change the step, since E is zero along it."""
+    share = 1.0 if along > 0.0 else 0.0
+    while share > 0.01:
+        if definite(m, o, matrix, rows, share, along):
+            return share
+        share *= 0.5
+    return 0.0
+
+
+@compiled(BOOL, NUMS, INTS, INT, INT, NUM, NUM)
+def definite(m, o, matrix, rows, share, along):  # type: ignore[no-untyped-def]
+    """Whether the inputs' block of the Hessian + share second + along Eᵀ E is safely positive definite."""
+    nu, lz, first, chained = o[NU], o[LZ], o[NX] + 1, o[CHAINED]
+    for a in range(nu):
+        for b in range(a + 1):
+            i = (first + a) * lz + first + b
+            total = m[matrix + i] + share * m[o[SECOND] + i]
+            for q in range(o[NG]):
+                if m[o[EPS] + q] <= 1e-13:
+                    total += along * m[rows + q * lz + first + a] * m[rows + q * lz + first + b]
+            least = 0.1 * m[matrix + i] if a == b else 0.0
+            for c in range(b):
+                total -= m[chained + a * lz + c] * m[chained + b * lz + c]
+            if a == b:
+                if not total > least:
+                    return False
+                total = np.sqrt(total)
+            else:
+                total /= m[chained + b * lz + b]
+            m[chained + a * lz + b] = total
+    return True
+
+
+@compiled(NONE, NUMS, INTS, INT, INT, NUM)
+def add_along(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+    """along [C e D]ᵀ [C e D] of the exact equality rows onto the matrix of the extended node vector."""
+    nz, lz = o[NX] + 1 + o[NU], o[LZ]
+    for q in range(o[NG]):
+        if m[o[EPS] + q] <= 1e-13:
+            row = rows + q * lz
+            for i in range(nz):
+                for j in range(nz):
+                    m[matrix + i * lz + j] += along * m[row + i] * m[row + j]
+
+
+# ---------------------------------------------------------------------- inputs within the true rows
+@compiled(NONE, NUMS, INTS, INT)
+def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
+    """True rows of node k at the trial point: values to ``row_trial``, Jacobians of general ones to ``row_scaled``."""
+    if o[ROW_GENERAL] > 0:
+        values = o[LANE_VALUES]
+        load_block(m, o, k, 1, o[XT], o[UT])
+        stage_lanes(o, LANES_ROWS_J, o[LANE_X], o[LANE_U], values, o[LANE_ROWS], o[LANE_ROWS])
+        unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_SCALED], 0, 1)
+        take_rows_of_lane(m, o, 0)
+    collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
+
+
+@compiled(NUM, NUMS, INTS, INT)
+def outside(m, o, k):  # type: ignore[no-untyped-def]
+    """By how much inputs of node k are outside a held row that was evaluated last, at most; infinite where one is NaN."""
+    _, boxes, general = node_rows(o, k)
+    worst = 0.0
+    for j in range(boxes + general):
+        h = m[o[ROW_TRIAL] + j]
+        if held(m, o, j) and not h >= 0.0:
+            worst = max(worst, -h) if h < 0.0 else np.inf
+    return worst
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def correct(m, o, k, share):  # type: ignore[no-untyped-def]
+    """Move the trial inputs of node k onto the linearised rows that they are outside of, one row after the other, and ``share``
+    of the way inside that there may be."""
+    _, boxes, general = node_rows(o, k)
+    nu, first, change = o[NU], o[NX] + 1, o[PULLED]
+    for i in range(first, first + nu):
+        m[change + i] = 0.0
+    for j in range(boxes):
+        i = o[row_index(o) + j]
+        if held(m, o, j):
+            sign = m[entry(o, SIGN, j)]
+            h = m[o[ROW_TRIAL] + j] + sign * m[change + i]
+            if h < 0.0:
+                m[change + i] += (share * inside(m, o, k, j) - h) / sign
+    for j in range(general):
+        row, h, square = o[ROW_SCALED] + j * o[LZ], m[o[ROW_TRIAL] + boxes + j], 0.0
+        if not held(m, o, boxes + j):
+            continue
+        for i in range(first, first + nu):
+            h += m[row + i] * m[change + i]
+            square += m[row + i] * m[row + i]
+        aim = share * inside(m, o, k, boxes + j)
+        if h < 0.0 and square > 1e-12:
+            for i in range(first, first + nu):
+                m[change + i] += m[row + i] * (aim - h) / square
+    for i in range(nu):
+        m[o[UT] + k * nu + i] += m[change + first + i]
+
+
+@compiled(NONE, NUMS, INTS, INT)
+def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
+    """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
+    nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[BEST], np.inf, 1.0
+    for _ in range(CORRECTIONS):
+        evaluate_trial(m, o, k)
+        worst = outside(m, o, k)
+        if worst == 0.0:
+            return
+        if worst < least:
+            least = worst
+            for i in range(nu):
+                m[best + i] = m[u + i]
+        correct(m, o, k, share)
+        share *= 0.5
+    if least < np.inf:
+        for i in range(nu):
+            m[u + i] = m[best + i]
+    evaluate_trial(m, o, k)
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
+    """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
+    _, boxes, general = node_rows(o, k)
+    pull_inside(m, o, k)
+    tell_outside(m, o, k)
+    if alpha == 0.0:
+        return
+    for j in range(boxes, boxes + general):
+        if held(m, o, j):
+            q = k * o[ROWS] + j
+            t, h = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j]
+            if row_penalty(m, o, j) < np.inf:
+                h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
+            m[o[ROW_DT] + q] = (max(h, inside(m, o, k, j)) - t) / alpha
+
+
+@compiled(NONE, NUMS, INTS, INT, NUM)
+def follow(m, o, k, alpha):  # type: ignore[no-untyped-def]
+    """Trial state of node k + 1 by the linearised dynamics from the trial point of node k."""
+    nx, nu = o[NX], o[NU]
+    x, before, u, last = o[XT] + k * nx, o[X] + k * nx, o[UT] + k * nu, o[U] + k * nu
+    for r in range(nx):
+        row = o[AB] + (k * (nx + 1) + r) * o[LZ]
+        total = m[before + nx + r] + alpha * m[row + nx]
+        for i in range(nx):
+            total += m[row + i] * (m[x + i] - m[before + i])
+        for i in range(nu):
+            total += m[row + nx + 1 + i] * (m[u + i] - m[last + i])
+        m[x + nx + r] = total

@@ -1,0 +1,95 @@
+"""`rezero-circle`: the ball drives a circle while the hand stays where it is (Minniti et al. 2019, video)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.log import Log
+from wbmpc.ocp import Reference
+from wbmpc.result import Metric, Plot, RunResult
+from wbmpc.simulation.lockstep import Ending, Progress
+from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.task import (
+    AccurateSettings,
+    Task,
+    ball_felt,
+    ball_robot,
+    bent_arm,
+    common_plots,
+    hand_felt,
+    reaching,
+    rms,
+    run_task,
+)
+
+NAME = "rezero-circle"
+SUMMARY = "the ball drives a circle while the hand stays still (Minniti et al. 2019, video)"
+IDEALISATIONS = ["the hand's orientation is free but for a small weight: three joints hold its position"]
+
+
+class RezeroCircleSettings(AccurateSettings):
+    """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
+
+    radius: float = Field(0.15, gt=0, le=1.0)
+    lap: float = Field(6.0, ge=1.0, le=60.0)
+    rounds: int = Field(3, ge=1, le=50)
+    settle: float = Field(3.0, ge=0.5, le=60.0)
+    yaw: Literal["held", "free"] = "held"
+
+    def idle(self) -> dict[str, str]:
+        return super().idle() | ({"cost.body.yaw": "yaw=free"} if self.yaw == "free" else {})
+
+
+def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
+    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular
+    acceleration, in between at constant speed."""
+    rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
+    end = settings.settle + total / rate + 1.0
+    t = np.clip(times, settings.settle, end) - settings.settle
+    last = end - settings.settle
+    angle = np.where(t < 1.0, 0.5 * rate * t**2, rate * (t - 0.5))
+    angle = np.where(t > last - 1.0, total - 0.5 * rate * (last - t) ** 2, angle)
+    return settings.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+
+
+def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run."""
+    if settings.yaw == "free":
+        free = settings.cost.body.model_copy(update={"yaw": 0.0})
+        settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
+    robot = ball_robot(settings)
+    arm = bent_arm(settings, robot)
+    home = robot.equilibrium(arm)[0]
+    duration = settings.settle + settings.rounds * settings.lap + 3.0
+    grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
+    body = np.tile(home, (grid.size, 1))
+    body[:, :2] = ball_path(settings, grid)
+    velocity = robot.state["base_velocity"].start
+    body[:, velocity : velocity + 2] = np.gradient(body[:, :2], grid, axis=0)
+    hand = robot.pose(home)[0]
+
+    def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
+        t = log.times("state")
+        use = t >= settings.settle
+        wanted = ball_path(settings, t)
+        return {
+            "hand_error_rms": Metric(rms((hand_felt(log) - hand)[use]), "m", goal=0.005),
+            "hand_error_rms_world": Metric(rms((log.array("hand") - hand)[use]), "m"),
+            "ball_error_rms": Metric(rms((ball_felt(log) - wanted)[use]), "m"),
+            "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+            "fell": Metric(float(ending.fell), "1", goal=0.0),
+        }
+
+    def plots(log: Log) -> list[Plot]:
+        return common_plots(log, hand, ball_path(settings, log.times("state")))
+
+    reference = Reference(grid, body)
+    if settings.controller in REGULATORS:
+        times = np.arange(0.0, grid[-1], 0.05)
+        places = ball_path(settings, times)
+        reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
+    task = Task(arm, duration, {"body": reference})
+    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

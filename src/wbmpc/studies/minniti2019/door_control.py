@@ -1,0 +1,335 @@
+"""A ball robot that opens a door: contact phases as modes, the door's state, forces in prediction and observer.
+
+Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
+(``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
+so; plans made without it have no wrench (one made before, which goes on while newer ones are refused, still has). A sensor that
+says nothing cannot be told from a hand that is free, nor one that says the same for ever from a hand that pushes; so its numbers
+must change, and they are compared with the force that the momentum observer finds without it. Before the hand starts it touches
+nothing, whatever the sensor says: that is its zero. A hand whose sensor is not believed lets go, as one does that has found no
+door in time; the force is zero from then on.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.estimation.force import ForceMonitor
+from wbmpc.estimation.momentum import MomentumObserver
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.studies.minniti2019.door_filter import DoorFilter
+from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, place_of
+from wbmpc.types import BallMeasurement
+
+Array = np.ndarray
+_LOG = logging.getLogger("wbmpc")
+#: While it has not touched, the hand is planned to touch no earlier than this [s].
+SOON = 0.05
+#: Least and largest impedance that the optimiser is told (inertia, damping, resistance).
+BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
+#: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
+SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
+#: Before it has touched, the plan leans for no more than this [N]: to lean forward the ball first rolls back, and a plan
+#: that does so again and again, as if the touch were always imminent, never touches (seen at 24 N).
+ANTICIPATED = 8.0
+#: A time [s] that no run reaches.
+NEVER = 1e6
+#: A door moves when it is faster than this [rad/s], and rests below a third of it.
+MOVING = 0.03
+#: Above this rate [rad/s] it tells its impedance.
+SLIDING = 0.06
+#: Points of the references over the horizon.
+POINTS = 27
+
+
+def modes(door: bool) -> dict[str, Mode]:
+    """The modes by name; ``door``: whether the door is part of the dynamics."""
+    value = lambda moves: {"door": [moves]} if door else {}
+    return {
+        "free": Mode("free", value(1.0)),
+        "held": Mode("held", value(0.0)),
+        "moving": Mode("moving", value(1.0)),
+    }
+
+
+@dataclass(frozen=True)
+class Push:
+    """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the hand starts from ``start`` (3) [m] at time
+    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``open`` [rad] or, touch or not, at time ``give_up`` [s]
+    and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
+
+    force: Callable[[float], float]
+    start: Array
+    quaternion: Array
+    begin: float
+    speed: float
+    open: float
+    give_up: float
+    back: float
+    reach: float
+    tip_weight: float
+
+
+class DoorAgent(BallController):
+    """The agent of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
+    place when it touches it. ``door`` (2): angle [rad] and rate [rad/s] of the door; ``phase``: approach, push or release."""
+
+    def __init__(
+        self, robot: RobotModel, mpc: MPC, push: Push, geometry: DoorGeometry, impedance: Array, identify: bool,
+        *args: Any, **more: Any,
+    ) -> None:  # fmt: skip
+        super().__init__(robot, mpc, *args, **more)
+        self.push, self.geometry = push, geometry
+        self.filter = DoorFilter(impedance)
+        self.impedance, self.identify = self.filter.impedance, identify
+        self.with_door = "door" in mpc.ocp.dynamics.state
+        self.modes = modes(self.with_door)
+        self.contact, self.sensor = ContactMonitor(), ForceMonitor()
+        self.phase = "approach"
+        self.force = np.zeros(3)  # of the world on the hand, world axes [N]
+        self.door = np.zeros(2)
+        self.touched = self.released = np.inf
+        self.moving = False
+        self.lever = geometry.lever(push.start, 0.0)
+        self._hand = hand_motion(robot)
+        self.sensorless = SensorlessForce(robot)
+        self._let_go = push.start
+        self._found: list[str] = []
+
+    # ------------------------------------------------------------------ state
+    def _step(self, x: Array, u: Array, h: float) -> Array:
+        """Robot (and door, where x has it) after h seconds under torques u and the measured force."""
+        n = self.robot.state.size
+        whole = np.concatenate([x, self.door]) if self.with_door and x.size == n else x
+        after = self.mpc.solver.simulate(whole, np.concatenate([u, self.force]), h)
+        return after[: x.size]
+
+    def measure(self, measurement: BallMeasurement) -> None:
+        """State, force, contact and door of this tick."""
+        if measurement.force.size:
+            self._feel(measurement)
+        super().measure(measurement)
+        assert self.measured is not None
+        hand, velocity = self._hand(self.measured.state)
+        acted = self._torques[-1 - self._late() - self.dead]
+        self.sensorless.update(self.measured.state, acted, self.period, self._carried())
+        if measurement.time < self.push.begin:
+            self.sensorless.observer.zero()
+        self._compare(measurement.time)
+        self._follow(measurement.time, hand, velocity)
+
+    def _pushed(self) -> Array:
+        return self.force[:2]
+
+    def _watch(self, t: float, arm: Array, h: float) -> None:
+        """While the hand touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
+        cannot say then that an arm's encoder stands."""
+        super()._watch(t, arm, h)
+        if self.contact.touching:
+            self._accelerates = None
+
+    def _feel(self, m: BallMeasurement) -> None:
+        """The contact force in world axes, with the last known attitude of the hand; zero if the sensor is not believed. Before
+        it starts the hand touches nothing: what the sensor reads then is its zero."""
+        known, free = self.sensor.fault, m.time < self.push.begin
+        if not free:
+            self.sensor.tare()
+        reading = self.sensor.judge(self.period, m.force)
+        if self.sensor.fault:
+            if not known:
+                self._distrust(m.time)
+            return
+        state = self.measured.state if self.measured is not None else self.robot.home
+        rotation = lie.quaternion_to_rotation(self.robot.pose(state)[1])
+        force = rotation @ reading + np.array([0.0, 0.0, self.push.tip_weight])
+        if free:
+            self.sensor.rest(self.period, rotation.T @ force)
+            return
+        normal = self.geometry.directions(float(self.door[0]))[1]
+        touching = self.contact.update(m.time, float(-normal @ force))
+        self.force = force if touching else np.zeros(3)
+
+    def _compare(self, t: float) -> None:
+        """The sensor's force against the one that the motion says, along the panel's normal."""
+        touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
+        felt, found = float(-normal @ self.force), float(-normal @ self.sensorless.force)
+        watched = t >= self.push.begin and (touching or self.phase != "release")
+        known = self.sensor.fault
+        if self.sensor.compare(self.period, touching, felt, found if watched else felt) and not known:
+            self._distrust(t)
+
+    def _distrust(self, t: float) -> None:
+        """The sensor has a fault: there is neither force nor contact any more."""
+        self._tell(self.sensor.fault, t)
+        self.force, self.contact.touching = np.zeros(3), False
+
+    @property
+    def faults(self) -> list[str]:
+        """As of every ball robot; a force sensor that is not believed, a door that was not there."""
+        return [*super().faults, *self._found]
+
+    def _tell(self, fault: str, t: float) -> None:
+        self._found.append(f"{fault} ({t:.2f} s)")
+        _LOG.warning("%s", self._found[-1])
+
+    def _follow(self, t: float, hand: Array, velocity: Array) -> None:
+        """Phase and door."""
+        touching = self.contact.touching
+        if touching and self.phase == "approach":
+            self.phase, self.touched = "push", t
+            normal = self.geometry.directions(0.0)[1]
+            self.geometry = replace(self.geometry, offset=float(-normal[:2] @ (hand[:2] - self.geometry.hinge)))
+            self.lever = self.geometry.lever(hand, 0.0)
+        if touching:
+            angle = self.geometry.angle(hand)
+            self.door = np.array([angle, self.geometry.rate(hand, velocity, angle)])
+        else:
+            self.door = np.array([self.door[0], 0.0])
+        limit = MOVING / 3.0 if self.moving else MOVING
+        self.moving = bool(touching and abs(self.door[1]) > limit)
+        self._identify(hand)
+        if self.phase != "release" and self._ends(t):
+            self.phase, self.released, self._let_go = "release", t, hand.copy()
+
+    def _ends(self, t: float) -> bool:
+        """Whether the hand lets go, or turns back: the door is open, it took too long, or its force sensor is not believed."""
+        if self.sensor.fault:
+            return True
+        if self.phase == "approach" and t >= self.push.give_up:
+            self._tell("the hand has found no door", t)
+        return bool(t >= self.push.give_up or (self.phase == "push" and self.door[0] >= self.push.open))
+
+    def _identify(self, hand: Array) -> None:
+        """The door's impedance, while it moves and is pushed."""
+        angle, rate = float(self.door[0]), float(self.door[1])
+        if self.phase != "push" or not self.moving or rate < SLIDING:
+            self.filter.rest(angle, max(rate, 0.0))
+            return
+        push = float(-self.geometry.directions(angle)[1] @ self.force)
+        self.filter.update(self.period, self.geometry.lever(hand, angle) * push, angle, rate)
+        if self.identify:
+            inertia, damping, resistance = np.clip(self.filter.impedance, *BOUNDS)
+            self.impedance = np.array([inertia, min(damping, inertia / FADE_TIME), resistance])
+
+    def parameters(self) -> dict[str, Array]:
+        """The model's parameters: with the door's place and impedance where it is part of the model."""
+        own = super().parameters()
+        return {**own, "place": place_of(self.geometry), "impedance": self.impedance} if self.with_door else own
+
+    def state(self) -> Array:
+        """The measured state brought up to now, with the door's."""
+        x = super().state()
+        return np.concatenate([x, self.door]) if self.with_door else x
+
+    # ------------------------------------------------------------------ plan
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
+        """As of every ball robot; phases and references over the horizon from then on are set."""
+        start = super().predict(t, until, plans)
+        self._look_ahead(start.t, plans)
+        return start
+
+    def schedule(self, now: float) -> ModeSchedule:
+        """The modes from ``now`` [s] on. Terms name their modes: all must be in a schedule, if only in a far future."""
+        order: tuple[Mode, ...]
+        events: tuple[float, ...]
+        free, push = self.modes["free"], self.modes["moving" if self.moving else "held"]
+        if self.phase == "release":
+            order, events = (free,), ()
+        elif self.contact.touching:
+            order, events = ((push, free), (self.push.give_up,)) if self.push.give_up > now else ((free,), ())
+        else:
+            order, events = (free, push), (self.predicted_touch(now),)
+        others = [m for m in self.modes.values() if m not in order]
+        return ModeSchedule((*order, *others), (*events, *(NEVER + k for k in range(len(others)))))
+
+    def predicted_touch(self, now: float) -> float:
+        """When the hand will touch the panel [s], not before one period of the plan after ``now``."""
+        assert self.measured is not None
+        hand, velocity = self._hand(self.measured.state)
+        normal = self.geometry.directions(float(self.door[0]))[1]
+        speed = max(float(normal @ velocity), 0.5 * self.push.speed)
+        gap = -self.geometry.gap(hand, float(self.door[0]))
+        return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
+
+    def _look_ahead(self, until: float, plans: PolicyQueue) -> None:
+        mpc, schedule = self.mpc, self.schedule(until)
+        times = until + np.linspace(0.0, mpc.ocp.horizon, POINTS)
+        angles = self._angles(times, plans)
+        normals = np.array([self.geometry.directions(a)[1] for a in angles])
+        touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
+        wanted = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
+        if self.phase == "approach":
+            wanted = np.minimum(wanted, ANTICIPATED)
+        mpc.set_schedule(schedule)
+        mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
+        mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
+        if "cone" in mpc.ocp.terms:
+            mpc.reference["cone"] = Reference(times, normals)
+        if "lean" in mpc.ocp.terms:
+            mpc.reference["lean"] = Reference(times, -wanted[:, None] * normals[:, :2])
+
+    def _angles(self, times: Array, plans: PolicyQueue) -> Array:
+        """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""
+        if not self.with_door or plans.current is None:
+            return np.full(times.size, self.door[0])
+        place = plans.current.x.shape[1] - 2
+        return np.interp(times, plans.current.times, plans.current.x[:, place])
+
+    def _path(self, times: Array, angles: Array) -> Array:
+        """Where the hand is to be while it is free (n, 3) [m]: on its way to the panel, or away from it."""
+        push = self.push
+        if self.phase == "release":
+            away = np.clip(0.3 * (times - self.released), 0.0, push.back)
+            return self._let_go - away[:, None] * self.geometry.directions(float(self.door[0]))[1]
+        if self.phase == "push":  # contact was lost: after the panel
+            return np.array([self.geometry.place(a, self.lever, push.start[2]) for a in angles])
+        way = push.speed * np.clip(times - push.begin, 0.0, None)
+        return push.start + np.minimum(way, push.reach)[:, None] * self.geometry.directions(0.0)[1]
+
+
+class SensorlessForce:
+    """The force (3) [N] of the world on a ball robot's hand from state and torques alone, beside the measured one."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        n = self._nq = robot.base.nq
+        q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
+        torque = ca.SX.sym("u", robot.input.size - 3)
+        known = robot.base.generalised_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
+        self._known = ca.Function("known", [q, torque], [known])
+        self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
+        still = np.zeros(n)
+        self.observer = MomentumObserver(robot.mass_matrix, lambda q, v: robot.inverse_dynamics(q, v, still))
+        self._load = robot.tool_weight
+        self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
+        self.force = np.zeros(3)
+
+    def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
+        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the hand holds."""
+        q, v = state[: self._nq], state[self._nq :]
+        known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
+        self.observer.update(q, v, known, interval)
+        self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
+
+
+def hand_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
+    """Position (3) [m] and velocity (3) [m/s] of the hand at a state (nx) of the robot."""
+    x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
+    place, velocity = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)[0]
+    function = ca.Function("hand", [x], [place, velocity])
+
+    def motion(state: Array) -> tuple[Array, Array]:
+        p, v = function(state)
+        return np.array(p).ravel(), np.array(v).ravel()
+
+    return motion

@@ -1,0 +1,106 @@
+"""The problem of the ball robot before a door: free hand and pushing hand as modes, with and without the door's equation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.studies.minniti2019.door_model import WithDoor
+
+PUSHING = ("held", "moving")
+
+
+class PushCost(Settings):
+    """Weights while the hand pushes: error of the force along the normal and tangential forces [1/N²], orientation of the hand
+    [1/rad²], its linear and angular velocity, the ball's speed, the arm's angles [1/rad²] (a posture in which to follow the
+    door)."""
+
+    force: Weight = 1.0
+    tangential: Weight = 0.1
+    orientation: Weight = 10.0
+    twist: Weight = 0.0
+    angular: Weight = 0.2
+    ball_speed: Weight = 0.2
+    arm: Weight = 5.0
+
+
+#: For a hand whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
+UNTIED = PushCost(tangential=1.0, arm=0.0)
+
+
+class DoorScheme(Settings):
+    """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
+    ``cone``: the hand can only push, within the friction cone of coefficient ``friction``, as hard limits;
+    ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
+
+    row: bool = True
+    identify: bool = True
+    cone: bool = True
+    friction: float = Field(0.35, gt=0)
+    least: float = Field(0.5, ge=0)
+    baumgarte: float = Field(10.0, gt=0)
+    door_rate: float = Field(0.8, gt=0)
+
+
+def suited(scheme: DoorScheme) -> PushCost:
+    """The weights while the hand pushes that suit a scheme."""
+    return PushCost() if scheme.row else UNTIED
+
+
+def door_problem(
+    robot: RobotModel, settings: MpcSettings, cost: RezeroCost, push: PushCost, scheme: DoorScheme, opening: float
+) -> OptimalControlProblem:
+    """Costs of Minniti et al. 2019, sections III-A and IV-D, by modes; ``scheme`` adds what they leave out."""
+    first = settings.first_interval or None
+    dynamics: Any = WithDoor(robot, opening) if scheme.row else robot.dynamics()
+    ocp = OptimalControlProblem(dynamics, settings.horizon, settings.intervals, first_interval=first)
+    _costs(ocp, robot, cost, push)
+    if scheme.row:
+        ocp.add(Constraint("door", residuals.PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
+        rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
+        fast = sets.Box(-scheme.door_rate, scheme.door_rate)
+        hard = settings.limits == "hard"
+        ocp.add(
+            Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard)
+        )
+    ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
+    limit_arm(ocp, robot, settings, cost)
+    limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
+    if scheme.cone:
+        cone = residuals.FrictionCone(robot, scheme.friction, scheme.least)
+        penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
+        ocp.add(
+            Constraint("cone", cone, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard")
+        )
+    return ocp
+
+
+def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push: PushCost) -> None:
+    h, b, end = cost.hand, cost.body, cost.terminal
+    pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
+    turn = np.array([0.0] * 3 + [push.orientation, push.orientation, min(push.orientation, h.roll)])
+    error = residuals.FramePose(robot, robot.tool, axes="reference")
+    add = lambda name, residual, weight, **more: ocp.add(
+        Cost(name, residual, list(weight), at="all", terminal_weight=list(end * np.asarray(weight)), **more)
+    )
+    add("hand", error, pose, norm=SmoothL1(h.limit), modes=("free",))
+    add("turn", error, turn, modes=PUSHING)
+    twist = residuals.FrameTwist(robot, robot.tool)
+    add("twist", twist, np.array([h.twist] * 3 + [h.angular] * 3), modes=("free",))
+    add("push_twist", twist, np.array([push.twist] * 3 + [push.angular] * 3), modes=PUSHING)
+    kinds = (("body", b.ball_speed, b.arm, ("free",)), ("push_body", push.ball_speed, push.arm, PUSHING))
+    for name, speed, posture, modes in kinds:
+        n = robot.state
+        weight = n.vector({"base": [b.ball, b.ball, b.yaw, 0, 0], "arm": posture, "arm_velocity": b.arm_rate})
+        weight[n["base_velocity"]] = [speed, speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
+        add(name, residuals.State(robot), weight, modes=modes)
+    ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), {"wheel": cost.torque.wheel, "arm": 0.0}))
+    ocp.add(Cost("effort", residuals.JointEffort(robot), cost.torque.arm))
+    force = {"push": push.force, "across": push.tangential, "up": push.tangential}
+    ocp.add(Cost("force", residuals.PushForce(robot), force, modes=PUSHING))

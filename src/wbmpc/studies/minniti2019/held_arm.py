@@ -1,0 +1,62 @@
+"""A ball robot whose arm somebody else moves: what a controller of the base alone knows (Minniti et al. 2019, section IV-C)."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from wbmpc.errors import InputError
+from wbmpc.model.kinematics import solve_spd
+from wbmpc.model.layout import Layout
+from wbmpc.model.robot import RobotModel
+
+
+class ServoedArm:
+    """Dynamics of a ball robot by its wheels; each arm joint goes to a goal as a critically damped servo lets it.
+
+    State: the robot's own. Input: ``wheel`` torques [N m]. Parameters: ``goal`` [rad] of the joints, ``pace`` [rad/s] of the
+    servos, ``disturbance`` (5) [N, N m] of the base. v̇_a = pace² (goal − q_a) − 2 pace v_a, and the base obeys its own rows of
+    M v̇ + h = S(q)ᵀ τ + d. An arm that starts at its goal at rest stays there: the arm at a nominal configuration.
+    """
+
+    unit_quaternions: tuple[int, ...] = ()
+    mode_bounds: dict[str, tuple[float, float]] = {}  # noqa: RUF012
+
+    def __init__(self, robot: RobotModel) -> None:
+        base = robot._ball()
+        if base.base.payload:
+            raise InputError(
+                f"{robot.description.name}: a base whose arm others move has no mass at the hand (base.payload)"
+            )
+        self._base, self._robot = base, robot
+        self.state, self.mode = robot.state, Layout({})
+        self.input = Layout({"wheel": robot.input.groups["wheel"]})
+        pose, arm = robot.state.groups["base"], robot.state.groups["arm"]
+        self.parameters = Layout({"disturbance": pose, "goal": arm, "pace": ("all",)})
+
+    def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The robot's state and input; what torques move the arm is not known here (zero)."""
+        return x, ca.vertcat(u, ca.SX.zeros(self._robot.input.size - u.shape[0]))
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ (nx)."""
+        base, n = self._base, self._base.nq
+        q, v = x[:n], x[n:]
+        pace = w[self.parameters["pace"]]
+        arm = pace**2 * (w[self.parameters["goal"]] - q[5:]) - 2.0 * pace * v[5:]
+        known = ca.SX.zeros(self._robot.parameters.size)
+        force = base.generalised_force(q, self.view(x, u)[1], known)[:5] + w[self.parameters["disturbance"]]
+        right = force - base.inverse_dynamics(q, v, ca.vertcat(ca.SX.zeros(5), arm))[:5]
+        return ca.vertcat(v, solve_spd(base.mass_matrix(q)[:5, :5], right), arm)
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian (nx, nx + nu) by [x; u]: that of the base's rows, solved with one factor of their M."""
+        base, n = self._base, self._base.nq
+        f, outer = self(x, u, w, m), ca.vertcat(x, u)
+        q, v, a = x[:n], x[n:], ca.SX.sym("a", 5)
+        arm = f[n + 5 :]
+        known = ca.SX.zeros(self._robot.parameters.size)
+        residual = base.inverse_dynamics(q, v, ca.vertcat(a, arm))[:5]
+        residual -= base.generalised_force(q, self.view(x, u)[1], known)[:5]
+        slope = ca.substitute(ca.jacobian(residual, outer), a, f[n : n + 5])
+        kinematic = ca.horzcat(ca.SX(n, n), ca.SX.eye(n), ca.SX(n, u.shape[0]))
+        return f, ca.vertcat(kinematic, -solve_spd(base.mass_matrix(q)[:5, :5], slope), ca.jacobian(arm, outer))

@@ -1,0 +1,111 @@
+"""`rezero-wholebody`: the hand goes round a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.log import Log
+from wbmpc.ocp import Reference
+from wbmpc.result import Metric, Plot, RunResult, Series
+from wbmpc.simulation.lockstep import Ending, Progress
+from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.task import (
+    AccurateSettings,
+    Task,
+    ball_felt,
+    ball_robot,
+    bent_arm,
+    common_plots,
+    hand_felt,
+    reaching,
+    rms,
+    run_task,
+)
+
+NAME = "rezero-wholebody"
+SUMMARY = "the hand carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
+#: Corners [m] from home, sideways and up.
+CORNERS = np.array(
+    [[0.0, 0.0, 0.0], [0.0, 0.125, 0.0], [0.0, 0.125, 0.25], [0.0, -0.125, 0.25], [0.0, -0.125, 0.0], [0.0, 0.0, 0.0]]
+)
+#: The last second of every hold is judged as steady [s].
+STEADY = 1.0
+#: The share of the feedback in a torque below this [N m] is that in one of this.
+LEAST_TORQUE = 0.5
+IDEALISATIONS = ["the load is unknown to the controller"]
+
+
+class RezeroWholebodySettings(AccurateSettings):
+    """``move`` [s] from corner to corner, ``hold`` [s] there, ``settle`` [s] at home before."""
+
+    payload: float = Field(1.0, ge=0, le=5.0)
+    move: float = Field(1.5, gt=0, le=60.0)
+    hold: float = Field(3.5, ge=STEADY, le=60.0)
+    settle: float = Field(8.0, ge=0.5, le=60.0)
+
+
+def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) [s] and positions (n, 3) [m] of the hand: straight lines at constant speed, and holds."""
+    times, places, t = [0.0], [home], settings.settle
+    for before, after in itertools.pairwise(CORNERS):
+        times += [t, t + settings.move]
+        places += [home + before, home + after]
+        t += settings.move + settings.hold
+    return np.array(times), np.array(places)
+
+
+def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """One run."""
+    robot = ball_robot(settings)
+    arm, wheels = bent_arm(settings, robot), len(robot.input.groups["wheel"])
+    second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
+    home = robot.equilibrium(arm)[0]
+    position, quaternion = robot.pose(home)
+    times, places = hand_path(settings, position)
+    ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
+
+    def wanted(t: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(t, times, places[:, i]) for i in range(3)], axis=1)
+
+    def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
+        t, torque = log.times("state"), log.array("torque")
+        use, hand = t >= settings.settle, hand_felt(log) - wanted(t)
+        steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
+        mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
+        share = (
+            np.sqrt(np.mean(log.array("feedback")[use, second] ** 2) / np.mean(torque[use, second] ** 2))
+            if use.any()
+            else np.inf
+        )
+        return {
+            "ball_error_rms_wholebody": Metric(rms(ball_felt(log)[use]), "m", goal=0.020),
+            "hand_error_rms": Metric(rms(hand[use]), "m"),
+            "steady_hand_error_max": Metric(mean(hand), "m", goal=0.005),
+            "steady_hand_error_world_max": Metric(mean(log.array("hand") - wanted(t)), "m"),
+            "steady_ball_offset_max": Metric(mean(ball_felt(log)), "m", goal=0.010),
+            "feedback_share": Metric(float(share), "1", goal=0.15),
+            "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
+            "fell": Metric(float(ending.fell), "1", goal=0.0),
+        }
+
+    def plots(log: Log) -> list[Plot]:
+        t, torque, feedback = log.times("state"), log.array("torque"), log.array("feedback")
+        joint = Plot("Torque of the second arm joint (Fig. 7, above)", "time [s]", "torque [N m]", [
+            Series("whole", t, torque[:, second]), Series("feedforward", t, torque[:, second] - feedback[:, second]),
+            Series("feedback", t, feedback[:, second]),
+        ])  # fmt: skip
+        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), LEAST_TORQUE)
+        ratio = Plot(
+            "Feedback over the whole torque (Fig. 7, below)", "time [s]", "share [%]", [Series("share", t, share)]
+        )
+        return [*common_plots(log, wanted(t), np.zeros(2)), joint, ratio]
+
+    references = {"hand": Reference.poses(times, places, quaternion)}
+    if settings.controller in REGULATORS:
+        grid = np.arange(0.0, float(ends[-1]), 0.05)
+        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
+    task = Task(arm, float(ends[-1]), references)
+    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)

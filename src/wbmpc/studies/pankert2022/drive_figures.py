@@ -1,0 +1,165 @@
+"""What `swerve-drive` measures and draws of its runs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.result import Drawing, Metric, Plot, Series, no_comparison
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.stability import CONFIGURATIONS, corners
+from wbmpc.studies.pankert2022.drive_course import BODY, BUMP_RADIUS, BUMPS, CABLES, DOOR, DOOR_WIDTH, POST, clearance
+from wbmpc.studies.storyboard import Ground, Snapshot, storyboard
+
+SPEED_NOTE = (
+    "nothing but the wheel moves a leg: one that a bump pushes, or whose wheel comes down again, is not held back"
+)
+#: How far [m] two pictures of the storyboard are apart.
+STORY = 1.3
+#: Speed [rad/s] of a hinge (Pankert et al. 2022); a wheel that carries less [N] is off the ground; how long [s] after that its
+#: leg is still on the way back to its reference.
+HINGE_SPEED, UNLOADED, COMING_BACK = 0.5, 5.0, 1.0
+#: The error [rad] at which a leg has recovered.
+RECOVERED = np.radians(1.0)
+
+
+def _error(log: Log, name: str) -> tuple[float, float]:
+    """Root mean squares of position [m] and yaw [rad] in the estimated frame."""
+    d = log.array(f"{name}.base_odometry") - log.array(f"{name}.base_reference")
+    return float(np.sqrt(np.mean(np.sum(d[:, :2] ** 2, axis=1)))), float(np.sqrt(np.mean(d[:, 2] ** 2)))
+
+
+def _leg_error(log: Log, name: str) -> float:
+    """Root mean square [rad] over all legs while their brakes are open."""
+    use = log.array(f"{name}.brake").max(axis=1) > 0.5
+    d = (log.array(f"{name}.leg") - log.array(f"{name}.leg_reference"))[use]
+    return float(np.sqrt(np.mean(d**2))) if d.size else 0.0
+
+
+def in_the_air(log: Log, name: str) -> np.ndarray:
+    """Which wheels (k, n) are off the ground: on a floor that is not even a rigid robot stands on three."""
+    return log.array(f"{name}.wheel_force") < UNLOADED
+
+
+def _leg_error_on_ground(log: Log, name: str) -> float:
+    """Root mean square [rad] over legs whose wheels are on the ground, and have been for a while, brakes open.
+
+    Nothing can move a leg whose wheel hangs in the air.
+    """
+    t, air = log.times(f"{name}.leg"), in_the_air(log, name)
+    count = max(int(np.searchsorted(t, t[0] + COMING_BACK)), 1)
+    late = np.stack([np.convolve(a, np.ones(count))[: a.size] > 0 for a in air.T.astype(float)], axis=1)
+    use = (log.array(f"{name}.brake").max(axis=1) > 0.5)[:, None] & ~late
+    d = (log.array(f"{name}.leg") - log.array(f"{name}.leg_reference"))[use]
+    return float(np.sqrt(np.mean(d**2))) if d.size else 0.0
+
+
+def recovery(t: np.ndarray, error: np.ndarray, end: float) -> float:
+    """Time [s] from ``end`` until an error (k,) stays below 1°; infinite if it never does."""
+    late = np.flatnonzero((t >= end) & (np.abs(error) >= RECOVERED))
+    if late.size and late[-1] == t.size - 1:
+        return float("inf")
+    return float(max(t[late[-1] + 1] - end, 0.0)) if late.size else 0.0
+
+
+def metrics(
+    log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, rival: Ending | None
+) -> dict[str, Metric]:
+    """All of them; ``held``: how often the guard held a leg on the tour; ``knocked``: when [s] the knock was over, None if there
+    was none; ``rival``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
+    ratio is no number: the part before says nothing."""
+    position, yaw = _error(log, "tour")
+    found = {
+        "base_position_error_rms": Metric(position, "m", goal=0.008),
+        "base_yaw_error_rms": Metric(yaw, "rad", goal=float(np.radians(0.8))),
+        "leg_angle_error_rms": Metric(_leg_error(log, "tour"), "rad", goal=float(np.radians(1.5))),
+        "wheel_slip_max": Metric(float(log.array("tour.wheel_slip").max()), "m/s"),
+        "door_clearance": Metric(clearance(robot, log.array("tour.base"), log.array("tour.leg")), "m", least=0.0),
+        "leg_angle_error_rms_on_ground": Metric(_leg_error_on_ground(log, "tour"), "rad", goal=float(np.radians(1.5))),
+        "wheel_off_ground_share": Metric(float(in_the_air(log, "tour").any(axis=1).mean()), "1"),
+        "planned_speed_ratio_max": Metric(_planned_ratio(log, robot), "1", goal=1.001),
+        "joint_speed_ratio_max": Metric(_speed_ratio(log), "1", goal=1.0, goal_note=SPEED_NOTE),
+        "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
+        "legs_held": Metric(float(held), "1"),
+    }
+    if rival is not None and not rival.interrupted:
+        whole = not rival.reason
+        away, turned, legs = (*_error(log, "rival"), _leg_error(log, "rival")) if whole else (np.inf,) * 3
+        found["baseline_position_error_rms"] = Metric(away, "m")
+        found["baseline_yaw_error_rms"] = Metric(turned, "rad")
+        found["baseline_leg_angle_error_rms"] = Metric(legs, "rad")
+        found["baseline_ratio"] = Metric(position / away, "1", goal=0.5) if whole else no_comparison(0.5)
+    if knocked is not None and "knock.leg" in log.channels:
+        error = (log.array("knock.leg") - log.array("knock.leg_reference"))[:, corners(robot)["LF"]]
+        found["leg_knock"] = Metric(float(np.abs(error).max()), "rad")
+        found["leg_recovery_time"] = Metric(recovery(log.times("knock.leg"), error, knocked), "s", goal=2.0)
+    closed = [_error(log, f"closed_{n}")[0] for n in CONFIGURATIONS if f"closed_{n}.base" in log.channels]
+    if closed:
+        found["closed_position_error_rms"] = Metric(max(closed), "m", goal=0.008)
+    return found
+
+
+def _planned_ratio(log: Log, robot: RobotModel) -> float:
+    """Planned speeds of legs, wheels and steering (with its servo) over the planner's limits."""
+    index = np.concatenate([np.arange(robot.input.size)[robot.input[g]] for g in ("leg", "steer", "wheel")])
+    return float((np.abs(log.array("tour.wanted")) / robot.limits.actuator_upper)[:, index].max())
+
+
+def _speed_ratio(log: Log) -> float:
+    """True speeds over the limits of hinges, steering and wheels."""
+    speed, n = np.abs(log.array("tour.joint_speed")), log.array("tour.leg").shape[1]
+    return float((speed / np.repeat([HINGE_SPEED, STEER_SPEED, WHEEL_SPEED], n)).max())
+
+
+def _story(log: Log, robot: RobotModel) -> Drawing:
+    """The tour from above (Fig. 8)."""
+    t, base = log.times("tour.base"), log.array("tour.base")
+    legs, steers, brakes = (log.array(f"tour.{n}") for n in ("leg", "steer", "brake"))
+    far = np.maximum.accumulate(base[:, 0])
+    indices = np.searchsorted(far, np.arange(far[0], far[-1] + 1e-9, STORY))
+    shots = [Snapshot(float(t[k]), base[k], legs[k], steers[k], brakes[k] > 0.5) for k in indices]
+    posts = [(DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), *POST[:2]) for side in (-1.0, 1.0)]
+    ground = Ground(posts, [(x, y, BUMP_RADIUS) for x, y in BUMPS], CABLES)
+    return Drawing("The tour from above (Fig. 8)", storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
+
+
+def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
+    """The tour from above and over time, the errors, the knock."""
+    t, base, wanted = log.times("tour.base"), log.array("tour.base"), log.array("tour.base_reference")
+    names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
+    legs, goals = np.degrees(log.array("tour.leg")), np.degrees(log.array("tour.leg_reference"))
+    size = lambda name: (
+        1e3 * np.linalg.norm((log.array(f"{name}.base_odometry") - log.array(f"{name}.base_reference"))[:, :2], axis=1)
+    )
+    runs = [
+        (n, label) for n, label in (("tour", "MPC"), ("rival", "inverse kinematics")) if f"{n}.base" in log.channels
+    ]
+    drawn: list[Plot | Drawing] = [
+        _story(log, robot),
+        Plot("Base from above", "x [m]", "y [m]", [
+            Series("true", base[:, 0], base[:, 1]), Series("reference", wanted[:, 0], wanted[:, 1], dashed=True),
+        ], equal_axes=True),
+        Plot("Base pose (Fig. 7)", "time [s]", "x, y [m], yaw [rad]", [
+            *(Series(n, t, base[:, k]) for k, n in enumerate(("x", "y", "yaw"))),
+            *(Series(f"{n}, reference", t, wanted[:, k], dashed=True) for k, n in enumerate(("x", "y", "yaw"))),
+        ]),
+        Plot("Leg angles (Fig. 7)", "time [s]", "angle [deg]", [
+            *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
+            *(Series(f"{n}, wanted", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
+        ]),
+        Plot("Base error, estimated frame", "time [s]", "error [mm]", [
+            Series(label, log.times(f"{n}.base"), size(n)) for n, label in runs
+        ]),
+        Plot("Leg errors", "time [s]", "error [deg]", [
+            Series(f"{label}, largest", log.times(f"{n}.leg"),
+                   np.degrees(np.abs(log.array(f"{n}.leg") - log.array(f"{n}.leg_reference")).max(axis=1)))
+            for n, label in runs
+        ]),
+    ]  # fmt: skip
+    if "knock.leg" in log.channels:
+        error = np.degrees(log.array("knock.leg") - log.array("knock.leg_reference"))
+        series = [Series(n, log.times("knock.leg"), error[:, k]) for k, n in enumerate(names)]
+        drawn.append(Plot("A leg is knocked", "time [s]", "error [deg]", series))
+    return drawn

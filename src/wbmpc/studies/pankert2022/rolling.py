@@ -1,0 +1,129 @@
+"""Rivals without MPC: base and leg references straight through the rolling inverse kinematics.
+
+The twist that the reference asks for, corrected by the base's and the legs' errors, gives each wheel its heading and speed
+(Pankert et al. 2022, equations 4 and 5, solved for the wheels). No limits but for scaling the whole motion to the
+fastest wheel and holding it back while wheels still turn. Gains: ``benchmarks/rivals.py``, on the tuning seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.model import rolling_inverse_kinematics
+from wbmpc.checks import not_negative
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.types import SwerveCommand, scale_wheels
+
+#: Speed [m/s] of a contact below which its wheel is not turned.
+SLOW = 0.01
+#: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n); empty for fixed legs).
+Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]
+#: Rate [m/s, rad/s] below which a reference counts as rest.
+REST = 0.01
+
+
+class RollingController(SwerveController):
+    """``goals``: what base and legs shall do; gains [1/s] of base pose, legs and steering. The arm stands still.
+
+    ``lead`` [s] by which the goals are read ahead, for the drives' lag; ``look_ahead`` [s]: a base at rest turns its wheels to
+    the motion that begins so soon (0: it does not). The other arguments are those of :class:`SwerveController`.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        pose: np.ndarray,
+        period: float,
+        goals: Goals,
+        base_gain: float = 1.5,
+        leg_gain: float = 2.0,
+        steer_gain: float = 8.0,
+        *,
+        lead: float = 0.0,
+        look_ahead: float = 0.0,
+        **agent: Any,
+    ) -> None:
+        not_negative("rolling agent", base_gain=base_gain, leg_gain=leg_gain, lead=lead, look_ahead=look_ahead)
+        super().__init__(robot, pose, period, steer_gain=steer_gain, **agent)
+        self.goals, self.base_gain, self.leg_gain = goals, base_gain, leg_gain
+        self.lead, self.look_ahead = lead, look_ahead
+
+    def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
+        """As :meth:`drive`; plans are not looked at."""
+        return self.drive(t)
+
+    def drive(self, t: float) -> SwerveCommand:
+        """Drive speeds for this tick from the last measurement."""
+        m, brake, geometry = self.measured, self.brakes(t), self.robot.base.geometry
+        assert m is not None
+        (pose, rate), legs = self.goals(t + self.lead)
+        leg, swing = self._legs(*legs, brake)
+        resting = np.abs(rate).max() < REST and np.abs(swing).max(initial=0.0) < REST
+        if resting and self.look_ahead > 0.0:
+            target, wheel = self._await(t, leg)
+        else:
+            twist = self.twist(pose - self.pose, rate)
+            target, wheel = rolling_inverse_kinematics(geometry, leg, m.steer, twist, swing)
+            target = np.where(np.abs(wheel) * geometry.wheel_radius < SLOW, m.steer, target)
+        target, wheel = self._within(target, wheel)
+        # wheels that point elsewhere would drag the base along: slow down until they have turned
+        limit = self.robot.limits.input_upper
+        wheel, _ = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
+        wheel = wheel * float(np.cos(np.minimum(np.abs(target - m.steer), 0.5 * np.pi)).min())
+        steer_limit = limit[self.robot.input["steer"]]
+        steer = np.clip(self.steer_gain * (target - m.steer), -steer_limit, steer_limit)
+        if self.monitor is not None:
+            self.watch(t, brake, swing)
+        return SwerveCommand(wheel, steer, np.zeros(m.arm.size), brake)
+
+    def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Body twist (3) for the pose error (3) and the reference's rate (3), both in world axes."""
+        return self._in_base(rate + self.base_gain * error)
+
+    def _in_base(self, v: np.ndarray) -> np.ndarray:
+        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
+        return np.array([c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]])
+
+    def _legs(self, wanted: np.ndarray, rate: np.ndarray, brake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Measured leg angles (n) and the rates (n) [rad/s] at which the legs shall swing."""
+        m, still = self.measured, np.zeros(self.robot.base.geometry.modules)
+        assert m is not None
+        if not m.leg.size:
+            return still, still
+        limit = self.robot.limits.input_upper[self.robot.input["leg"]]
+        return m.leg, brake * np.clip(rate + self.leg_gain * (wanted - m.leg), -limit, limit)
+
+    def _await(self, t: float, leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steering for the motion that comes, wheels at rest."""
+        assert self.measured is not None
+        soon = self.goals(t + self.look_ahead)[0][1]
+        aim = self._in_base(soon) if np.abs(soon).max() >= REST else np.zeros(3)
+        target, _ = rolling_inverse_kinematics(self.robot.base.geometry, leg, self.measured.steer, aim)
+        return target, np.zeros(target.size)
+
+    def _within(self, target: np.ndarray, wheel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steering targets turned by half a turn, and wheels that run backwards, where the joint's range ends."""
+        index = self.robot.state["steer"]
+        low, high = self.robot.limits.state_lower[index], self.robot.limits.state_upper[index]
+        turn = np.where(target > high, -np.pi, np.where(target < low, np.pi, 0.0))
+        return target + turn, np.where(turn == 0.0, wheel, -wheel)
+
+
+class FourWheelSteeringController(RollingController):
+    """The classic four-wheel-steering base: forward speed and yaw rate only, no sideways motion.
+
+    Tracking law of Kanayama et al. (ICRA 1990): v = v_r cos e_θ + k_x e_x, ω = ω_r + |v_r| (k_y e_y + k_θ sin e_θ).
+    """
+
+    def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Body twist (3) whose sideways part is 0."""
+        k, (ex, ey, yaw) = self.base_gain, self._in_base(error)
+        own = self.pose[2] + yaw
+        speed = float(np.cos(own) * rate[0] + np.sin(own) * rate[1])  # along the reference's own axis
+        turn = rate[2] + k * (k * speed * ey + max(abs(speed), 0.2) * np.sin(yaw))
+        return np.array([speed * np.cos(yaw) + k * ex, 0.0, turn])

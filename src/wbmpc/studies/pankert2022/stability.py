@@ -1,0 +1,71 @@
+"""`swerve-stability`: support polygon and support triangles of H, X and A (Pankert et al. 2022, Table I, Fig. 2)."""
+
+from __future__ import annotations
+
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.result import Drawing, Metric, RunResult
+from wbmpc.settings import Settings
+from wbmpc.simulation.lockstep import Progress, part, watched
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
+from wbmpc.types import SwerveCommand
+
+NAME = "swerve-stability"
+SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"
+
+IDEALISATIONS = [
+    "pure geometry, no physics: wheels touch the ground in points under the steer axes",
+    "the recording alone is of physics: the robot, as described, stands in each configuration with its brakes closed",
+    "the paper gives no leg angles: 45 degrees for X, 0.498 rad inwards and 0.747 rad outwards for A reproduce its table",
+]
+#: Table I of the paper [m²]: support polygon, largest region in which two support triangles overlap.
+TABLE = {"H": (1.16, 0.29), "X": (1.81, 0.45), "A": (1.17, 0.76)}
+#: Half a unit of the table's last digit [m²].
+ROUNDING = 0.005
+#: How long the robot stands in each configuration for the recording [s], and how often it is looked at [Hz].
+STANDING, RATE = 1.0, 100
+
+
+class SwerveStabilitySettings(Settings):
+    """``robot``: with two front and two rear legs on hinges."""
+
+    robot: str = "swerve-ur10"
+
+
+def run(settings: SwerveStabilitySettings, seed: int, progress: Progress | None = None) -> RunResult:
+    """The areas of Table I from the robot's geometry. Nothing is random: the seed has no effect."""
+    robot, log = load_robot(settings.robot), Log()
+    found = {name: assess(robot, name) for name in CONFIGURATIONS}
+    for k, a in enumerate(found.values()):
+        log.add("leg", float(k), a.x[robot.state["leg"]])
+        log.add("feet", float(k), a.stance.feet.ravel())
+        log.add("zero_moment_point", float(k), a.stance.zmp)
+    for k, (name, a) in enumerate(found.items()):
+        _stand(robot, a, part(progress, k, len(found), name))
+    if progress is not None:
+        progress(1.0, "")
+    drawings = [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()]
+    return RunResult(
+        NAME, seed, True, "", _metrics(found), None, log, drawings, IDEALISATIONS, settings.model_dump(mode="json")
+    )
+
+
+def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> None:
+    """For who watches: the robot at rest in a configuration."""
+    plant = SwervePlant(robot.description, robot.state.split(assessment.x), Perturbation.none())
+    stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
+    with watched(plant, 1.0 / RATE, STANDING, progress) as tick:
+        for k in range(round(STANDING * RATE)):
+            tick(k / RATE, stop)
+            plant.step(stop, round(1.0 / (RATE * plant.timestep)))
+
+
+def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
+    metrics = {}
+    for column, kind in enumerate(("support_polygon_area", "double_support_area")):
+        for name, a in found.items():
+            value, paper = (a.polygon_area, a.double_support_area)[column], TABLE[name][column]
+            metrics[f"{kind}_{name}"] = Metric(value, "m2", paper=paper, goal=paper + ROUNDING, least=paper - ROUNDING)
+    return metrics

@@ -1,0 +1,203 @@
+"""The 3D picture in the browser: a scene and what is drawn over it."""
+
+from __future__ import annotations
+
+import html
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import trimesh
+import viser
+
+from wbmpc.simulation.scene import Scene, Shape
+from wbmpc.view.camera import camera_offset
+
+Array = np.ndarray
+#: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
+REFERENCE, HAND, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE = (
+    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120),
+)  # fmt: skip
+_THICKNESS = 0.008
+#: What the colours mean, for a legend.
+LEGEND = {
+    "reference of the hand": REFERENCE, "predicted hand": HAND, "predicted base": BASE, "support polygon": SUPPORT,
+    "active triangle": TRIANGLE, "ZMP": PRESSURE, "contact forces (2 mm/N)": FORCE,
+}  # fmt: skip
+#: Spheres larger than this [m] are seen through, with this opacity: a ball that carries a robot hides the force on it.
+_BALL, _OPACITY = 0.05, 0.45
+#: How far the robot goes before the camera follows [m].
+FOLLOW = 0.02
+#: How long a new browser's camera is left alone [s].
+_SETTLING = 1.5
+
+
+class ViewScene:
+    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server.
+
+    ``carried``: the world moves, so that the robot stays where it is: for pages, whose cameras nobody can move.
+    """
+
+    def __init__(self, server: viser.ViserServer, scene: Scene, carried: bool = False) -> None:
+        self.server, self.scene = server, scene
+        server.scene.set_up_direction("+z")
+        self._map = server.scene.add_frame("/map", show_axes=False) if carried else None
+        self._root = "/map" if carried else ""
+        server.scene.add_grid(
+            f"{self._root}/floor", 60.0, 60.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001)
+        )
+        self._bodies = [server.scene.add_frame(f"{self._root}/bodies/{b.name}", show_axes=False) for b in scene.bodies]
+        for i, shape in enumerate(scene.shapes):
+            self._shape(i, shape)
+        self._followed: Array | None = None
+        #: By browser: where the robot was when its camera was moved last, and from when on it may be moved [s].
+        self._cameras: dict[int, tuple[Array, float]] = {}
+        self._light()
+        self._lines: dict[str, Any] = {}
+        self._shown: dict[str, Array] = {}
+
+    def _shape(self, i: int, shape: Shape) -> None:
+        if shape.kind == "plane":
+            return  # the grid
+        mesh = _mesh(shape)
+        if mesh is None:
+            return
+        parent = f"{self._root}/world" if shape.body == "world" else f"{self._root}/bodies/{shape.body}"
+        pose, opacity = np.array(shape.pose), shape.colour[3]
+        if shape.kind == "sphere" and shape.size[0] > _BALL:
+            opacity = min(opacity, _OPACITY)
+        self.server.scene.add_mesh_simple(
+            f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.colour[:3]),
+            opacity=None if opacity >= 1.0 else opacity, flat_shading=shape.kind == "box",
+            position=pose[:3], wxyz=pose[3:],
+        )  # fmt: skip
+
+    def _light(self) -> None:
+        scene = self.server.scene
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.6)
+        scene.add_light_directional("/light/sun", intensity=2.2, position=(2.0, -3.0, 5.0))
+
+    def follow(self, poses: Array, on: bool = True) -> None:
+        """Move every camera by as much as the robot has moved along the floor since it was moved last; ``poses`` (n, 7).
+
+        A browser that has just come is given its camera, and a moment to take it, before it is moved.
+        """
+        place = poses[self.scene.index, :3] * [1.0, 1.0, 0.0]
+        camera = self.server.initial_camera
+        if self._followed is None:
+            where = poses[self.scene.index, :3]
+            camera.position, camera.look_at = tuple(where + camera_offset(poses, self.scene)), tuple(where)
+            self._followed = place
+        if self._map is not None:
+            self._map.position = tuple(self._followed - place)
+        elif _far(place - self._followed):
+            moved, self._followed = place - self._followed, place
+            camera.position = tuple(np.array(camera.position) + moved)
+            camera.look_at = tuple(np.array(camera.look_at) + moved)
+        clients, now = self.server.get_clients(), time.monotonic()
+        self._cameras = {i: c for i, c in self._cameras.items() if i in clients}
+        for i, client in clients.items():
+            if i not in self._cameras:
+                with client.atomic():
+                    client.camera.position, client.camera.look_at = np.array(camera.position), np.array(camera.look_at)
+                self._cameras[i] = (self._followed, now + _SETTLING)
+            followed, ready = self._cameras[i]
+            if not on:
+                self._cameras[i] = (place, ready)
+            elif now > ready and _far(place - followed):
+                with client.atomic():
+                    moved = place - followed
+                    position, target = client.camera.position + moved, client.camera.look_at + moved
+                    client.camera.position, client.camera.look_at = position, target
+                self._cameras[i] = (place, ready)
+
+    def show(self, s: Mapping[str, Array], overlays: bool = True) -> None:
+        """Draw a snapshot; only what has changed is sent. ``overlays``: also what is drawn over the bodies, which costs a
+        browser much more than moving them."""
+        with self.server.atomic():
+            for i, (handle, pose) in enumerate(zip(self._bodies, s["poses"], strict=True)):
+                if self._changed(f"body {i}", pose):
+                    handle.position, handle.wxyz = pose[:3], pose[3:]
+            if not overlays:
+                return
+            self._path("reference", s["reference"], REFERENCE)
+            self._path("hand_plan", s["hand_plan"], HAND)
+            self._path("base_plan", s["base_plan"], BASE)
+            for name, colour, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):
+                corners = s[name][np.isfinite(s[name]).all(axis=1)] + [0.0, 0.0, above]
+                self._path(name, np.vstack([corners, corners[:1]]), colour)
+            cross = s["pressure"] + 0.05 * np.array([[-1, 0, 0], [1, 0, 0], [0, 0, 0], [0, -1, 0], [0, 1, 0]])
+            self._path("pressure", cross, PRESSURE)
+            self._arrows(s["forces"])
+
+    def _changed(self, name: str, value: Array) -> bool:
+        old = self._shown.get(name)
+        if old is not None and np.array_equal(old, value, equal_nan=True):
+            return False
+        self._shown[name] = value.copy()
+        return True
+
+    def _path(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+        if not self._changed(name, points):
+            return
+        points = points[np.isfinite(points).all(axis=1)]
+        segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        self._segments(name, segments, colour, self.server.scene.add_line_segments, thickness=_THICKNESS)
+
+    def _arrows(self, forces: Array) -> None:
+        if self._changed("forces", forces):
+            chosen = forces[np.isfinite(forces).all(axis=(1, 2))].astype(np.float32)
+            self._segments("forces", chosen, FORCE, self.server.scene.add_arrows, shaft_radius=0.012, head_radius=0.03)
+
+    def _segments(self, name: str, segments: Array, colour: tuple[int, int, int], add: Any, **style: float) -> None:
+        if name in self._lines:
+            self._lines[name].visible = len(segments) > 0
+            if len(segments):
+                self._lines[name].points = segments
+        elif len(segments):
+            self._lines[name] = add(f"{self._root}/over/{name}", segments, colour, **style)
+
+
+def _far(moved: Array) -> bool:
+    return float(np.linalg.norm(moved)) >= FOLLOW
+
+
+def name_tab(gui: viser.GuiApi, title: str) -> None:
+    """Let the browser's tab show a title: the server's page has none but its maker's. An image that does not load sets it."""
+    script = f"document.title = {json.dumps(title)}"
+    gui.add_html(f'<img src="data:image/png," alt="" style="display:none" onerror="{html.escape(script)}">')
+
+
+def add_legend(gui: viser.GuiApi) -> None:
+    """A folder that says what the colours mean."""
+    mark = '<span style="color:rgb{};font-size:1.3em">■</span> {}'
+    with gui.add_folder("Colours", expand_by_default=False):
+        lines = "<br>".join(mark.format(colour, what) for what, colour in LEGEND.items())
+        gui.add_html(f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{lines}</div>')
+
+
+def add_follow(server: viser.ViserServer) -> viser.GuiInputHandle[bool]:
+    """Whether the camera follows the robot. Light or dark is in the panel's own settings."""
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    return server.gui.add_checkbox("Camera follows", True)
+
+
+def _mesh(shape: Shape) -> trimesh.Trimesh | None:
+    size = shape.size
+    if shape.kind == "box":
+        return trimesh.creation.box(extents=2.0 * np.array(size))
+    if shape.kind in ("sphere", "ellipsoid"):
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        mesh.apply_scale(np.array(size) if shape.kind == "ellipsoid" else size[0])
+        return mesh
+    if shape.kind == "cylinder":
+        return trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=40)
+    if shape.kind == "capsule":
+        mesh = trimesh.creation.capsule(2.0 * size[1], size[0], count=[24, 24])
+        return mesh
+    if shape.kind == "mesh":
+        return trimesh.Trimesh(np.reshape(shape.vertices, (-1, 3)), np.reshape(shape.faces, (-1, 3)), process=False)
+    return None
