@@ -7,15 +7,15 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_PLACES = {
-    "load_robot": "wbmpc.model",
-    "RobotModel": "wbmpc.model",
-    "Layout": "wbmpc.model",
-    "DriveLag": "wbmpc.model",
-    "Ode": "wbmpc.model",
-    "FrequencyShaping": "wbmpc.model",
-    "InputFilter": "wbmpc.model",
-    "InputRate": "wbmpc.model",
+_MODULES = {
+    "load_robot": "wbmpc.model.robot",
+    "RobotModel": "wbmpc.model.robot",
+    "Layout": "wbmpc.model.layout",
+    "DriveLag": "wbmpc.model.augment",
+    "Ode": "wbmpc.model.ode",
+    "FrequencyShaping": "wbmpc.model.augment",
+    "InputFilter": "wbmpc.model.augment",
+    "InputRate": "wbmpc.model.augment",
     "Constraint": "wbmpc.ocp",
     "Cost": "wbmpc.ocp",
     "Mode": "wbmpc.ocp",
@@ -35,27 +35,27 @@ _PLACES = {
     "Solver": "wbmpc.solver",
     "Solution": "wbmpc.solver",
     "Status": "wbmpc.solver",
-    "FilterMemory": "wbmpc.mpc",
-    "MPC": "wbmpc.mpc",
-    "Observation": "wbmpc.mpc",
-    "Policy": "wbmpc.mpc",
-    "RealTimeSettings": "wbmpc.mpc",
-    "WallClock": "wbmpc.mpc",
-    "RobotInterface": "wbmpc.mpc",
-    "RealTimeRunner": "wbmpc.mpc",
+    "FilterMemory": "wbmpc.mpc.filters",
+    "MPC": "wbmpc.mpc.mpc",
+    "Observation": "wbmpc.mpc.mpc",
+    "Policy": "wbmpc.mpc.policy",
+    "RealTimeSettings": "wbmpc.runtime.safety",
+    "WallClock": "wbmpc.runtime.clock",
+    "RobotInterface": "wbmpc.runtime.runner",
+    "RealTimeRunner": "wbmpc.runtime.runner",
     "InputError": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
-__all__ = ["__version__", *_PLACES]
+__all__ = ["__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used, so that importing the package costs nothing."""
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'wbmpc' has no attribute '{name}'")
-    module = import_module(_PLACES[name])
-    return module if _PLACES[name].endswith(f".{name}") else getattr(module, name)
+    module = import_module(_MODULES[name])
+    return module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
 
 
 def __dir__() -> list[str]:

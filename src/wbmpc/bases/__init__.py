@@ -1,1 +1,51 @@
-"""Base types: the table of plug-ins."""
+"""Base types: one table of plug-ins. A base type is a folder here, or a package of somebody else's that names an entry point.
+
+``base_type(name)`` gives the plug-in of a robot file's ``base.type``. What generic code may ask of it is in
+:mod:`wbmpc.bases.base`. A package adds a base type through the entry-point group ``wbmpc.bases``::
+
+    [project.entry-points."wbmpc.bases"]
+    tracked = "my_package.tracked:TrackedBaseType"
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from wbmpc.bases.base import BaseType
+from wbmpc.errors import InputError, unknown_name
+
+GROUP = "wbmpc.bases"
+#: Name in a robot file -> "module:attribute" of its plug-in, imported when it is first asked for.
+TABLE: dict[str, str] = {
+    "fixed": "wbmpc.bases.fixed.plugin:FixedBaseType",
+    "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType",
+    "ball": "wbmpc.bases.ball.plugin:BallBaseType",
+}
+
+
+@cache
+def _locations() -> dict[str, str]:
+    """The table and the entry points of installed packages. A built-in name cannot be replaced."""
+    found = {point.name: point.value for point in entry_points(group=GROUP)}
+    return {**found, **TABLE}
+
+
+def available_base_types() -> list[str]:
+    """Names that ``base.type`` of a robot file may have."""
+    return sorted(_locations())
+
+
+@cache
+def base_type(name: str) -> BaseType:
+    """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported."""
+    locations = _locations()
+    if name not in locations:
+        raise unknown_name("base type", name, sorted(locations))
+    module, _, attribute = locations[name].partition(":")
+    try:
+        made: BaseType = getattr(import_module(module), attribute)()
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"base type '{name}': its plug-in {locations[name]} cannot be imported: {error}") from error
+    return made

@@ -104,16 +104,16 @@ def calibrate(
     Where the record shows errors far beyond the given standard deviations, these are widened; numbers that a record
     contradicts, or does not show at all, are not written.
     """
-    from wbmpc import estimation
+    from wbmpc.bases.swerve.calibration import WheelRecord, fit_wheels
     from wbmpc.studies.pankert2022.calibrate import steer_joints
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
     model = _robot_of(file, robot)
     geometry, names = model.base.geometry, steer_joints(model)
-    record = estimation.WheelRecord.of(channels, str(file))
-    prior = estimation.WheelCalibration.unknown(geometry, zero_std, 0.5 * radius_std, radius_std)
-    fit = estimation.fit_wheels(geometry, record, prior=prior)
+    record = WheelRecord.of(channels, str(file))
+    prior = WheelCalibration.unknown(geometry, zero_std, 0.5 * radius_std, radius_std)
+    fit = fit_wheels(geometry, record, prior=prior)
     hidden = [_words(names, kind, *ways) for kind, ways in fit.hidden().items() if len(ways[1])]
     fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden])
     if as_json:

@@ -1,4 +1,4 @@
-"""Ode of motion of a tree of joints under generalised forces: ẋ = (v, M⁻¹ (S(q) u − h))."""
+"""Equations of motion of a tree of joints under generalised forces: ẋ = (v, M⁻¹ (S(q) u − h))."""
 
 from __future__ import annotations
 
