@@ -32,7 +32,7 @@ def problem() -> OptimalControlProblem:
     """ẍ = u + w to the origin: 20 intervals over 1 s."""
     dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0] + w[0]), parameters=1)
     ocp = OptimalControlProblem(dynamics, 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     return ocp
 

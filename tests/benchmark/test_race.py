@@ -175,7 +175,7 @@ def test_a_start_beside_the_guess_moves_the_step() -> None:
     assert kernel is not None
     x, u = np.tile(problem.x0, (11, 1)), np.zeros((10, 1))
     lq = linearise(program, x, u, problem.x0 + np.array([0.3, -0.1]))
-    step = our_step(pack(kernel, lq, problem.solver.problem.compliance))
+    step = our_step(pack(kernel, lq, problem.solver.problem.softness))
     h, g, a, right = matrices(lq)
     z = step[2:]
     np.testing.assert_allclose(a @ z, right, atol=1e-10)

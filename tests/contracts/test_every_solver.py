@@ -87,9 +87,9 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
     solver.run(problem.x0)  # samples the references
     if near:
         noise = np.random.default_rng(0)
-        solver.guess(*(v + 0.01 * noise.normal(size=v.shape) for v in (solver.ws.x.copy(), solver.ws.u.copy())))
+        solver.warm_start(*(v + 0.01 * noise.normal(size=v.shape) for v in (solver.ws.x.copy(), solver.ws.u.copy())))
     else:
-        solver.guess(problem.x, problem.u)
+        solver.warm_start(problem.x, problem.u)
     return ipopt.solve(solver, problem.x0)[:2]
 
 
@@ -132,7 +132,7 @@ def test_fatrop_agrees(name: str) -> None:
     problem = PROBLEMS[name][0]()
     made = problem.solver(SOLVERS["sqp-merit"])
     found = made.solve(problem.x0)
-    made.guess(problem.x, problem.u)
+    made.warm_start(problem.x, problem.u)
     x, u, _ = ipopt.solve(made, problem.x0, "fatrop")
     assert np.abs(found.x - x).max() < 5e-6 * (1.0 + np.abs(x).max())
     assert np.abs(found.u - u).max() < 5e-5 * (1.0 + np.abs(u).max())  # Fatrop stops at 1e-9

@@ -35,7 +35,7 @@ def test_first_policy_is_the_iterated_solution() -> None:
     policy = mpc.update(Observation(3.0, START))
     solver = Solver(mpc.ocp, SQP(iterations=200))
     solver.set_reference("state", Reference.constant(np.zeros(4)))
-    solver.guess(np.zeros(4))
+    solver.warm_start(np.zeros(4))
     found = solver.solve(START)
     np.testing.assert_allclose(policy.u, found.u, atol=1e-5)
     np.testing.assert_allclose(policy.times, 3.0 + found.times)
@@ -367,7 +367,7 @@ def follower(align: bool = True) -> MPC:
     """1 s in 4 intervals: 3 inner nodes."""
     dynamics = ToyDynamics(1, 1, lambda x, u, w, m: u * m[0], mode=1)
     ocp = OptimalControlProblem(dynamics, 1.0, 4, align_events=align)
-    ocp.add(Cost("state", Rows(1, lambda s: s.x - 1.0), 10.0, at="all"))
+    ocp.add(Cost("state", Rows(1, lambda s: s.x - 1.0), 10.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     mpc = MPC(ocp, rate=10.0)
     mpc.reset(np.zeros(1))

@@ -31,7 +31,7 @@ def test_shift_of_a_linear_trajectory(backend: str, delta: float) -> None:
     x = lambda t: np.outer(t, [1.0, -2.0, 0.5, 3.0]) + [0.1, 0.2, 0.3, 0.4]
     u = lambda t: np.outer(t, [4.0, -1.0]) + [1.0, 2.0]
     middle = 0.5 * (grid[1:] + grid[:-1])
-    solver.guess(x(grid), u(middle))
+    solver.warm_start(x(grid), u(middle))
     shifted(solver, delta)
     np.testing.assert_allclose(solver.ws.x, x(np.minimum(grid + delta, grid[-1])), atol=1e-12)
     np.testing.assert_allclose(solver.ws.u, u(np.minimum(middle + delta, middle[-1])), atol=1e-12)
@@ -41,7 +41,7 @@ def test_shift_of_a_cubic_is_as_good_as_linear_interpolation() -> None:
     solver = pendulum()
     grid = solver.ws.grid
     x = np.stack([grid**3, grid**2, 1 - grid, np.sin(grid)], axis=1)
-    solver.guess(x)
+    solver.warm_start(x)
     shifted(solver, 0.07)
     want = np.stack([np.interp(grid + 0.07, grid, c) for c in x.T], axis=1)
     np.testing.assert_allclose(solver.ws.x, want, atol=1e-13)
@@ -51,7 +51,7 @@ def test_shift_of_a_cubic_is_as_good_as_linear_interpolation() -> None:
 def test_shift_of_short_horizons(n: int) -> None:
     solver = pendulum(n=n)
     grid = solver.ws.grid
-    solver.guess(np.outer(grid, np.ones(4)), np.arange(2.0 * n).reshape(n, 2))
+    solver.warm_start(np.outer(grid, np.ones(4)), np.arange(2.0 * n).reshape(n, 2))
     shifted(solver, 0.05)
     np.testing.assert_allclose(solver.ws.x[:, 0], np.minimum(grid + 0.05, grid[-1]))
     assert np.isfinite(solver.ws.u).all()

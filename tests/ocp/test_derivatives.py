@@ -72,7 +72,7 @@ def gauss_newton(solver, place: str, stage) -> np.ndarray:  # type: ignore[no-un
     z = np.concatenate([x, u]) if place == "path" else x
     total, nx = np.zeros((z.size, z.size)), problem.nx
     for cost in solver.ocp.costs:
-        if cost.at not in (place, "all"):
+        if cost.at not in (place, "path+terminal"):
             continue
         residual = ca.Function(
             "r", [problem.x, problem.u, problem.p, problem.w], [cost.residual(problem.symbols(cost.name))]

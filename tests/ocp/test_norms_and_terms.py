@@ -141,7 +141,7 @@ def test_bad_boxes(box: sets.Box, message: str) -> None:
 def test_bad_constraints() -> None:
     for more, message in (
         ({"hard": True, "penalty": AugmentedLagrangian()}, "exclude each other"),
-        ({"compliance": -1.0}, "compliance"),
+        ({"softness": -1.0}, "softness"),
         ({"slack": 0.0}, "slack must be positive"),
     ):
         with pytest.raises(InputError, match=message):
@@ -188,7 +188,7 @@ def test_bad_constraints() -> None:
         (lambda: Cost("a", ROW, terminal_weight=-1.0), "terminal weight: must be finite and not negative, got -1$"),
         (lambda: Cost("a", ROW, modes="open"), "modes must be a tuple of names"),
         (lambda: Cost("a", ROW, modes=()), "at least one"),
-        (lambda: Constraint("a", ROW, compliance=np.nan), "compliance"),
+        (lambda: Constraint("a", ROW, softness=np.nan), "softness"),
         (lambda: problem(Cost("a", ROW), Cost("a", ROW)), "already there"),
         (lambda: problem(Cost("hand", ROW)).term("hnd"), r"did you mean 'hand'\?"),
         (lambda: Transcription(problem(Cost("a", Rows(3, lambda s: s.u)))).values, "its size says 3"),
@@ -327,8 +327,8 @@ def test_solver_input_is_checked() -> None:
         (lambda: s.set_schedule(ModeSchedule((Mode("a", {"n": [1.0]}),))), "unknown group 'n'"),
         (lambda: s.solve(np.array([0.0, np.nan, 0.0, 0.0])), "'x.1' is not finite"),
         (lambda: s.solve(np.zeros(3)), "4 numbers are needed"),
-        (lambda: s.guess(np.zeros(3)), "guess of x"),
-        (lambda: s.guess(np.zeros(4), np.zeros(5)), "guess of u"),
+        (lambda: s.warm_start(np.zeros(3)), "warm start, x"),
+        (lambda: s.warm_start(np.zeros(4), np.zeros(5)), "warm start, u"),
     ):
         with pytest.raises(InputError, match=message):
             call()

@@ -27,11 +27,11 @@ def made(name: str, settings: SQP, **more: object) -> Solver:
     """A point that is driven by its velocity to a goal; the velocity has to be on a curve."""
     row, goal, weight = ROWS[name]
     ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 2.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array(goal)), 1.0, at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array(goal)), 1.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(2, lambda s: s.u - np.array([0.3, 0.4])), weight))
     ocp.add(Constraint("curve", Rows(1, row), **more))  # type: ignore[arg-type]
     solver = Solver(ocp, settings)
-    solver.guess(np.zeros(2), np.array([0.5, 0.2]))
+    solver.warm_start(np.zeros(2), np.array([0.5, 0.2]))
     return solver
 
 
@@ -41,7 +41,7 @@ def test_optimum_in_few_iterations(name: str, algorithm: SQP) -> None:
     solver = made(name, algorithm)
     found = solver.solve(np.zeros(2))
     assert found.status is Status.CONVERGED and found.iterations <= 25, found
-    solver.guess(found.x + 1e-3, found.u + 1e-3)
+    solver.warm_start(found.x + 1e-3, found.u + 1e-3)
     x, u, cost = ipopt.solve(solver, np.zeros(2))
     np.testing.assert_allclose(found.x, x, atol=1e-5)
     np.testing.assert_allclose(found.u, u, atol=1e-5)
@@ -61,7 +61,7 @@ def test_multipliers_of_a_curved_inequality(algorithm: SQP) -> None:
     ocps = []
     for how in ({"penalty": AugmentedLagrangian(10.0)}, {"hard": True}):
         ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 2.0, 20)
-        ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([1.0, -0.7])), 1.0, at="all"))
+        ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([1.0, -0.7])), 1.0, at="path+terminal"))
         ocp.add(Cost("input", Rows(2, lambda s: s.u - np.array([3.0, 2.0])), 0.1))
         ocp.add(Constraint("disc", Rows(1, lambda s: 1.0 - ca.sumsqr(s.u)), sets.NonNegative(), **how))  # type: ignore[arg-type]
         ocps.append(ocp)
@@ -80,18 +80,18 @@ WISHES: dict[str, Callable[..., ca.SX]] = {
 
 
 @pytest.mark.parametrize(
-    ("name", "compliance", "backend"),
+    ("name", "softness", "backend"),
     [*((name, c, "compiled") for name in WISHES for c in (1e-3, 1e-2, 1.0)), ("wheel", 1e-2, "interpreted")],
 )
-def test_a_curved_wish(name: str, compliance: float, backend: str) -> None:
-    """A row g with compliance c is a cost of ½ g² / c per interval, which IPOPT minimises."""
+def test_a_curved_wish(name: str, softness: float, backend: str) -> None:
+    """A row g with softness c is a cost of ½ g² / c per interval, which IPOPT minimises."""
     solvers = []
     for term in (
-        Constraint("wish", Rows(1, WISHES[name]), compliance=compliance),
-        Cost("wish", Rows(1, WISHES[name]), 10.0 / compliance),
+        Constraint("wish", Rows(1, WISHES[name]), softness=softness),
+        Cost("wish", Rows(1, WISHES[name]), 10.0 / softness),
     ):
         ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 2.0, 20)
-        ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([3.0, 1.0])), 1.0, at="all"))
+        ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([3.0, 1.0])), 1.0, at="path+terminal"))
         ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
         ocp.add(term)
         solvers.append(Solver(ocp, SQP(backend=backend)))  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ def masses(nu: int, weight: float, n: int = 15, horizon: float = 2.0) -> Optimal
     dynamics = ToyDynamics(2 * nu, nu, lambda x, u, w, m: ca.vertcat(x[nu:], u))
     ocp = OptimalControlProblem(dynamics, horizon, n)
     pull = [10.0] * nu + [1.0] * nu
-    ocp.add(Cost("x", Rows(2 * nu, lambda s: s.x), pull, at="all", terminal_weight=[10.0 * p for p in pull]))
+    ocp.add(Cost("x", Rows(2 * nu, lambda s: s.x), pull, at="path+terminal", terminal_weight=[10.0 * p for p in pull]))
     ocp.add(Cost("u", Rows(nu, lambda s: s.u), weight))
     return ocp
 
@@ -63,7 +63,7 @@ def test_optimum_against_ipopt(limit: Callable[[], Constraint], weight: float, h
     found = solver.solve(START)
     assert found.status is Status.CONVERGED, found
     assert found.iterations < 50
-    solver.guess(found.x + 0.01, found.u + 0.01)
+    solver.warm_start(found.x + 0.01, found.u + 0.01)
     x, u, cost = ipopt.solve(solver, START)
     np.testing.assert_allclose(found.x, x, atol=1e-5)
     np.testing.assert_allclose(found.u, u, atol=1e-4)
@@ -109,7 +109,7 @@ def test_plans_stay_within_several_rows_together() -> None:
     ocp.add(hard("moving", lambda s: 9.0 + ca.cos(s.x[0]) - (s.u[0] + ca.sin(s.x[3])) ** 2 - s.u[1] ** 2))
     solver = Solver(ocp, SQP.real_time())
     x = np.array([4.0, -3.0, 2.0, 1.0, 5.0, -6.0])
-    solver.guess(x, np.full(3, 50.0))
+    solver.warm_start(x, np.full(3, 50.0))
     for _ in range(10):
         plan_is_within(solver, x, of=("cone", "box", "plane", "moving"))
         x = solver.simulate(x, solver.ws.u[0], 0.05)
@@ -121,7 +121,7 @@ def test_a_plan_that_starts_outside_goes_to_the_nearest_inputs() -> None:
     ocp.add(Cost("stay", Rows(2, lambda s: s.u - ca.DM([6.0, 8.0])), 1.0))
     ocp.add(disc(5.0))
     solver = Solver(ocp, SQP.real_time())
-    solver.guess(np.zeros(2), np.array([6.0, 8.0]))
+    solver.warm_start(np.zeros(2), np.array([6.0, 8.0]))
     found = solver.solve(np.zeros(2))
     np.testing.assert_allclose(found.u[0], [3.0, 4.0], atol=5e-3)
     assert np.hypot(*found.u[0]) <= 5.0
@@ -175,4 +175,9 @@ def test_linear_rows_have_no_second_derivatives_and_curved_ones_have() -> None:
     state.add(hard("round", lambda s: 3.0 - ca.sumsqr(s.x)))
     curved.add(disc())
     mixed.add(hard("bilinear", lambda s: 3.0 - s.x[0] * s.u[1]))
-    assert [Solver(p, SQP()).problem.curved for p in (linear, state, curved, mixed)] == [False, False, True, True]
+    assert [Solver(p, SQP()).problem.nonlinear_input_rows for p in (linear, state, curved, mixed)] == [
+        False,
+        False,
+        True,
+        True,
+    ]

@@ -19,7 +19,7 @@ def scene(solver: Solver, n: int) -> Solver:
     """A schedule with two modes, a parameter, and a guess in which no two nodes are alike."""
     solver.set_schedule(ModeSchedule((Mode("a", {"m": [0.0]}), Mode("b", {"m": [1.0]})), (0.5,)))
     rng = np.random.default_rng(n)
-    solver.guess(0.3 * rng.normal(size=(n + 1, 4)), 0.5 * rng.normal(size=(n, 2)))
+    solver.warm_start(0.3 * rng.normal(size=(n + 1, 4)), 0.5 * rng.normal(size=(n, 2)))
     return solver
 
 
@@ -48,8 +48,8 @@ def test_the_same_twice(n: int) -> None:
     """Bit by bit: nothing that an earlier solve has left in the eight lanes counts."""
     solver = hardened_pendulum(n=n)
     first = steps(solver, n)
-    solver.guess(np.full((n + 1, 4), 0.1), np.zeros((n, 2)))
+    solver.warm_start(np.full((n + 1, 4), 0.1), np.zeros((n, 2)))
     solver.solve(-START)
-    solver.forget()
+    solver.reset()
     assert first.tobytes() == steps(solver, n).tobytes()
     assert first.tobytes() == steps(hardened_pendulum(n=n), n).tobytes()

@@ -41,7 +41,7 @@ def our_planner(problem: Problem, counts: list[int]) -> Planner:
     single = single_iteration(problem.solver, problem.x0, problem.u0, ONE_ITERATION)
 
     def plan(x0: np.ndarray, guess: Plan, iterations: int) -> Plan:
-        single.guess(*guess)
+        single.warm_start(*guess)
         for _ in range(iterations):
             single.run(x0)
         counts.append(iterations)

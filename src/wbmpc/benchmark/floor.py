@@ -130,12 +130,12 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
     """Operations, time and rate of the parts of one iteration; what is left over is called "rest"."""
     solver, program = problem.solver, Program(problem.solver)
     assert solver.kernel is not None
-    solver.guess(problem.x0, problem.u0)
+    solver.warm_start(problem.x0, problem.u0)
     solution = solver.solve(problem.x0)
     single = single_iteration(solver, solution.x, solution.u)
     whole = float(milliseconds(lambda: single.run(problem.x0), repeat).min())
     stage = _stage_times(problem, solution.x, solution.u, program, repeat)
-    packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.compliance)
+    packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.softness)
     slopes = 4 if program.stages.rk4 else 2
     short = {n: packed._replace(sizes=np.array([n, *packed.sizes[1:]], dtype=np.int64)) for n in (0, program.n)}
     times = {

@@ -33,7 +33,7 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
         del given.ocp.terms[term.name]
     solver = Solver(given.ocp, settings)
     solver.references, solver.schedule = given.references, given.schedule
-    solver.guess(given.ws.x, given.ws.u)
+    solver.warm_start(given.ws.x, given.ws.u)
     return solver
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.kernel.ir import INT, INTS, NONE, NUMS, PointerCall
+from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.kernel.library import Library
 
 LIBRARY = Library("benchmark", rooms=("benchmark", "kernel"))
@@ -13,8 +13,19 @@ call2, call4, call5, call7 = PointerCall(2), PointerCall(4), PointerCall(5), Poi
 N, NX, NU, LX, LZ, NODE_AB, NODE_H, NODE_E, NODE_K = range(9)
 
 
-@compiled(NONE, INT, INTS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS, NUMS)
-def backward(address, sizes, ab, h, e, eps, end, value, k, scratch):  # type: ignore[no-untyped-def]
+@compiled
+def backward(
+    address: int,
+    sizes: Integers,
+    ab: Floats,
+    h: Floats,
+    e: Floats,
+    eps: Floats,
+    end: Floats,
+    value: Floats,
+    k: Floats,
+    scratch: Floats,
+) -> None:
     """All Riccati steps, from the last node to the first. ``NODE_…``: doubles per node."""
     nx, lx = sizes[NX], sizes[LX]
     for i in range((nx + 1) * lx):
@@ -35,8 +46,8 @@ def backward(address, sizes, ab, h, e, eps, end, value, k, scratch):  # type: ig
                 value[j * lx + i] = value[i * lx + j]
 
 
-@compiled(NONE, INTS, NUMS, NUMS, NUMS, NUMS)
-def forward(sizes, ab, k, dx, du):  # type: ignore[no-untyped-def]
+@compiled
+def forward(sizes: Integers, ab: Floats, k: Floats, dx: Floats, du: Floats) -> None:
     """The step from the gains."""
     nx, nu, lx, lz = sizes[NX], sizes[NU], sizes[LX], sizes[LZ]
     for node in range(sizes[N]):
@@ -55,22 +66,22 @@ def forward(sizes, ab, k, dx, du):  # type: ignore[no-untyped-def]
             dx[x + lx + r] = total
 
 
-@compiled(NONE, INT, NUMS, NUMS, NUMS, INT)
-def repeat_product(address, a, b, c, count):  # type: ignore[no-untyped-def]
+@compiled
+def repeat_product(address: int, a: Floats, b: Floats, c: Floats, count: int) -> None:
     """One matrix product many times."""
     for _ in range(count):
         call4(address, a.ctypes.data, b.ctypes.data, c.ctypes.data, c.ctypes.data)
 
 
-@compiled(NONE, INT, INTS, INT, INT, INTS)
-def sweep(address, arguments, width, count, results):  # type: ignore[no-untyped-def]
+@compiled
+def sweep(address: int, arguments: Integers, width: int, count: int, results: Integers) -> None:
     """A stage function at ``count`` blocks of nodes; every row of ``width`` ``arguments`` holds its pointers."""
     for k in range(count):
         call2(address, arguments.ctypes.data + 8 * k * width, results.ctypes.data)
 
 
-@compiled(NONE, INT, NUMS, INT, INT, NUMS)
-def chain_all(address, j, size, count, weights):  # type: ignore[no-untyped-def]
+@compiled
+def chain_all(address: int, j: Floats, size: int, count: int, weights: Floats) -> None:
     """The chain rule of one Runge-Kutta stage at ``count`` blocks; ``j`` holds four matrices of ``size`` doubles."""
     first = j.ctypes.data
     for _ in range(count):

@@ -75,7 +75,7 @@ class Packed(NamedTuple):
     sizes: Array
 
 
-def pack(kernel: Kernel, lq: LQProblem, compliance: Array) -> Packed:
+def pack(kernel: Kernel, lq: LQProblem, softness: Array) -> Packed:
     """Matrices as the Riccati kernel reads them: the node vector is [x, 1, u], vectors padded to eight."""
     s, n = kernel.sizes, len(lq.ab)
     nx, nu, ng, lx, lz, lg = s.nx, s.nu, s.ng, s.lx, s.lz, s.lg
@@ -93,7 +93,7 @@ def pack(kernel: Kernel, lq: LQProblem, compliance: Array) -> Packed:
         transposed[:, :ng] = lq.cd[k, :, nx:].T
     end, eps = new(nx + 1, lx), new(lg)
     end[:nx, :nx], end[nx, :nx], end[:nx, nx] = lq.h_end, lq.g_end, lq.g_end
-    eps[:ng] = compliance + 1e-14
+    eps[:ng] = softness + 1e-14
     dx = new(n + 1, lx)
     dx[:, nx] = 1.0
     dx[0, :nx] = lq.dx0

@@ -95,7 +95,7 @@ def step_problem(problem: Problem) -> tuple[LQProblem, Packed]:
     assert solver.kernel is not None
     x, u = np.tile(problem.x0, (program.n + 1, 1)), np.tile(problem.u0, (program.n, 1))
     lq = linearise(program, x, u, problem.x0)
-    return lq, pack(solver.kernel, lq, solver.problem.compliance)
+    return lq, pack(solver.kernel, lq, solver.problem.softness)
 
 
 def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ def limited_arm(rows: int, kind: str, intervals: int = 50) -> Problem:
         groups = [(a, lambda s, i=i: coordinate(s, i), 2.0) for i, a in enumerate("xyz")]  # type: ignore[misc]
     for name, function, width in groups[: rows // 12]:
         box = sets.Box(-np.full(6, width), np.full(6, width))
-        at: Literal["path", "all"] = "path" if name == "torque" else "all"
+        at: Literal["path", "path+terminal"] = "path" if name == "torque" else "path+terminal"
         problem.ocp.add(Constraint(f"{name}_limit", residuals.Expression(6, function), box, at=at, hard=True))
     return zoo_bench(problem)
 

@@ -120,7 +120,7 @@ def _prepare(library: ctypes.CDLL, t: Transcription, samples: Samples, lg: int) 
     table = lambda rows: np.array([[extended(b.place), *b[1:]] for b in rows] or [[0.0] * 5])
     grid = np.concatenate([[0.0], np.cumsum(samples.h)])
     eps = np.zeros(lg)
-    eps[: t.equality.shape[0]] = t.compliance + 1e-14
+    eps[: t.equality.shape[0]] = t.softness + 1e-14
     p = samples.p if samples.p.shape[1] else np.zeros((grid.size, 1))
     w = samples.w if samples.w.size else np.zeros(1)
     arrays = [np.ascontiguousarray(a, float) for a in (grid, p, w, eps, table(t.path_boxes), table(t.terminal_boxes))]
@@ -144,7 +144,7 @@ def yardstick(problem: Problem, repeat: int = 200, rounds: int = 5) -> dict[str,
         return {"problem": problem.name, "success": False, "error": library}
     library.iterate.restype = ctypes.c_double
     _prepare(library, t, samples, kernel.sizes.lg)
-    solver.guess(problem.x0, problem.u0)
+    solver.warm_start(problem.x0, problem.u0)
     solution, rng = solver.solve(problem.x0), np.random.default_rng(0)
     x0, x = np.ascontiguousarray(problem.x0), np.ascontiguousarray(solution.x)
     u = solution.u + 1e-3 * rng.normal(size=solution.u.shape)  # the states stay: rows of parallel wheels are consistent
@@ -171,7 +171,7 @@ def _race(
     library: ctypes.CDLL, single: Any, lq: LQProblem, kernel: Kernel, t: Transcription, x0: np.ndarray, repeat: int,
     rounds: int,
 ) -> dict[str, float]:  # fmt: skip
-    packed = pack(kernel, lq, t.compliance)
+    packed = pack(kernel, lq, t.softness)
     node = ctypes.c_long(packed.e[0].size)
     given = [_address(a) for a in (packed.ab, packed.h, packed.e)]
     start = _address(x0)

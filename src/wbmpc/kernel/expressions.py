@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from enum import IntEnum
 from typing import Any
 
 from wbmpc.kernel.ir import (
@@ -64,6 +65,11 @@ class Expressions(Vectors):
             return Value(INT, self.new(f"ptrtoint ptr {array[1]} to i64"))
         if text in ("np.inf", "np.nan"):
             return Value(NUM, literal(float(text[3:])))
+        owner = self.names.get(node.value.id) if isinstance(node.value, ast.Name) else None
+        if isinstance(owner, type) and issubclass(owner, IntEnum):
+            if node.attr not in owner.__members__:
+                raise self.fail(node, f"{owner.__name__} has no member of this name")
+            return Value(INT, str(int(owner[node.attr])))
         raise self.fail(node, "unknown attribute")
 
     def of_Tuple(self, node: ast.Tuple) -> Value:

@@ -60,31 +60,32 @@ class Statistics:
     """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
 
     ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
-    was accepted, so that the plan is the last one moved on; ``passed``: plans in force whose states are outside hard limits by
-    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that;
-    ``apart``: plans that start elsewhere than in the observed state, ``worst_apart``: by how much at most (:attr:`Solver.apart`).
+    was accepted, so that the plan is the last one moved on; ``limit_violations``: plans in force whose states are outside
+    hard limits by more than 0.1 % of the range, ``worst_limit_violation``: by how much at most, as a share of it, and
+    ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
+    observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`).
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
     solves: int = 0
     failures: int = 0
     no_step: int = 0
-    passed: int = 0
-    worst_passed: float = 0.0
-    passed_where: str = ""
-    apart: int = 0
-    worst_apart: float = 0.0
+    limit_violations: int = 0
+    worst_limit_violation: float = 0.0
+    worst_limit_violation_message: str = ""
+    initial_state_mismatches: int = 0
+    worst_initial_state_mismatch: float = 0.0
 
-    def pass_by(self, share: float, where: str) -> None:
+    def count_limit_violation(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""
-        self.passed += 1
-        if share > self.worst_passed:
-            self.worst_passed, self.passed_where = share, where
+        self.limit_violations += 1
+        if share > self.worst_limit_violation:
+            self.worst_limit_violation, self.worst_limit_violation_message = share, where
 
-    def start_apart(self, share: float) -> None:
+    def count_initial_state_mismatch(self, share: float) -> None:
         """Count a plan that starts elsewhere."""
-        self.apart += 1
-        self.worst_apart = max(self.worst_apart, share)
+        self.initial_state_mismatches += 1
+        self.worst_initial_state_mismatch = max(self.worst_initial_state_mismatch, share)
 
     @property
     def failed_share(self) -> float:
@@ -187,8 +188,8 @@ class MPC:
             if value is not None:
                 for row in np.atleast_2d(value):
                     _check_vector("reset", names, row)
-        self.solver.guess(x, u)
-        self.solver.forget()
+        self.solver.warm_start(x, u)
+        self.solver.reset()
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
@@ -203,12 +204,12 @@ class MPC:
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
-        if self.passed:
-            self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
-        apart = self.solver.apart
-        if apart:
-            self.statistics.start_apart(apart)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
+        if self.limit_violation:
+            self.statistics.count_limit_violation(self.limit_violation, f"{solution.detail}, at {observation.t:.3f} s")
+        mismatch = self.solver.initial_state_mismatch
+        if mismatch:
+            self.statistics.count_initial_state_mismatch(mismatch)
+        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, self.active_rows())
         return self._policy
 
     def active_rows(self) -> np.ndarray | None:
@@ -221,12 +222,12 @@ class MPC:
         return active
 
     @property
-    def passed(self) -> float:
-        """By how much the last plan's states are outside hard limits: see :attr:`Solver.passed`."""
-        return self.solver.passed
+    def limit_violation(self) -> float:
+        """By how much the last plan's states are outside hard limits: see :attr:`Solver.limit_violation`."""
+        return self.solver.limit_violation
 
-    def where_passed(self) -> str:
-        """A sentence that names the row, node and amount of that, and says whether the row's slack gives way."""
+    def limit_violation_message(self) -> str:
+        """A message that names the row, node and amount of that, and says whether the row's slack gives way."""
         return self.solver.missed(self.solver.status(self._outcome[0]))
 
     @property
@@ -298,8 +299,8 @@ class MPC:
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
-        self.solver.guess(x, u)
-        self.solver.forget()
+        self.solver.warm_start(x, u)
+        self.solver.reset()
         self._t = t
 
     def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
@@ -311,8 +312,8 @@ class MPC:
         the observation.
         """
         if self._broken > 1:
-            self.solver.guess(np.asarray(observation.x, float))
-            self.solver.forget()
+            self.solver.warm_start(np.asarray(observation.x, float))
+            self.solver.reset()
             self._t = None
         elif self._broken or not self._goes_on():
             self.resume(x, u, t)

@@ -73,7 +73,7 @@ class Policy:
     hold over an interval, as in the transcription (interpolated inputs would violate rolling between nodes); the state is
     linear between nodes. Before the first and after the last node the end values hold.
 
-    ``passed``: by how much planned states, from node 1 on, are outside hard limits as a share of the range; 0 up to 0.1 %.
+    ``limit_violation``: by how much planned states, from node 1 on, are outside hard limits as a share of the range; 0 up to 0.1 %.
     ``limits``: what the problem gives the inputs alone by straight hard constraints, bounds and rows of several (None: nothing).
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
     count in each interval's mode. Other hard rows (curved ones, with states, references or parameters) hold in the plan, i.e. for
@@ -85,17 +85,23 @@ class Policy:
     u: np.ndarray
     gain: np.ndarray
     limits: InputLimits | None = field(default=None, kw_only=True, compare=False)
-    passed: float = field(default=0.0, kw_only=True)
+    limit_violation: float = field(default=0.0, kw_only=True)
     active: np.ndarray | None = field(default=None, kw_only=True, compare=False)
 
     @classmethod
     def of(
-        cls, solution: Solution, t0: float, limits: InputLimits | None = None, passed: float = 0.0,
+        cls, solution: Solution, t0: float, limits: InputLimits | None = None, limit_violation: float = 0.0,
         active: np.ndarray | None = None,
     ) -> Policy:  # fmt: skip
         """The policy of a solution whose horizon starts at ``t0`` [s]."""
         return cls(
-            t0 + solution.times, solution.x, solution.u, solution.gain, limits=limits, passed=passed, active=active
+            t0 + solution.times,
+            solution.x,
+            solution.u,
+            solution.gain,
+            limits=limits,
+            limit_violation=limit_violation,
+            active=active,
         )
 
     @property

@@ -84,7 +84,7 @@ class Equalities(NamedTuple):
     """Rows of the Riccati recursion."""
 
     expression: ca.SX
-    compliance: np.ndarray
+    softness: np.ndarray
     names: list[str]
 
 
@@ -104,7 +104,7 @@ def equality_rows(
     terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
 ) -> Equalities:
     """Sort the rows of equality terms, given as (term, residual, switch)."""
-    parts, compliance, names = [], [], []
+    parts, softness, names = [], [], []
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
         with_input = depends(r, u)
@@ -118,7 +118,7 @@ def equality_rows(
             row = switch * (r[i] if scales[i] == 1.0 else r[i] / scales[i])
             if term.at != "terminal" and with_input[i] and not soft:
                 parts.append(row)
-                compliance.append(term.compliance / scales[i] ** 2)
+                softness.append(term.softness / scales[i] ** 2)
                 names.append(row_name[i])
                 continue
             # the ρ that a term gives is per squared unit of its residual
@@ -131,7 +131,7 @@ def equality_rows(
                 end.general.append(own)
                 end.expressions.append(row)
     expression = ca.vertcat(*parts) if parts else ca.SX(0, 1)
-    return Equalities(expression, np.array(compliance, float), names)
+    return Equalities(expression, np.array(softness, float), names)
 
 
 class _Side(NamedTuple):
@@ -285,7 +285,7 @@ def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
     return np.sqrt(np.array(ca.Function("square", [ca.vertcat(*symbols)], [ca.densify(square)])(points)))
 
 
-def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
+def nonlinear_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
     """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
     hard = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is Kind.HARD]
     if not hard or not u.shape[0]:
@@ -294,7 +294,7 @@ def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
     return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
-def bent_by_inputs(equality: ca.SX, place: Place, u: ca.SX) -> bool:
+def nonlinear_equalities(equality: ca.SX, place: Place, u: ca.SX) -> bool:
     """Whether an equality, or a row with a multiplier, has second derivatives by the inputs."""
     own = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is not Kind.HARD]
     slopes = ca.jacobian(ca.vertcat(equality, *own), u)

@@ -84,53 +84,65 @@ def _select(layout: Layout, names: Sequence[str] | None) -> tuple[dict[str, slic
     return groups, indices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class _Component:
     robot: RobotModel
-    names: Sequence[str] | None = None
-    tracked: bool = True
+    names: Sequence[str] | None
+    #: how many numbers the groups are compared with
+    reference: int
     groups: Mapping[str, slice] = field(init=False, repr=False)
     indices: list[int] = field(init=False, repr=False)
 
     def _layout(self) -> Layout:
         raise NotImplementedError
 
-    def __post_init__(self) -> None:
-        groups, indices = _select(self._layout(), self.names)
+    def __init__(
+        self,
+        robot: RobotModel,
+        names: Sequence[str] | None = None,
+        *,
+        reference: Literal["tracked"] | None = "tracked",
+    ) -> None:
+        object.__setattr__(self, "robot", robot)
+        object.__setattr__(self, "names", names)
+        groups, indices = _select(self._layout(), names)
         object.__setattr__(self, "groups", groups)
         object.__setattr__(self, "indices", indices)
+        object.__setattr__(self, "reference", 0 if reference is None else len(indices))
 
     @property
     def size(self) -> int:
         return len(self.indices)
 
-    @property
-    def reference(self) -> int:
-        return self.size if self.tracked else 0
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class State(_Component):
-    """Groups of the state (all when ``names`` is left out) minus their reference (``tracked``), in the state's units."""
+    """Groups of the state (all when ``names`` is left out) minus their reference, in the state's units.
+
+    ``reference=None``: the values themselves, as limits need them.
+    """
 
     def _layout(self) -> Layout:
         return self.robot.state
 
     def __call__(self, s: Symbols) -> ca.SX:
         value = s.x[self.indices]
-        return value - s.reference if self.tracked else value
+        return value - s.reference if self.reference else value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Input(_Component):
-    """Groups of the input (all when ``names`` is left out) minus their reference (``tracked``), in the input's units."""
+    """Groups of the input (all when ``names`` is left out) minus their reference, in the input's units.
+
+    ``reference=None``: the values themselves, as limits need them.
+    """
 
     def _layout(self) -> Layout:
         return self.robot.input
 
     def __call__(self, s: Symbols) -> ca.SX:
         value = s.u[self.indices]
-        return value - s.reference if self.tracked else value
+        return value - s.reference if self.reference else value
 
 
 @dataclass(frozen=True)

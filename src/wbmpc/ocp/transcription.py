@@ -21,13 +21,13 @@ from wbmpc.ocp.constraint_classification import (
     BoxRow,
     InputPlanes,
     Place,
-    bent_by_inputs,
-    curved_in_inputs,
     depends,
     equality_rows,
     inequality_rows,
     input_bounds,
     input_planes,
+    nonlinear_equalities,
+    nonlinear_in_inputs,
 )
 from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
@@ -53,8 +53,8 @@ class _Slots:
         return cls(slices, start)
 
 
-#: Compliance from which on an equality row is a wish.
-WISH = 1e-5
+#: Equality rows of more than this softness are variables of their own in the line search.
+MIN_SOFTNESS = 1e-5
 
 
 class Transcription:
@@ -91,12 +91,12 @@ class Transcription:
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
-        #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
-        self.curved = curved_in_inputs(self.path, self.x, self.u)
-        #: whether equalities have a compliance to speak of
-        self.wishes = bool((self.compliance > WISH).any())
+        #: whether hard rows are nonlinear in the inputs: those of a circle are, bounds and planes are not
+        self.nonlinear_input_rows = nonlinear_in_inputs(self.path, self.x, self.u)
+        #: whether any equality is soft
+        self.soft_equalities = bool((self.softness > MIN_SOFTNESS).any())
         #: whether equalities, or rows with multipliers, have second derivatives by the inputs
-        self.bent = not exact and bent_by_inputs(self.equality, self.path, self.u)
+        self.nonlinear_equalities = not exact and nonlinear_equalities(self.equality, self.path, self.u)
 
     # ------------------------------------------------------------------ parameters
     def default_weights(self) -> np.ndarray:
@@ -211,7 +211,7 @@ class Transcription:
 
     def term_values(self, place: str) -> dict[str, ca.SX]:
         """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
-        at = (place, "all")
+        at = (place, "path+terminal")
         out = {t.name: self.residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
         for cost in self.ocp.costs:
             if cost.at in at:
@@ -223,7 +223,7 @@ class Transcription:
         """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``place``."""
         out = []
         for cost in self.ocp.costs:
-            if cost.at not in (place, "all"):
+            if cost.at not in (place, "path+terminal"):
                 continue
             weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
             r, norm = self.residual(cost), cost.norm
@@ -265,9 +265,9 @@ class Transcription:
         return self.equalities.expression
 
     @property
-    def compliance(self) -> np.ndarray:
-        """Compliance of every row of the Riccati recursion."""
-        return self.equalities.compliance
+    def softness(self) -> np.ndarray:
+        """Softness of every row of the Riccati recursion."""
+        return self.equalities.softness
 
     def equality_names(self) -> list[str]:
         """A name for every row of the Riccati recursion: term.group[i]."""
@@ -325,7 +325,7 @@ class Transcription:
         """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
         ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
-        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are curved in them.
+        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are nonlinear in them.
         """
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
         nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
@@ -353,12 +353,12 @@ class Transcription:
         """Names of the equalities, and of constraints with multipliers, that have second derivatives by the inputs."""
         own = [t for t in self.ocp.terms.values() if isinstance(t, Constraint) and not t.hard]
         own = [t for t in own if t.equality or isinstance(t.penalty, AugmentedLagrangian)]
-        return {t.name for t in own if bent_by_inputs(self.residual(t), Place(), self.u)}
+        return {t.name for t in own if nonlinear_equalities(self.residual(t), Place(), self.u)}
 
     @property
     def second(self) -> bool:
         """Whether there are second derivatives at all."""
-        return self.exact or self.curved or self.bent
+        return self.exact or self.nonlinear_input_rows or self.nonlinear_equalities
 
     def _curvature(self, nu: ca.SX, kappa: ca.SX) -> list[ca.SX]:
         """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where none is curved."""

@@ -178,9 +178,9 @@ class Sizes:
 
     def policy(self) -> Fields:
         """A policy; ``observation``: number of the message that it answers; ``ready`` [s]: when its first answer was;
-        ``passed``: as of a :class:`Policy`."""
+        ``limit_violation``: as of a :class:`Policy`."""
         n, nx, nu = self.n, self.nx, self.nu
-        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": (), "passed": ()}
+        scalars: Fields = {"observed": (), "valid_from": (), "ready": (), "observation": (), "limit_violation": ()}
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
 
     def limits(self) -> Fields:
@@ -211,7 +211,16 @@ class TimedPolicy(Policy):
         limits = InputLimits(v["lower"], v["upper"], v["matrix"], v["offset"])
         active = v["active"] if v["offset"].size else None
         own = (start, seen, ready, number, message.number)
-        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, active=active, passed=float(v["passed"]))
+        return cls(
+            v["times"],
+            v["x"],
+            v["u"],
+            v["gain"],
+            *own,
+            limits=limits,
+            active=active,
+            limit_violation=float(v["limit_violation"]),
+        )
 
 
 class Board:

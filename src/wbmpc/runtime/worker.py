@@ -24,10 +24,10 @@ NUMBERS = (
     "failures",
     "repeated",
     "failed",
-    "passed",
-    "worst_passed",
-    "apart",
-    "worst_apart",
+    "limit_violations",
+    "worst_limit_violation",
+    "initial_state_mismatches",
+    "worst_initial_state_mismatch",
 )
 RECORDS = ("solve_time", "update_time")
 #: What the runner tells the worker: when 0 is, whether to begin and to end.
@@ -74,8 +74,8 @@ class Worker:
                         yield start + computing
                     if usable:
                         self._publish()
-                        self._count_passed()
-                        self._count_apart()
+                        self._count_limit_violations()
+                        self._count_initial_state_mismatches()
                     board.sample("update_time", clock.now() - start)
             except (Exception, SystemExit) as error:
                 self.fail(error)
@@ -138,25 +138,25 @@ class Worker:
         if self._answered != self._message.number:
             self._answered, self._ready = self._message.number, self.clock.now()
         slot["ready"][...] = self._ready
-        slot["passed"][...] = self.mpc.passed
+        slot["limit_violation"][...] = self.mpc.limit_violation
         self.policies.commit()
 
-    def _count_passed(self) -> None:
+    def _count_limit_violations(self) -> None:
         """PolicyQueue whose states are outside hard limits are used, and told."""
-        share, board = self.mpc.passed, self.board
+        share, board = self.mpc.limit_violation, self.board
         assert self._message is not None
         if share > 0.0:
-            board.count("passed")
-            if share > board["worst_passed"]:
-                board["worst_passed"] = share
-                board.note = f"{self.mpc.where_passed()}, at {self._message.values['t']:.3f} s"
+            board.count("limit_violations")
+            if share > board["worst_limit_violation"]:
+                board["worst_limit_violation"] = share
+                board.note = f"{self.mpc.limit_violation_message()}, at {self._message.values['t']:.3f} s"
 
-    def _count_apart(self) -> None:
+    def _count_initial_state_mismatches(self) -> None:
         """So are plans that start elsewhere than where they were asked to."""
-        apart, board = self.mpc.solver.apart, self.board
-        if apart > 0.0:
-            board.count("apart")
-            board["worst_apart"] = max(board["worst_apart"], apart)
+        mismatch, board = self.mpc.solver.initial_state_mismatch, self.board
+        if mismatch > 0.0:
+            board.count("initial_state_mismatches")
+            board["worst_initial_state_mismatch"] = max(board["worst_initial_state_mismatch"], mismatch)
 
 
 def report(board: Board, error: BaseException) -> None:

@@ -61,11 +61,11 @@ def _not_finite(solver: Solver) -> str:
 
 
 def _must_hold(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is to be met exactly. Relaxed barriers are wishes, and so are rows that a compliance softens (those of
+    """Whether a constraint is to be met exactly. Relaxed barriers are wishes, and so are rows that a softness softens (those of
     the Riccati recursion): no problem is infeasible because of them."""
     if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
         return term.hard or isinstance(term.penalty, AugmentedLagrangian)
-    return term.compliance == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
+    return term.softness == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
 
 
 def _gives_way(problem: Transcription, term: Any) -> bool:
@@ -144,7 +144,7 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     gap, where = certificate.largest_gap(problem, ws, solver.x0)
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
-    held_up = not missed and (problem.compliance > 0.0).any()  # by wishes: the merit has them among the violations
+    held_up = not missed and (problem.softness > 0.0).any()  # by wishes: the merit has them among the violations
     if missed and _gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
         return (
             solution.status,
@@ -203,11 +203,11 @@ def _multipliers_diverged(solution: Solution) -> bool:
 
 
 def _violation(solver: Solver, solution: Solution, missed: Violation | None) -> np.ndarray:
-    """Per iteration: gaps, equalities and hard rows (1-norm), without the equalities that a compliance softens.
+    """Per iteration: gaps, equalities and hard rows (1-norm), without the equalities that a softness softens.
 
     The log has one number for all equalities. Where only some are soft, what is left is theirs unless something is ``missed``.
     """
-    soft, log = solver.problem.compliance > 0.0, solution.log
+    soft, log = solver.problem.softness > 0.0, solution.log
     wished = soft.any() and (soft.all() or missed is None)
     return log[:, COLUMNS["violation"]] - (log[:, COLUMNS["equality"]] if wished else 0.0)  # type: ignore[no-any-return]
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUMS, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.exact import least_squares_multipliers
 from wbmpc.solver.inequality_table import (
     HARD,
@@ -31,13 +31,8 @@ from wbmpc.solver.memory_layout import (
     AB,
     ADJOINT,
     CHAINED,
-    CONTRADICTED,
     END_J,
-    EQUALITY_BOUND,
     GRID,
-    HELD_BY,
-    HELD_FOR,
-    HELD_SHARE,
     LANE_E,
     LANE_U,
     LANE_X,
@@ -57,16 +52,16 @@ from wbmpc.solver.memory_layout import (
     ROW_L,
     ROW_N,
     ROWS,
-    SIGN,
     STATE,
-    UNEQUAL,
-    UNEQUAL_ROW,
     UNPACK_EQUALITIES,
     UT,
     XT,
     E,
     K,
     N,
+    RowField,
+    Setting,
+    StateField,
     U,
     X,
 )
@@ -87,8 +82,8 @@ HORIZONS = 2.0
 SAME = 0.02
 
 
-@compiled(NUM, NUMS, INTS, INT, INT)
-def left_over(m, o, k, j):  # type: ignore[no-untyped-def]
+@compiled
+def left_over(m: Floats, o: Integers, k: int, j: int) -> float:
     """What a full step leaves of row j of node k: h of an equality, h < 0 of an inequality; 0 of rows without multipliers."""
     first, _, _ = node_rows(o, k)
     q, kind = k * o[ROWS] + j, kind_of(m, o, first + j)
@@ -98,18 +93,18 @@ def left_over(m, o, k, j):  # type: ignore[no-untyped-def]
     return min(left, 0.0) if kind == MULTIPLIER else left
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, INT)
-def row_slope(m, o, k, j, i):  # type: ignore[no-untyped-def]
+@compiled
+def row_slope(m: Floats, o: Integers, k: int, j: int, i: int) -> float:
     """Derivative of row j of node k by entry i of [x, 1, u]."""
     first, boxes, _ = node_rows(o, k)
     if j < boxes:
-        return m[entry(o, SIGN, first + j)] if o[row_index(o) + first + j] == i else 0.0
+        return m[entry(o, RowField.SIGN, first + j)] if o[row_index(o) + first + j] == i else 0.0
     start = o[ROW_J] + k * o[ROW_GENERAL] * o[LZ] if k < o[N] else o[END_J]
     return m[start + (j - boxes) * o[LZ] + i]
 
 
-@compiled(NUM, NUMS, INTS, INT, INT)
-def row_size(m, o, k, j):  # type: ignore[no-untyped-def]
+@compiled
+def row_size(m: Floats, o: Integers, k: int, j: int) -> float:
     """|J| + Σ |J_i z_i| of a row: what it makes of states and inputs."""
     nx, square, size = o[NX], 0.0, 0.0
     for i in range(nx):
@@ -122,8 +117,8 @@ def row_size(m, o, k, j):  # type: ignore[no-untyped-def]
     return max(np.sqrt(square) + size, 1e-12)
 
 
-@compiled(NUM, NUMS, INTS)
-def most_missed(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def most_missed(m: Floats, o: Integers) -> float:
     """The largest miss of a row with a multiplier, as a share of the row's size; which one goes to ``state``."""
     worst = 0.0
     for k in range(o[N] + 1):
@@ -133,12 +128,12 @@ def most_missed(m, o):  # type: ignore[no-untyped-def]
             if left > 0.0:
                 share = left / row_size(m, o, k, j)
                 if share > worst:
-                    worst, m[o[STATE] + UNEQUAL_ROW] = share, o[NG] + k * o[ROWS] + j
+                    worst, m[o[STATE] + StateField.EQUALITY_ROW] = share, o[NG] + k * o[ROWS] + j
     return worst
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def add_missed(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def add_missed(m: Floats, o: Integers, k: int) -> None:
     """w Jᵀ r of node k onto the gradient by [x, 1, u] in ``chained``."""
     _, boxes, general = node_rows(o, k)
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
@@ -151,8 +146,8 @@ def add_missed(m, o, k):  # type: ignore[no-untyped-def]
                     m[o[CHAINED] + i] += left * row_slope(m, o, k, j, i)
 
 
-@compiled(NUM, NUMS, INTS, INT, NUM)
-def take_limits(m, o, k, most):  # type: ignore[no-untyped-def]
+@compiled
+def take_limits(m: Floats, o: Integers, k: int, most: float) -> float:
     """Takes from node k's gradient in ``chained`` what hard rows of the inputs do not let pass: J times a multiplier ≥ 0 of those
     that are active. Returns the largest such part, if it is more than ``most``; which row goes to ``state``."""
     _, boxes, general = node_rows(o, k)
@@ -171,12 +166,12 @@ def take_limits(m, o, k, most):  # type: ignore[no-untyped-def]
             if i != o[NX]:
                 m[gradient + i] -= along / square * row_slope(m, o, k, j, i)
         if along / np.sqrt(square) > most:
-            most, m[o[STATE] + HELD_BY] = along / np.sqrt(square), q
+            most, m[o[STATE] + StateField.BLOCKING_ROW] = along / np.sqrt(square), q
     return most
 
 
-@compiled(NUM2, NUMS, INTS, BOOL)
-def steepest(m, o, limited):  # type: ignore[no-untyped-def]
+@compiled
+def steepest(m: Floats, o: Integers, limited: bool) -> tuple[float, float]:
     """Jᵀ W r into ``u_trial``, inputs beyond the policy's feedback that keep the rows of the recursion; its square's sum, and that
     of the states' part (costates). ``limited``: without what limits of the inputs do not let pass."""
     nx, nu, lx, lz, costate, gradient = o[NX], o[NU], o[LX], o[LZ], o[ADJOINT], o[CHAINED]
@@ -219,8 +214,8 @@ def steepest(m, o, limited):  # type: ignore[no-untyped-def]
     return total, of_states
 
 
-@compiled(NUM, NUMS, INTS)
-def response(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def response(m: Floats, o: Integers) -> float:
     """Σ w (J v)² over the rows with multipliers that count, v in ``u_trial``: how they would change with it. Overwrites ``pulled``
     and ``x_trial``."""
     nx, nu, lx, lz, dx, du = o[NX], o[NU], o[LX], o[LZ], o[XT], o[PULLED]
@@ -259,8 +254,8 @@ def response(m, o):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(NUM, NUMS, INTS)
-def missed_square(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def missed_square(m: Floats, o: Integers) -> float:
     """Σ w r²."""
     total = 0.0
     for k in range(o[N] + 1):
@@ -271,8 +266,8 @@ def missed_square(m, o):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(NONE, NUMS, INTS)
-def hold_multipliers(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def hold_multipliers(m: Floats, o: Integers) -> None:
     """Multipliers as they were before the last full step: what rows that contradict each other add to them would never end."""
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
@@ -283,25 +278,25 @@ def hold_multipliers(m, o):  # type: ignore[no-untyped-def]
                 m[o[ROW_L] + q] = m[o[ROW_N] + q] + (change if kind_of(m, o, first + j) == MULTIPLIER else -change)
 
 
-@compiled(BOOL, NUMS, INTS, NUM)
-def keeps_on(m, o, share):  # type: ignore[no-untyped-def]
+@compiled
+def keeps_on(m: Floats, o: Integers, share: float) -> bool:
     """Whether limits have been in the way for :data:`HORIZONS`, and ``share`` has been the same."""
     state = o[STATE]
-    if abs(share - m[state + HELD_SHARE]) > SAME * m[state + HELD_SHARE]:
-        m[state + HELD_SHARE], m[state + HELD_FOR] = share, 0.0
-    return m[state + HELD_FOR] >= HORIZONS * m[o[GRID] + o[N]]
+    if abs(share - m[state + StateField.BLOCKED_RESIDUAL]) > SAME * m[state + StateField.BLOCKED_RESIDUAL]:
+        m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = share, 0.0
+    return m[state + StateField.BLOCKED_TIME] >= HORIZONS * m[o[GRID] + o[N]]
 
 
-@compiled(BOOL, NUMS, INTS, NUMS)
-def contradicts(m, o, s):  # type: ignore[no-untyped-def]
+@compiled
+def contradicts(m: Floats, o: Integers, s: Floats) -> bool:
     """Whether rows with multipliers have contradicted each other for :data:`PATIENCE` solves, this one the last, or limits of the
     inputs have been in the way for long enough."""
     if o[MULTIPLIERS] == 0:
         return False
     state = o[STATE]
     share, stuck, held, told = most_missed(m, o), False, False, False
-    m[state + HELD_BY] = -1.0
-    if share > s[EQUALITY_BOUND]:
+    m[state + StateField.BLOCKING_ROW] = -1.0
+    if share > s[Setting.EQUALITY_BOUND]:
         down, _ = steepest(m, o, False)
         size = missed_square(m, o)
         stuck = down <= STUCK * np.sqrt(response(m, o) * size)
@@ -312,9 +307,9 @@ def contradicts(m, o, s):  # type: ignore[no-untyped-def]
     if held:
         told = keeps_on(m, o, share)
     else:
-        m[state + HELD_SHARE], m[state + HELD_FOR] = 0.0, 0.0
-    m[state + CONTRADICTED] = m[state + CONTRADICTED] + 1.0 if stuck else 0.0
+        m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = 0.0, 0.0
+    m[state + StateField.INFEASIBLE_SOLVES] = m[state + StateField.INFEASIBLE_SOLVES] + 1.0 if stuck else 0.0
     if stuck or told:
         hold_multipliers(m, o)
-        m[state + UNEQUAL] = share
-    return told or m[state + CONTRADICTED] >= PATIENCE
+        m[state + StateField.EQUALITY_RESIDUAL] = share
+    return told or m[state + StateField.INFEASIBLE_SOLVES] >= PATIENCE

@@ -94,12 +94,12 @@ class RowState:
             pull = np.where(self.multiplier, -np.maximum(0.0, self.l - self.penalty * self.h) * self.change, 0.0)
         return float(np.where(self.counts, hard + soft + pull, 0.0).sum())
 
-    def reach(self, tau: float) -> tuple[float, float]:
+    def reach(self, fraction: float) -> tuple[float, float]:
         """Largest primal and dual step."""
 
         def longest(value: np.ndarray, step: np.ndarray, mask: np.ndarray) -> float:
-            mask = mask & self.counts & (step < -tau * value)
-            return float(np.min(-tau * value[mask] / step[mask], initial=1.0))
+            mask = mask & self.counts & (step < -fraction * value)
+            return float(np.min(-fraction * value[mask] / step[mask], initial=1.0))
 
         primal = min(longest(self.t, self.dt, self.hard), longest(self.s, self.ds, self.soft))
         return primal, min(longest(self.l, self.dl, self.hard), longest(self.penalty - self.l, -self.dl, self.soft))

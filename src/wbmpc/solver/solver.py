@@ -20,24 +20,7 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import verdict
-from wbmpc.solver.memory_layout import (
-    CONTRADICTED,
-    COST,
-    GIVEN_WAY,
-    HELD_BY,
-    HELD_FOR,
-    HELD_SHARE,
-    LIMIT_TOLERANCE,
-    LONGEST,
-    MISSED,
-    MOST_AT,
-    PASSED,
-    PASSED_AT,
-    UNDUE,
-    UNEQUAL,
-    UNEQUAL_ROW,
-    VIOLATION,
-)
+from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.workspace import LOG
@@ -95,10 +78,10 @@ class Solver:
             self.ws = self.twin.ws
         self.references: dict[str, Reference] = {}
         self.schedule = DEFAULT
-        #: time [s] at which the trajectories in memory begin, for who rewrites them (MPC's guess)
+        #: time [s] at which the trajectories in memory begin, for guesses
         self.begins = 0.0
         self._tables = None
-        self.log = np.zeros((self.settings.most_iterations, len(LOG)))
+        self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
             self._bind()
@@ -164,9 +147,9 @@ class Solver:
         self.schedule = schedule
         self._tables = None
 
-    def set_weight(self, name: str, weight: Weight, place: Literal["path", "terminal"] = "path") -> None:
+    def set_weight(self, name: str, weight: Weight, at: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
-        key = f"{place}.{name}"
+        key = f"{at}.{name}"
         costs = [k for k in self.problem.constant.slices if k != "parameters"]
         if key not in costs:
             raise unknown_name("weight", key, costs)
@@ -180,7 +163,7 @@ class Solver:
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
         self.ws.w[part] = vector
 
-    def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
+    def warm_start(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
 
         Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
@@ -194,14 +177,16 @@ class Solver:
             given["u"] = given["u"][np.searchsorted(own, fine[:-1] + 1e-9) - 1]
         for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
             if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
-                raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
+                raise InputError(f"warm start, {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
         self.ws.x[:], self.ws.u[:] = given["x"], given["u"]
 
-    def forget(self) -> None:
-        """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
+    def reset(self) -> None:
+        """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
+        self.ws.state[
+            [StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL, StateField.BLOCKED_TIME]
+        ] = 0.0
         if self.settings.backend == "interpreted":
-            self.twin.forget()
+            self.twin.reset()
         else:
             self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
 
@@ -347,8 +332,8 @@ class Solver:
             u=self.ws.u.copy(),
             gain=self.ws.k[:, :, : self.problem.nx].copy(),
             iterations=count,
-            cost=float(self.ws.state[COST]),
-            violation=float(self.ws.state[VIOLATION]),
+            cost=float(self.ws.state[StateField.COST]),
+            violation=float(self.ws.state[StateField.VIOLATION]),
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
@@ -363,36 +348,42 @@ class Solver:
         state = self.ws.state
         if status is Status.EQUALITY_INFEASIBLE:
             return self._unequal()
-        by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
+        by, of_inputs = (
+            max(state[StateField.INPUT_VIOLATION], self.limit_violation),
+            max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]),
+        )
         if by <= LIMIT_TOLERANCE:
             return ""
-        node, row = divmod(int(state[MOST_AT if of_inputs == by else PASSED_AT]), self.ws.rows_h.shape[1])
+        node, row = divmod(
+            int(state[StateField.INPUT_VIOLATION_ROW if of_inputs == by else StateField.STATE_VIOLATION_ROW]),
+            self.ws.rows_h.shape[1],
+        )
         limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
         sentence = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
         if of_inputs == by:
             return sentence
-        return f"{sentence}, {'not yet reached' if state[UNDUE] == by else 'where its slack gives way'}"
+        return f"{sentence}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
 
     def _unequal(self) -> str:
-        names, row = self.problem.equality_names(), int(self.ws.state[UNEQUAL_ROW])
-        by = f"by {100.0 * self.ws.state[UNEQUAL]:.3g} % of the row's size"
+        names, row = self.problem.equality_names(), int(self.ws.state[StateField.EQUALITY_ROW])
+        by = f"by {100.0 * self.ws.state[StateField.EQUALITY_RESIDUAL]:.3g} % of the row's size"
         if row < len(names):
             return f"{names[row]} {by}, at the first input"
         node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
         own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        node_by, row_by = divmod(int(self.ws.state[HELD_BY]), self.ws.rows_h.shape[1])
+        node_by, row_by = divmod(int(self.ws.state[StateField.BLOCKING_ROW]), self.ws.rows_h.shape[1])
         others = f"'{self.problem.path.rows[row_by].name}' at node {node_by}" if node_by >= 0 else "others"
         return f"{own.name} {by} at node {node}: it cannot be met together with {others}"
 
     @property
-    def passed(self) -> float:
+    def limit_violation(self) -> float:
         """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
-        worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
+        worst = float(max(self.ws.state[StateField.STATE_VIOLATION], self.ws.state[StateField.MIXED_VIOLATION]))
         return worst if worst > LIMIT_TOLERANCE else 0.0
 
     @property
-    def apart(self) -> float:
+    def initial_state_mismatch(self) -> float:
         """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
         beside 1 + |x|; 0 up to the tolerance."""
         worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())

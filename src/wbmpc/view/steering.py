@@ -213,7 +213,7 @@ class Steering:
             weight = cost.expand(cost.weight)
             end = weight if cost.terminal_weight is None else cost.expand(cost.terminal_weight)
             for place, value in (("path", weight), ("terminal", end)):
-                if cost.at in (place, "all"):
+                if cost.at in (place, "path+terminal"):
                     self.mpc.solver.set_weight(cost.name, list(factor * value), place)  # type: ignore[arg-type]
         self._weights = factors.copy()
 

@@ -67,9 +67,11 @@ def door_problem(
         fast = sets.Box(-scheme.door_rate, scheme.door_rate)
         hard = settings.limits == "hard"
         ocp.add(
-            Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard)
+            Constraint(
+                "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
+            )
         )
-    ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
+    ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
     if scheme.cone:
@@ -87,7 +89,7 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
     turn = np.array([0.0] * 3 + [push.orientation, push.orientation, min(push.orientation, h.roll)])
     error = residuals.FramePose(robot, robot.tool, axes="reference")
     add = lambda name, residual, weight, **more: ocp.add(
-        Cost(name, residual, list(weight), at="all", terminal_weight=list(end * np.asarray(weight)), **more)
+        Cost(name, residual, list(weight), at="path+terminal", terminal_weight=list(end * np.asarray(weight)), **more)
     )
     add("hand", error, pose, norm=SmoothL1(h.limit), modes=("free",))
     add("turn", error, turn, modes=PUSHING)

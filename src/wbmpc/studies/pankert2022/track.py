@@ -27,7 +27,7 @@ NAME = "swerve-track"
 SUMMARY = "the hand follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
 
 IDEALISATIONS = [
-    "the rolling rows have a compliance of 1e-6: a plan may slip by about 1e-6 m/s",
+    "the rolling rows have a softness of 1e-6: a plan may slip by about 1e-6 m/s",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
     "encoders of one message are synchronous (the message as a whole is up to 2 ms old)",

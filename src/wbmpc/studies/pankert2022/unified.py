@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import ROLLING_COMPLIANCE, StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError
@@ -112,11 +112,11 @@ def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSetting
     free = settings.legs == "support"
     if free:
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
-    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_COMPLIANCE, accelerations=True)
+    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_SOFTNESS, accelerations=True)
     if free:
         margin = residuals.SupportMargin(robot, rear_triangles(robot, home[robot.state["leg"]]))
         barrier = RelaxedBarrier(settings.support, settings.reserve)
-        ocp.add(Constraint("support", margin, sets.NonNegative(), at="all", penalty=barrier))
+        ocp.add(Constraint("support", margin, sets.NonNegative(), at="path+terminal", penalty=barrier))
     return ocp
 
 

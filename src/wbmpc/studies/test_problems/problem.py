@@ -31,5 +31,5 @@ class TestProblem:
             solver.set_reference(name, reference)
         if self.schedule is not None:
             solver.set_schedule(self.schedule)
-        solver.guess(self.x, self.u)
+        solver.warm_start(self.x, self.u)
         return solver

@@ -20,7 +20,7 @@ def double_integrator(
     dynamics = Ode({"x": ["p", "v"]}, {"u": ["a"]}, lambda x, u: ca.vertcat(x[1], u[0]))
     ocp = OptimalControlProblem(dynamics, 3.0, intervals)
     state = residuals.Expression(2, lambda s: s.x)
-    ocp.add(Cost("state", state, [10.0, 1.0], at="all", terminal_weight=[20.0, 5.0]))
+    ocp.add(Cost("state", state, [10.0, 1.0], at="path+terminal", terminal_weight=[20.0, 5.0]))
     ocp.add(Cost("input", residuals.Expression(1, lambda s: s.u), 0.1))
     penalty = penalty or RelaxedBarrier(1e-3, 1e-3)
     ocp.add(
@@ -48,7 +48,7 @@ def cartpole(intervals: int = 60, force: float = 25.0, hard: bool = False) -> Te
     ocp = OptimalControlProblem(dynamics, 2.0, intervals, integrator="rk4")
     goal = np.array([0.0, np.pi, 0.0, 0.0])
     error = residuals.Expression(4, lambda s: s.x - goal)
-    ocp.add(Cost("state", error, [1.0, 1.0, 0.1, 0.1], at="all", terminal_weight=[100.0, 200.0, 20.0, 20.0]))
+    ocp.add(Cost("state", error, [1.0, 1.0, 0.1, 0.1], at="path+terminal", terminal_weight=[100.0, 200.0, 20.0, 20.0]))
     ocp.add(Cost("input", residuals.Expression(1, lambda s: s.u), 0.01))
     penalty = RelaxedBarrier(1e-2, 0.1)
     ocp.add(

@@ -70,19 +70,19 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
     joints = [g for g in groups if g in _POSTURE]
     rates = ["base", *groups]
     body = residuals.FramePose(robot, robot.base.base.body)
-    ocp.add(Cost("body", body, [10.0, 10.0, 0.1, 0.1, 0.1, 10.0], at="all"))
-    ocp.add(Cost("posture", residuals.State(robot, joints), {g: _POSTURE[g] for g in joints}, at="all"))
-    ocp.add(Cost("rates", residuals.Input(robot, rates, tracked=False), {g: _RATES[g] for g in rates}))
+    ocp.add(Cost("body", body, [10.0, 10.0, 0.1, 0.1, 0.1, 10.0], at="path+terminal"))
+    ocp.add(Cost("posture", residuals.State(robot, joints), {g: _POSTURE[g] for g in joints}, at="path+terminal"))
+    ocp.add(Cost("rates", residuals.Input(robot, rates, reference=None), {g: _RATES[g] for g in rates}))
     if "arm" in groups:
         hand = residuals.FramePose(robot, robot.tool)
-        ocp.add(Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="all"))
+        ocp.add(Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
     ocp.add(Constraint("rolling", residuals.Rolling(robot)))
     ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
     barrier, limits = RelaxedBarrier(1e-3, 0.02), robot.limits
-    state, speed = residuals.State(robot, joints, tracked=False), residuals.Input(robot, rates, tracked=False)
+    state, speed = residuals.State(robot, joints, reference=None), residuals.Input(robot, rates, reference=None)
     ranges = sets.Box(limits.state_lower[state.indices], limits.state_upper[state.indices])
     speeds = sets.Box(limits.input_lower[speed.indices], limits.input_upper[speed.indices])
-    ocp.add(Constraint("ranges", state, ranges, at="all", penalty=barrier))
+    ocp.add(Constraint("ranges", state, ranges, at="path+terminal", penalty=barrier))
     ocp.add(Constraint("speeds", speed, speeds, penalty=barrier))
 
 
