@@ -199,12 +199,11 @@ def run(
     first, last = (cores[0], cores[-1]) if len(cores) > 1 else (None, None)
     robot = Simulated(case.make_plant, plant.measure(), case.stop, clock, first, fifo)
     agent = Watched(case.make_agent(own, plant, control))
-    parameters = own.solver.problem.constant.slices["parameters"]
     make = partial(case.make_mpc, rate)
     settings = RealTimeSettings(control, max_policy_age=0.25, records=200_000)
     runner = RealTimeRunner(
         robot, agent, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
-        parameters=lambda: own.solver.ws.w[parameters], setup=partial(place, last, fifo),
+        parameters=lambda: own.solver.parameters, setup=partial(place, last, fifo),
     )  # fmt: skip
     # with the MPC elsewhere the controller sits beside the physics; else on the other core with the MPC's thread
     place(first if process else last, fifo)

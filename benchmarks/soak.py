@@ -72,14 +72,14 @@ def resident() -> int:
 def run(name: str, solves: int) -> dict[str, Any]:
     """Solves from the state that the plan of the last one comes to, with noise; figures by name."""
     mpc = MAKE[name](solves * PERIOD + 10.0)
-    rng, ws = np.random.default_rng(0), mpc.solver.ws
+    rng, plan = np.random.default_rng(0), mpc.solver.trajectory(copy=False)
     times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
-    x, start = ws.x[0].copy(), time.perf_counter()
+    x, start = plan.x[0].copy(), time.perf_counter()
     for i in range(solves):
         failures += not mpc.advance(Observation(i * PERIOD, x))
         times[i] = mpc.solve_time
-        share = PERIOD / (ws.grid[1] - ws.grid[0])
-        x = (1.0 - share) * ws.x[0] + share * ws.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
+        share = PERIOD / (plan.grid[1] - plan.grid[0])
+        x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
         if i % (solves // 100) == 0:
             memory[i // (solves // 100)] = resident()
     tenth = solves // 10

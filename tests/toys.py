@@ -270,6 +270,6 @@ def random_stage(solver: Solver, rng: np.random.Generator) -> tuple[np.ndarray, 
         start = problem.node.slices["reference.hand"].start
         p[start + 3 : start + 7] /= np.linalg.norm(p[start + 3 : start + 7])
     p[problem.node.slices["mode"]] = rng.integers(0, 2, d.mode.size)
-    w = solver.ws.w[: problem.constant.size].copy()
+    w = solver.constants.copy()
     w[problem.constant.slices["parameters"]] = rng.normal(size=d.parameters.size)
     return x, u, p, w

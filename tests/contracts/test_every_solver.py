@@ -87,7 +87,9 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
     solver.run(problem.x0)  # samples the references
     if near:
         noise = np.random.default_rng(0)
-        solver.warm_start(*(v + 0.01 * noise.normal(size=v.shape) for v in (solver.ws.x.copy(), solver.ws.u.copy())))
+        solver.warm_start(
+            *(v + 0.01 * noise.normal(size=v.shape) for v in (solver.trajectory().x, solver.trajectory().u))
+        )
     else:
         solver.warm_start(problem.x, problem.u)
     return ipopt.solve(solver, problem.x0)[:2]
@@ -112,8 +114,8 @@ def test_optimum(name: str, solver: str) -> None:
 def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: TestProblem) -> None:
     """Gaps, start and hard limits, evaluated anew."""
     np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
-    for k, h in enumerate(np.diff(made.ws.grid)):
-        step = ipopt._step(made, made.problem.x, made.problem.u, made.ws.p[k], h)
+    for k, h in enumerate(np.diff(made.trajectory().grid)):
+        step = ipopt._step(made, made.problem.x, made.problem.u, made.node_parameters[k], h)
         end = evaluate(step, made, x[k], u[k])
         np.testing.assert_allclose(end, x[k + 1], atol=1e-6)
     for row in made.problem.path.boxes:

@@ -130,7 +130,7 @@ def real_time(name: str) -> tuple[Solver, Callable[[], object]]:
         return limited()
     make = rezero_solver if name == "rezero" else swerve_solver
     solver = make(n=15, **vars(SQP.real_time()))
-    x0, clock = solver.ws.x[0].copy(), [0.0]
+    x0, clock = solver.trajectory().x[0], [0.0]
 
     def solve() -> None:
         clock[0] += 0.001
@@ -146,7 +146,7 @@ def test_solves_allocate_nothing(name: str) -> None:
     assert native == 0
     assert python < 2000  # numbers that have replaced others; a leak would be 24 kB or more
     assert peak < 4096  # numbers of a call that go when it ends
-    assert np.isfinite(solver.ws.x).all()
+    assert np.isfinite(solver.trajectory().x).all()
 
 
 def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
@@ -238,7 +238,7 @@ def lateness(action: Callable[[], object], seconds: float) -> float:
 def test_solves_hold_no_interpreter_lock() -> None:
     """Ticks beside long solves are nearly as regular as beside a thread that sleeps; with the lock held they are not."""
     solver = swerve_solver(n=60, **vars(SQP.real_time(10)))
-    x0 = solver.ws.x[0].copy()
+    x0 = solver.trajectory().x[0]
     solver.run(x0)
     start = time.perf_counter()
     solver.run(x0)

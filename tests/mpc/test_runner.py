@@ -127,7 +127,7 @@ def test_parameters_travel_with_the_observation() -> None:
         ToyRobot(clock), ToyAgent(PERIOD), mpc, RealTimeSettings(), clock, parameters=lambda: np.array([clock.now()])
     )
     runner.run(1.0)
-    assert mpc.solver.ws.w[mpc.solver.problem.constant.slices["parameters"]] == pytest.approx(0.98)
+    assert mpc.solver.parameters == pytest.approx(0.98)
 
 
 def test_clamped_ticks_are_counted() -> None:

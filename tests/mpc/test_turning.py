@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,6 +11,7 @@ from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, pla
 from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
+from wbmpc.solver import Trajectory
 from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
 
 MODEL = robot("swerve-fixed-ur10")
@@ -111,12 +109,12 @@ def test_a_plan_that_reverses_a_wheel_on_the_other_side_is_led_back(wheel: int, 
     u[:, MODEL.input["base"]] = twists(grid[:-1])
     sound, first = x.copy(), MODEL.state["steer"].start + wheel
     guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
-    solver: Any = SimpleNamespace(ws=SimpleNamespace(grid=grid, x=x, u=u), begins=0.0, set_reference=lambda *_: None)
-    guess(solver, 0.0, x[0].copy())
+    plan = Trajectory(0.0, grid, x, u)
+    assert guess(0.0, x[0].copy(), plan) is None
     assert np.array_equal(x, sound)  # a sound plan is left alone
     x[:, first] += side * np.pi * np.clip((grid - 2.7) / 0.6, 0.0, 1.0)
     guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
-    guess(solver, 0.0, x[0].copy())
+    assert guess(0.0, x[0].copy(), plan) is plan
     assert guess.turns == ()
     assert np.abs(x[:, first]).max() < 3.0
     late = np.flatnonzero(grid[:-1] > 3.5)

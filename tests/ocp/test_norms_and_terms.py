@@ -333,7 +333,7 @@ def test_solver_input_is_checked() -> None:
         with pytest.raises(InputError, match=message):
             call()
     s.set_weight("state", {"all": [1.0, 2.0, 3.0, 4.0]}, "terminal")
-    np.testing.assert_array_equal(s.ws.w[s.problem.constant.slices["terminal.state"]], [1, 2, 3, 4])
+    np.testing.assert_array_equal(s.constants[s.problem.constant.slices["terminal.state"]], [1, 2, 3, 4])
 
 
 def test_a_weight_changed_is_a_weight_given() -> None:

@@ -104,7 +104,7 @@ def test_the_runner_is_watched_and_steered() -> None:
         runner, world = runs[0]
         hand = lambda: np.array([world.board.samples(n)[-1] for n in "xyz"])
         seen["running"] = until(lambda: runner.state == "running" and world.board["time"] > 50)
-        home, weights, memory = hand(), np.ones_like(orders["weights"]), runner.mpc.solver.ws.w
+        home, weights, memory = hand(), np.ones_like(orders["weights"]), runner.mpc.solver.constants
         goal = np.array([*(home + [0.0, 0.2, 0.1]), *load_robot("swerve-ur10").pose(runner.agent.robot.home)[1]])
         give(goals=1, goal=goal)
         seen["hand"] = until(lambda: float(np.linalg.norm(hand() - goal[:3])) < 0.02)

@@ -214,12 +214,12 @@ def test_weights_act_without_compiling() -> None:
     assert firm.mpc.solver.kernel is not None
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
     assert far[1] > 1.5 * far[0]
-    again = soft.mpc.solver.ws.w.copy()
+    again = soft.mpc.solver.constants.copy()
     steering = Steering(soft, np.zeros(3))
     steering._weights = factors
     steering.apply(0.0, no_orders(), NOWHERE)
-    assert not np.array_equal(soft.mpc.solver.ws.w, again)
-    np.testing.assert_array_equal(soft.mpc.solver.ws.w, firm.mpc.solver.ws.w)
+    assert not np.array_equal(soft.mpc.solver.constants, again)
+    np.testing.assert_array_equal(soft.mpc.solver.constants, firm.mpc.solver.constants)
 
 
 def test_orders_before_a_run_are_not_for_it() -> None:

@@ -45,7 +45,8 @@ def our_planner(problem: Problem, counts: list[int]) -> Planner:
         for _ in range(iterations):
             single.run(x0)
         counts.append(iterations)
-        return single.ws.x.copy(), single.ws.u.copy()
+        found = single.trajectory()
+        return found.x, found.u
 
     return plan
 

@@ -41,7 +41,8 @@ def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP
 def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
     """Least processor time [ms] of ``repeat`` solves of at most so many iterations from the common guess, and where they end."""
     solver = problem.solver
-    few = single_iteration(solver, solver.ws.x, solver.ws.u, replace(solver.settings, iterations=iterations))
+    start = solver.trajectory(copy=False)
+    few = single_iteration(solver, start.x, start.u, replace(solver.settings, iterations=iterations))
 
     def solve() -> None:
         few.warm_start(problem.x0, problem.u0)
@@ -49,7 +50,8 @@ def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tu
         few.run(problem.x0)
 
     times = milliseconds(solve, repeat)
-    return float(times.min()), few.ws.x.copy(), few.ws.u.copy()
+    found = few.trajectory()
+    return float(times.min()), found.x, found.u
 
 
 def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:

@@ -37,12 +37,12 @@ def sampled(solver: Solver) -> Samples:
     """What the solver's references and modes are at the nodes."""
     from wbmpc.solver.receding import sample
 
-    t, grid, tables = solver.problem, np.asarray(solver.ws.grid), solver.tables()
+    t, grid, tables = solver.problem, solver.trajectory().grid, solver.tables()
     width = max(t.node.size, 1)
     flat = np.zeros(grid.size * width)
     for k, time in enumerate(grid):
         sample(tables.numbers, tables.integers, float(time), flat, k * width)
-    return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.ws.w[: t.constant.size], np.diff(grid))
+    return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.constants, np.diff(grid))
 
 
 # ---------------------------------------------------------------------- stage functions

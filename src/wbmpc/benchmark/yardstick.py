@@ -154,7 +154,8 @@ def yardstick(problem: Problem, repeat: int = 200, rounds: int = 5) -> dict[str,
     library.trajectory(_address(after_x), _address(after_u))
     single = single_iteration(solver, x, u)
     single.run(x0)
-    difference = max(np.abs(single.ws.x - after_x).max(), np.abs(single.ws.u - after_u).max())
+    ours = single.trajectory(copy=False)
+    difference = max(np.abs(ours.x - after_x).max(), np.abs(ours.u - after_u).max())
     lq = linearise(Program(solver), solution.x, solution.u, problem.x0)
     times = _race(library, single, lq, kernel, t, x0, repeat, rounds)
     return {

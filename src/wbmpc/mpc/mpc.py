@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
-from wbmpc.solver import SQP, Solver, Status
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
+from wbmpc.ocp.symbols import FollowsLastInput
+from wbmpc.solver import SQP, Solver, Status, Trajectory
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.solver import one_jump
 
 _LOG = logging.getLogger("wbmpc")
-#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
-Guess = Callable[[Solver, float, np.ndarray], None]
 #: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and
 #: then the plan before is where to start from; after more it is so old that the same refusal comes back.
 STUCK = 4
@@ -53,6 +53,20 @@ class References:
 
     def __contains__(self, name: str) -> bool:
         return name in self._solver.references
+
+
+class Guess(Protocol):
+    """Where a solve for the state ``x0`` (nx) at time ``t`` [s] starts from. ``trajectory``: the last plan, a copy that may be
+    changed and returned; the solver then moves it forward to ``t``. None: the last plan as it is."""
+
+    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None: ...
+
+
+@runtime_checkable
+class Bound(Protocol):
+    """A guess that needs the MPC it serves: its references, to read or to set before a solve, its schedule."""
+
+    def bind(self, mpc: MPC) -> None: ...
 
 
 @dataclass
@@ -120,9 +134,10 @@ class MPC:
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
         _check_settings(ocp, settings)
-        self.ocp, self.rate, self.guess = ocp, float(rate), guess
+        self.ocp, self.rate = ocp, float(rate)
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
+        self.guess = guess
         self.statistics = Statistics()
         planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
@@ -143,7 +158,18 @@ class MPC:
         self.events_without_node = 0
         self._told = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.AccelerationLimit)}
+        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+
+    @property
+    def guess(self) -> Guess | None:
+        """Where solves start from: see :class:`Guess`; None: from the last plan."""
+        return self._guess
+
+    @guess.setter
+    def guess(self, guess: Guess | None) -> None:
+        self._guess = guess
+        if isinstance(guess, Bound):
+            guess.bind(self)
 
     @property
     def period(self) -> float:
@@ -216,7 +242,7 @@ class MPC:
         """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
         if not self.limits.offset.size:
             return None
-        nodes = self.solver.ws.p[:-1]  # of the solver's grid, which may be finer than the problem's
+        nodes = self.solver.node_parameters[:-1]  # of the solver's grid, which may be finer than the problem's
         active = np.ones((len(nodes), self.limits.offset.size))
         active[:, self._switched] = nodes[:, self._switches]
         return active
@@ -255,14 +281,13 @@ class MPC:
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
         passes = self._first if self._t is None else 1
-        if self._reachable:
+        if self._follow_last:
             self._go_on_from(observation.t, delta)
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0
         for k in range(passes):
             start = time.perf_counter()
-            if self.guess is not None and k == 0:
-                self.solver.begins = observation.t - delta
-                self.guess(self.solver, observation.t, x0)
+            if k == 0:
+                self._apply_guess(observation.t, x0, observation.t - delta)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
@@ -276,6 +301,12 @@ class MPC:
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 
+    def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
+        """``start`` [s]: of the last plan."""
+        found = None if self._guess is None else self._guess(t, x0, self.solver.trajectory(start))
+        if found is not None:
+            self.solver.warm_start(found.x, found.u)
+
     def _count_events(self, t: float) -> None:
         """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""
         self.events_without_node = self.solver.events_without_node(t)
@@ -288,12 +319,12 @@ class MPC:
 
     def _go_on_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
-        ws, horizon = self.solver.ws, self.ocp.horizon
-        k = int(np.searchsorted(ws.grid, delta + 1e-9, side="right")) - 1
-        now = ws.u[min(k, len(ws.u) - 1)]
+        plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
+        k = int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1
+        current = plan.u[min(k, len(plan.u) - 1)]
         since = max(delta, self.period)
-        for name, residual in self._reachable.items():
-            last = now[residual.inputs]
+        for name, inputs in self._follow_last.items():
+            last = current[inputs]
             values = np.stack([np.append(last, since), np.append(last, since + horizon)])
             self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
 
@@ -325,12 +356,11 @@ class MPC:
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
-        status, ws = self.solver.status(self._outcome[0]), self.solver.ws
+        status = self.solver.status(self._outcome[0])
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
-        parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
-        bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
-        return f"failed: the {bad[0]} is not finite" if bad else ""
+        bad = self.solver.non_finite_part()
+        return f"failed: the {bad} is not finite" if bad else ""
 
     def _refused(self) -> str:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""

@@ -165,6 +165,11 @@ class AccelerationLimit:
         object.__setattr__(self, "inputs", _select(self.robot.input, self.names)[1])
 
     @property
+    def last_inputs(self) -> list[int]:
+        """Inputs whose last command is the reference: see :class:`wbmpc.ocp.symbols.FollowsLastInput`."""
+        return self.inputs
+
+    @property
     def size(self) -> int:
         return 2 * len(self.inputs)
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.mpc import MPC, Bound, Guess
 from wbmpc.ocp import ModeSchedule, Reference
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
 
 Array = np.ndarray
 Groups = dict[str, Array]
@@ -80,12 +80,19 @@ class BaseAdapter(Protocol):
 class Pending:
     """A guess for the MPC that first puts new references and modes into force: in its own thread, between two solves."""
 
-    def __init__(self, then: Callable[[Solver, float, Array], None] | None = None) -> None:
+    def __init__(self, then: Guess | None = None) -> None:
         self._then = then
+        self._mpc: MPC | None = None
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
-        self._once: Callable[[Solver, Array], None] | None = None
+        self._once: Callable[[Array, Trajectory], Trajectory] | None = None
         self._lock = threading.Lock()
+
+    def bind(self, mpc: MPC) -> None:
+        """Whose references and modes these are."""
+        self._mpc = mpc
+        if isinstance(self._then, Bound):
+            self._then.bind(mpc)
 
     def set(self, references: dict[str, Reference]) -> None:
         """In force from the next solve on."""
@@ -97,21 +104,21 @@ class Pending:
         with self._lock:
             self._schedule = schedule
 
-    def guess(self, once: Callable[[Solver, Array], None]) -> None:
-        """Rewrites the trajectories before the next solve, in place of the usual guess."""
+    def guess(self, once: Callable[[Array, Trajectory], Trajectory]) -> None:
+        """The next solve starts from ``once(x0, last plan)``, in place of the usual guess."""
         with self._lock:
             self._once = once
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
         with self._lock:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
             once, self._once = self._once, None
+        assert self._mpc is not None, "the guess of an MPC"
         for name, reference in (references or {}).items():
-            solver.set_reference(name, reference)
+            self._mpc.reference[name] = reference
         if schedule is not None:
-            solver.set_schedule(schedule)
+            self._mpc.solver.set_schedule(schedule)
         if once is not None:
-            once(solver, x0)
-        elif self._then is not None:
-            self._then(solver, t, x0)
+            return once(x0, trajectory)
+        return None if self._then is None else self._then(t, x0, trajectory)

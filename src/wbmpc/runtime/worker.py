@@ -57,8 +57,8 @@ class Worker:
         self._message: Message | None = None
         self.error: BaseException | None = None
         self._answered, self._ready = 0, 0.0
-        ws = mpc.solver.ws
-        self._start = ws.x.copy(), ws.u.copy()
+        plan = mpc.solver.trajectory()
+        self._start = plan.x, plan.u
 
     def loop(self) -> Loop:
         """Tick until the runner says that it is the end, or something is raised: then the board has the reason."""
@@ -123,10 +123,11 @@ class Worker:
 
     def _publish(self) -> None:
         assert self._message is not None
-        values, ws, slot = self._message.values, self.mpc.solver.ws, self.policies.begin()
-        np.add(ws.grid, values["t"], out=slot["times"])
-        slot["x"][...], slot["u"][...] = ws.x, ws.u
-        slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
+        values, slot = self._message.values, self.policies.begin()
+        plan = self.mpc.solver.trajectory(copy=False)
+        np.add(plan.grid, values["t"], out=slot["times"])
+        slot["x"][...], slot["u"][...] = plan.x, plan.u
+        slot["gain"][...] = self.mpc.solver.gain
         limits, active = self.mpc.limits, self.mpc.active_rows()
         for name in ("lower", "upper", "matrix", "offset"):
             slot[name][...] = getattr(limits, name)

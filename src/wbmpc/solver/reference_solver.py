@@ -122,7 +122,7 @@ class InterpretedSolver(InterpretedDirections):
         if delta > 0.0:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
-        self.mu, self.shift = c.mu_start, 0.0
+        self.mu, self.shift = c.initial_barrier, 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
@@ -155,7 +155,7 @@ class InterpretedSolver(InterpretedDirections):
             and bool(c.compute_kkt or (c.max_extra_iterations and c.rollout_restart))
             and not c.single_shooting
         )
-        run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
+        run, self.shift = _Progress(int(c.iterations), c.barrier, c.initial_barrier, self.hold, again), 0.0
         while run.count < run.limit:
             self.shift = run.shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
@@ -201,9 +201,9 @@ class InterpretedSolver(InterpretedDirections):
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
         small = moved <= UNSETTLED or not last
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
-            if last and (not self.has_rows or run.bias <= BIAS or self.mu <= c.mu_floor):
+            if last and (not self.has_rows or run.bias <= BIAS or self.mu <= c.min_barrier):
                 return CONVERGED
-            run.level = max(0.2 * self.mu, c.mu_floor) if last else run.level
+            run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
         if run.again and self._starts_anew(x0, c):
@@ -282,7 +282,7 @@ class InterpretedSolver(InterpretedDirections):
         if not self.has_rows:
             return
         after = next_mu.python(self.mu, run.level, error, product)
-        after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
+        after = min(c.initial_barrier, 10.0 * self.mu) if primal < 0.1 else after
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
                 run.last_kkt = np.inf

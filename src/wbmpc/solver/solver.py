@@ -15,7 +15,6 @@ import numpy as np
 
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
-from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
@@ -23,10 +22,12 @@ from wbmpc.solver.diagnostics import verdict
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
+from wbmpc.solver.trajectory import Trajectory
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
     from wbmpc.kernel import Kernel
+    from wbmpc.solver.receding import Tables
 
 _LOG = logging.getLogger("wbmpc")
 _STATUS = (
@@ -38,6 +39,12 @@ _STATUS = (
     Status.INPUT_INFEASIBLE,
     Status.EQUALITY_INFEASIBLE,
 )
+
+
+def _read_only(part: np.ndarray) -> np.ndarray:
+    view = part.view()
+    view.flags.writeable = False
+    return view
 
 
 @cache
@@ -78,9 +85,7 @@ class Solver:
             self.ws = self.twin.ws
         self.references: dict[str, Reference] = {}
         self.schedule = DEFAULT
-        #: time [s] at which the trajectories in memory begin, for guesses
-        self.begins = 0.0
-        self._tables = None
+        self._tables: Tables | None = None
         self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
@@ -190,13 +195,46 @@ class Solver:
         else:
             self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
 
-    def tables(self):  # type: ignore[no-untyped-def]
+    # ------------------------------------------------------------------ what the last solve left
+    def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:
+        """The present states and inputs; ``start`` [s]: when their horizon starts. Not copied: read-only, and overwritten by
+        the next solve."""
+        parts = (self.ws.grid, self.ws.x, self.ws.u)
+        return Trajectory(start, *(part.copy() if copy else _read_only(part) for part in parts))
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Feedback of the present trajectory, (N, nu, nx), read-only: u = u_k + K_k (x − x_k)."""
+        return _read_only(self.ws.k[:, :, : self.problem.nx])
+
+    @property
+    def node_parameters(self) -> np.ndarray:
+        """References, mode values and switches of every node as the last solve sampled them, (N + 1, np), read-only; which is
+        which: ``problem.node.slices``."""
+        return _read_only(self.ws.p)
+
+    @property
+    def constants(self) -> np.ndarray:
+        """The model's parameters and all weights, read-only; which is which: ``problem.constant.slices``."""
+        return _read_only(self.ws.w[: self.problem.constant.size])
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """The model's parameters, read-only."""
+        return _read_only(self.ws.w[self.problem.constant.slices["parameters"]])
+
+    def non_finite_part(self) -> str:
+        """Which part of the present plan has numbers that are not finite; empty if none."""
+        parts = {"planned state": self.ws.x, "planned input": self.ws.u, "feedback gain": self.ws.k}
+        return next((name for name, values in parts.items() if not np.isfinite(values).all()), "")
+
+    def tables(self) -> Tables:
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
 
         if self._tables is None:
             for name, term in self.ocp.terms.items():
-                if isinstance(term.residual, FramePose) and name not in self.references:
+                if getattr(term.residual, "reference_required", False) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
             if self.schedule is DEFAULT:
                 self.problem.check_schedule(DEFAULT)

@@ -27,7 +27,7 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Running
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
@@ -104,7 +104,7 @@ class RealtimeView(Window):
         steering.skip(self._orders)
         before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
 
-        def guess(solver: Solver, t: float, x0: Array) -> None:
+        def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
             message = self.orders.read()
             if message is not None:
                 self._orders = message.values
@@ -115,8 +115,7 @@ class RealtimeView(Window):
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
-            if before is not None:
-                before(solver, t, x0)
+            return None if before is None else before(t, x0, trajectory)
 
         mpc.guess = guess
 
@@ -164,9 +163,10 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     base = np.full(3, np.nan)
     if Steering.base_of(mpc):
         base = reference["state"].at(t)[layout["base"]]
+    states = mpc.solver.trajectory(copy=False).x
     way = np.zeros((0, 3)) if hand is None else hand.values[:, :3] + lift
     return {
-        "plan": filled(mpc.solver.ws.x[_chosen(len(mpc.solver.ws.x))], (PLAN, layout.size)), "goal": goal, "base_goal": base,
+        "plan": filled(states[_chosen(len(states))], (PLAN, layout.size)), "goal": goal, "base_goal": base,
         "reference": filled(way, (REFERENCE, 3)), "solve": mpc.solve_time, "deadline": mpc.period,
     }  # fmt: skip
 

@@ -91,13 +91,13 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     if view.process is None:
         view.open(mpc, simulated.seen)
     view.guide(mpc, agent, simulated.push)
-    slices, memory = model.solver.problem.constant.slices, model.solver.ws.w
     times = RealTimeSettings(
         1.0 / timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
         keep=isinstance(robot.description.base, BallBaseDescription),
     )  # fmt: skip
-    parameters = lambda: memory[slices["parameters"]]
-    return RealTimeRunner(simulated, agent, mpc, times, clock, parameters=parameters, watch=view.watch), simulated
+    return RealTimeRunner(
+        simulated, agent, mpc, times, clock, parameters=lambda: model.solver.parameters, watch=view.watch
+    ), simulated
 
 
 def _plant_of(robot_name: str, seed: int) -> BallPlant | SwervePlant:

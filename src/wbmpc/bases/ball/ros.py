@@ -179,8 +179,7 @@ class BallPilot:
         )  # where the robot is put on the floor: x, y, yaw; how well that is known
         self._standing: tuple[float, Array] | None = None
         self._answer = np.zeros(6)
-        parameters = self._model.solver.problem.constant.slices["parameters"]
-        self.parameters: Callable[[], Array] = lambda: self._model.solver.ws.w[parameters]
+        self.parameters: Callable[[], Array] = lambda: self._model.solver.parameters
         self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
         robot.mass_matrix(robot.home[: robot.base.nq])

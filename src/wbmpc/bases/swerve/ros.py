@@ -24,7 +24,7 @@ from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS, RosSettings
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
 from wbmpc.types import SwerveCommand, SwerveMeasurement
 
 _LOG = logging.getLogger("wbmpc")
@@ -248,13 +248,13 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
     }
 
 
-def swing_guess(robot: RobotModel, legs: Array, solver: Solver, x0: Array) -> None:
+def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajectory) -> Trajectory:
     """Trajectories of a base that stands while its wheels turn to the legs' circles and the legs then go to ``legs`` (n)."""
     state, given, geometry = robot.state, robot.input, robot.base.geometry
-    x, u, steer, leg = solver.ws.x, solver.ws.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
+    x, u, steer, leg = trajectory.x, trajectory.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
     lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
     most = 0.6 * robot.limits.input_upper[given["steer"]]
-    for k, h in enumerate(np.diff(solver.ws.grid)):
+    for k, h in enumerate(np.diff(trajectory.grid)):
         rate = np.clip((legs - leg) / max(h, 0.5), -SWING, SWING)
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
         target = np.where(target > upper, target - np.pi, np.where(target < lower, target + np.pi, target))
@@ -266,6 +266,7 @@ def swing_guess(robot: RobotModel, legs: Array, solver: Solver, x0: Array) -> No
         _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
         leg, steer = leg + rate * h, steer + turn * h
     x[-1, state["base"]], x[-1, state["leg"]], x[-1, state["steer"]] = x0[state["base"]], leg, steer
+    return trajectory
 
 
 def _spatial(planar: Array) -> Array:
