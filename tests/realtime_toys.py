@@ -142,7 +142,7 @@ class FaultyMPC(MPC):
         usable = super().advance(observation)
         self.number += 1
         if self.inject(self.number) is False:
-            self.solver.ws.x[:] = np.nan  # what a failed solve leaves behind
+            self.solver.warm_start(np.full(self.solver.problem.nx, 1e200))  # what a failed solve leaves behind
             return False
         return usable
 

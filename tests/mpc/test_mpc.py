@@ -107,29 +107,26 @@ def test_failed_solve_keeps_the_last_policy() -> None:
 
 def test_failing_from_the_start_is_an_abort() -> None:
     mpc = make(Poison(0.0))
-    with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(state 'x\.0' at node 0"):
+    with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(the dynamics at node 0\)"):
         mpc.update(Observation(0.0, START))
 
 
-@pytest.mark.parametrize("part", ["gain", "x", "u"])
+@pytest.mark.parametrize("part", ["feedback gain", "planned state"])
 def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the solver's status says, and wherever in the horizon it is."""
+    """Whatever the solver's status says (which part it finds: tests/solver/test_trajectory.py)."""
     mpc = make()
     last = mpc.update(Observation(0.0, START))
     honest = mpc.solver.run
 
     def spoilt(*arguments):  # type: ignore[no-untyped-def]
         outcome = honest(*arguments)
-        {"gain": mpc.solver.ws.k, "x": mpc.solver.ws.x, "u": mpc.solver.ws.u}[part][-1] = np.nan
+        monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: part)
         return outcome
 
     monkeypatch.setattr(mpc.solver, "run", spoilt)
     assert mpc.update(Observation(0.02, START)) is last
     assert (mpc.statistics.solves, mpc.statistics.failures) == (2, 1)
-    assert (
-        mpc.fault
-        == f"failed: the { {'gain': 'feedback gain', 'x': 'planned state', 'u': 'planned input'}[part] } is not finite"
-    )
+    assert mpc.fault == f"failed: the {part} is not finite"
     mpc.reset(START)
     with pytest.raises(RunAborted, match=r"the first solve failed: .*not finite"):
         mpc.update(Observation(0.04, START))
@@ -345,7 +342,8 @@ def test_what_is_not_finite_is_never_gone_on_from(monkeypatch: pytest.MonkeyPatc
     mpc = make()
     last = mpc.update(Observation(0.0, START))
     bad = iter([*[False] * STUCK, True])
-    refuse(mpc, monkeypatch, lambda: mpc.solver.ws.x.fill(np.nan) if next(bad) else None)
+    spoil = lambda: monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: "planned state" if next(bad) else "")
+    refuse(mpc, monkeypatch, spoil)
     for k in range(1, STUCK + 2):
         assert mpc.update(Observation(0.02 * k, START)) is last
     np.testing.assert_array_equal(mpc.solver.trajectory().x, last.x)

@@ -82,7 +82,7 @@ def test_plans_start_where_the_robot_is(speed: float) -> None:
     for k, x in enumerate(([0.0, 0.0], [0.0, 0.0], [0.0, speed], [0.02 * speed, 0.98 * speed])):
         for s in solvers:
             s.run(np.array(x), 0.02 * k, 0.02 if k else 0.0)
-    first, twin = (s.ws for s in solvers)
+    first, twin = (s.trajectory() for s in solvers)
     assert np.abs(first.x[0] - x).max() < 0.05 * abs(speed)
     assert first.u[0, 0] * np.sign(speed) < 0.95 * -HARDEST  # it brakes
     near = 1e-9 if abs(speed) < 2.0 else 2e-3  # six times the limit: roundings grow, and differ among processors
