@@ -111,7 +111,7 @@ def test_what_can_be_met_is_never_called_infeasible(hessian: str) -> None:
     if found.status is not Status.CONVERGED:
         assert (
             found.detail.startswith("largest violation: curve.all[0] by")
-            and "curved in the inputs: try" in found.detail
+            and "nonlinear in the inputs: try" in found.detail
         )
         assert np.isnan(found.kkt) or found.kkt > 0.0
 

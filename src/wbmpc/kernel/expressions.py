@@ -29,6 +29,12 @@ _WHOLE: dict[type[ast.AST], str] = {ast.FloorDiv: "sdiv", ast.Mod: "srem"}
 _NUMPY = {"sqrt": "llvm.sqrt.f64", "log": "llvm.log.f64", "exp": "llvm.exp.f64", "floor": "llvm.floor.f64"}
 
 
+def is_frozen(owner: object) -> bool:
+    """Whether this is an instance of a frozen dataclass: its fields are constants of translated code."""
+    parameters = getattr(type(owner), "__dataclass_params__", None)
+    return parameters is not None and bool(parameters.frozen)
+
+
 class Expressions(Vectors):
     """The value of every expression that can be translated."""
 
@@ -70,6 +76,10 @@ class Expressions(Vectors):
             if node.attr not in owner.__members__:
                 raise self.fail(node, f"{owner.__name__} has no member of this name")
             return Value(INT, str(int(owner[node.attr])))
+        if is_frozen(owner):
+            if not hasattr(owner, node.attr):
+                raise self.fail(node, f"{type(owner).__name__} has no field of this name")
+            return self.constant(getattr(owner, node.attr), node)
         raise self.fail(node, "unknown attribute")
 
     def of_Tuple(self, node: ast.Tuple) -> Value:

@@ -6,8 +6,8 @@ import numpy as np
 
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.inequalities import rows_step, start_rows, take_rows
-from wbmpc.solver.inequality_table import forget_outside, start_outside
-from wbmpc.solver.infeasibility import contradicts
+from wbmpc.solver.inequality_table import initial_violation, reset_violations
+from wbmpc.solver.infeasibility import detect_infeasibility
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
     DU,
@@ -31,8 +31,8 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residual
-from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
-from wbmpc.solver.soft_equalities import start_wishes, take_wishes, wishes_step
+from wbmpc.solver.settings import THRESHOLDS
+from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
 from wbmpc.solver.workspace import LOG
 
@@ -41,8 +41,6 @@ CONVERGED, ITERATION_LIMIT, LINE_SEARCH_FAILED, NOT_FINITE, DIVERGED, INPUT_INFE
 LOG_COLUMNS = len(LOG)
 #: What a direction is told to be where it ends nothing: of use, or to be sought again.
 GO_ON, AGAIN = -1, -2
-#: A step that the slacks cut to less than this, with the measured state outside a limit, is not worth taking.
-JAMMED = 0.25
 
 
 @compiled
@@ -78,7 +76,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     rolled = 1.0 if rows and s[Setting.SINGLE_SHOOTING] * s[Setting.KEEP_MULTIPLIERS] > 0.0 else 0.0
     m[state + StateField.HOLD_INPUTS] = 1.0 + s[Setting.KEEP_MULTIPLIERS] if o[NONLINEAR_INPUT_ROWS] > 0 else rolled
     m[state + StateField.CHECK_INPUT_ROWS], m[state + StateField.EQUALITY_RESIDUAL] = s[Setting.KEEP_MULTIPLIERS], 0.0
-    forget_outside(m, o)
+    reset_violations(m, o)
     if rows:
         start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, s[Setting.KEEP_SLACKS] > 0.0)
     if s[Setting.SINGLE_SHOOTING] > 0.0:
@@ -86,7 +84,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         if rows:
             start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, s[Setting.KEEP_SLACKS] > 0.0)
     if o[SOFT_EQUALITIES] > 0:
-        start_wishes(m, o)
+        start_soft_residuals(m, o)
 
 
 @compiled
@@ -94,7 +92,7 @@ def direction(
     m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, row: int
 ) -> tuple[float, float, float, float, float, float]:
     """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
-    has the equalities that are wishes too."""
+    has the equalities that are soft too."""
     state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
     for i in range(o[NX]):
@@ -104,7 +102,7 @@ def direction(
     if row_count(o) > 0:
         rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
     if o[SOFT_EQUALITIES] > 0:
-        slope += wishes_step(m, o)
+        slope += soft_residual_steps(m, o)
     kkt, curvature = kkt_residual(m, o) if compute_kkt else (np.nan, 0.0)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + StateField.ROW_COST], violation, kkt, largest
     m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], violation
@@ -150,7 +148,7 @@ def met(m: Floats, o: Integers, violation: float, equalities: float, limit: floa
     soft = False
     for j in range(o[NG]):
         soft = soft or m[o[EPS] + j] > 1e-13
-    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= AT_REST)
+    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= THRESHOLDS.at_rest)
 
 
 @compiled
@@ -205,14 +203,14 @@ def misses_equality(m: Floats, o: Integers, s: Floats) -> bool:
 
 
 @compiled
-def verdict_at_the_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
+def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
         return INPUT_INFEASIBLE
     if misses_equality(m, o, s):
         return EQUALITY_INFEASIBLE
     if s[Setting.KEEP_MULTIPLIERS] > 0.0:
-        return EQUALITY_INFEASIBLE if contradicts(m, o, s) else status
+        return EQUALITY_INFEASIBLE if detect_infeasibility(m, o, s) else status
     return status
 
 
@@ -235,14 +233,14 @@ def is_minimum(m: Floats, o: Integers) -> bool:
 
 
 @compiled
-def starts_anew(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
+def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
     """Where the measured state is outside a hard limit, the iterate starts inside, and its slacks hardly let it go there: it
     becomes a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
 
     Steps from inside would be cut again and again, and in real time the plan would not start where the robot is.
     """
     state = o[STATE]
-    if m[state + StateField.MAX_PRIMAL_STEP] > JAMMED or start_outside(m, o) <= LIMIT_TOLERANCE:
+    if m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed or initial_violation(m, o) <= LIMIT_TOLERANCE:
         return False
     hold = m[state + StateField.HOLD_INPUTS]
     m[state + StateField.HOLD_INPUTS] = max(hold, 1.0)
@@ -257,7 +255,9 @@ def starts_anew(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
 
 
 @compiled
-def unusable(m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tuple[float, float, float, float]) -> int:
+def direction_status(
+    m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tuple[float, float, float, float]
+) -> int:
     """The status that a direction ends a solve with, AGAIN where it is to be sought once more with a convex subproblem, or GO_ON.
     ``found``: cost, violation, largest component, slope."""
     cost, violation, largest, slope = found
@@ -267,13 +267,13 @@ def unusable(m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tu
         if known and s[Setting.MAX_REGULARIZATION] > 0.0 and make_convex(m, o, s):
             return AGAIN
         return NOT_FINITE
-    if abs(cost) > HUGE or largest > HUGE:
+    if abs(cost) > THRESHOLDS.divergence or largest > THRESHOLDS.divergence:
         return DIVERGED
     return GO_ON
 
 
 @compiled
-def judge(
+def convergence_status(
     m: Floats, o: Integers, s: Floats, feasible: bool, kkt: float, barrier: tuple[float, float, float]
 ) -> tuple[float, float, float]:
     """(CONVERGED, AGAIN where the barrier problem is solved and μ has been lowered, or GO_ON; next level and bias).
@@ -285,9 +285,9 @@ def judge(
     if compute_kkt and mu < last_mu:
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
-    small = not last or moved(m, o) <= UNSETTLED
+    small = not last or moved(m, o) <= THRESHOLDS.settled
     if compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= 10.0 * mu and small:
-        if last and (not rows or bias <= BIAS or mu <= s[Setting.MIN_BARRIER]):
+        if last and (not rows or bias <= THRESHOLDS.bias or mu <= s[Setting.MIN_BARRIER]):
             return 1.0 * CONVERGED, level, bias
         level = max(0.2 * mu, s[Setting.MIN_BARRIER]) if last else level
         m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE] = next_mu(mu, level, 0.0, mu), 0.0
@@ -296,7 +296,7 @@ def judge(
 
 
 @compiled
-def weigh(
+def update_merit(
     found: tuple[float, float, float, float], optimality: tuple[float, float], penalty: float, first: float
 ) -> tuple[float, float]:
     """(Weight of the violation in the merit, first step length to try) from those before.
@@ -313,7 +313,7 @@ def weigh(
 
 
 @compiled
-def gives_up(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
+def line_search_gives_up(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
     """Whether a solve ends where no step length was accepted; else another direction is to be tried."""
     state = o[STATE]
     if (
@@ -330,7 +330,7 @@ def gives_up(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
 
 
 @compiled
-def go_on(
+def accept_step(
     m: Floats, o: Integers, s: Floats, alpha: float, kkt: float, violation: float, last_residual: float, level: float
 ) -> tuple[float, float]:
     """The trial point becomes the iterate, with its slacks and multipliers. Returns as :func:`settle_rows`."""
@@ -341,7 +341,7 @@ def go_on(
     )
     take(m, o)
     if o[SOFT_EQUALITIES] > 0:
-        take_wishes(m, o, alpha)
+        take_soft_residuals(m, o, alpha)
     m[state + StateField.LAST_STEP], o[POLICY] = alpha, 1
     if row_count(o) > 0:
         return settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
@@ -349,7 +349,7 @@ def go_on(
 
 
 @compiled
-def one_more(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
+def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
     """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
 
     Where inputs are still outside, a last one holds them within the rows."""
@@ -390,7 +390,7 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
         it += 1
-        ended = unusable(m, o, s, log, row, (cost, violation, largest, slope))
+        ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope))
         if ended == AGAIN:
             continue
         if ended != GO_ON:
@@ -399,34 +399,34 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
             m[state + StateField.BARRIER],
             met(m, o, violation, log[row + 6] - m[state + StateField.SOFT_EQUALITY_VIOLATION], s[Setting.FEASIBILITY]),
         )
-        found, level, bias = judge(m, o, s, feasible, kkt, (level, last_mu, bias))
+        found, level, bias = convergence_status(m, o, s, feasible, kkt, (level, last_mu, bias))
         last_mu = mu
         if found == CONVERGED:
             return CONVERGED, it
         if found == AGAIN:
             first, last_kkt = 1.0, np.inf
             continue
-        if again and starts_anew(m, o, x0, s):
+        if again and restart_from_rollout(m, o, x0, s):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
-        penalty, first = weigh((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
+        penalty, first = update_merit((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
         last_kkt = kkt
         if s[Setting.COMPUTE_KKT] == 0.0:
             first = longest_step(m, o, it == 1)
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:
             m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], log[row + 1]
-            if gives_up(m, o, x0, s):
-                return verdict_at_the_limit(m, o, s, LINE_SEARCH_FAILED), it
+            if line_search_gives_up(m, o, x0, s):
+                return status_at_iteration_limit(m, o, s, LINE_SEARCH_FAILED), it
             continue
         log[row + 4] = alpha
-        last_residual, changed = go_on(m, o, s, alpha, kkt, violation, last_residual, level)
+        last_residual, changed = accept_step(m, o, s, alpha, kkt, violation, last_residual, level)
         if changed > 0.0:
             last_kkt = np.inf
         if hold > 0.0:
             m[state + StateField.HOLD_INPUTS] = hold
         if it == limit:
-            limit = one_more(m, o, s, alpha < 0.9 * first, hold, limit)
+            limit = extend_iterations(m, o, s, alpha < 0.9 * first, hold, limit)
             hold = max(hold, m[state + StateField.HOLD_INPUTS])
-    return verdict_at_the_limit(m, o, s, ITERATION_LIMIT), it
+    return status_at_iteration_limit(m, o, s, ITERATION_LIMIT), it

@@ -21,7 +21,7 @@ import numpy as np
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
-from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, look_outside, node_rows
+from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
     BASE,
@@ -106,7 +106,7 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
     place, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
     if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
-        look_outside(m, o, k)
+        record_violations(m, o, k)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
         q, at = place + j, values + j

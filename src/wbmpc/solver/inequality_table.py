@@ -87,14 +87,14 @@ def bounds_inputs(m: Floats, o: Integers, r: int) -> bool:
 
 
 @compiled
-def forget_outside(m: Floats, o: Integers) -> None:
+def reset_violations(m: Floats, o: Integers) -> None:
     """Nothing is known to be outside."""
     m[o[STATE] + StateField.INPUT_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION] = 0.0, 0.0
     m[o[STATE] + StateField.STATE_VIOLATION], m[o[STATE] + StateField.UNRELAXED_VIOLATION] = 0.0, 0.0
 
 
 @compiled
-def tell_outside(m: Floats, o: Integers, k: int) -> None:
+def record_input_violations(m: Floats, o: Integers, k: int) -> None:
     """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
     _, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
@@ -110,7 +110,7 @@ def tell_outside(m: Floats, o: Integers, k: int) -> None:
 
 
 @compiled
-def tell_passed(m: Floats, o: Integers, k: int) -> None:
+def record_state_violations(m: Floats, o: Integers, k: int) -> None:
     """Remember in ``state`` by how much node k's state is outside: all rows, and those that do not give way a step further."""
     first, boxes, general = node_rows(o, k)
     state = o[STATE]
@@ -126,7 +126,7 @@ def tell_passed(m: Floats, o: Integers, k: int) -> None:
 
 
 @compiled
-def start_outside(m: Floats, o: Integers) -> float:
+def initial_violation(m: Floats, o: Integers) -> float:
     """By how much the measured state is outside hard rows of the state of which the iterate's start is inside, or nearly, after a
     direction; 0 where there is none. (The rows do not count there.)"""
     _, boxes, general = node_rows(o, 0)
@@ -139,8 +139,8 @@ def start_outside(m: Floats, o: Integers) -> float:
 
 
 @compiled
-def look_outside(m: Floats, o: Integers, k: int) -> None:
-    """As :func:`tell_outside` and :func:`tell_passed`, of a node of which most often nothing is outside."""
+def record_violations(m: Floats, o: Integers, k: int) -> None:
+    """As :func:`record_input_violations` and :func:`record_state_violations`, of a node of which most often nothing is outside."""
     first, boxes, general = node_rows(o, k)
     inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
     for j in range(0, boxes + general, LANES):
@@ -152,6 +152,6 @@ def look_outside(m: Floats, o: Integers, k: int) -> None:
         inputs = np.maximum(inputs, np.where(of_inputs, over, 0.0))
         states = np.maximum(states, np.where(of_inputs, 0.0, over))
     if np.max(inputs) > ROUNDING:
-        tell_outside(m, o, k)
+        record_input_violations(m, o, k)
     if np.max(states) > LIMIT_TOLERANCE:
-        tell_passed(m, o, k)
+        record_state_violations(m, o, k)

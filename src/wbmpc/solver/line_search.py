@@ -7,7 +7,7 @@ import numpy as np
 from wbmpc.solver.barriers import barrier_value
 from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.inequalities import end_values, rows_merit
-from wbmpc.solver.inequality_table import forget_outside
+from wbmpc.solver.inequality_table import reset_violations
 from wbmpc.solver.memory_layout import (
     DU,
     DU_LAST,
@@ -39,7 +39,7 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
 from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
-from wbmpc.solver.soft_equalities import wishes_of_block
+from wbmpc.solver.soft_equalities import soft_equality_terms_of_block
 from wbmpc.solver.stages import interval, normalise, stage_end
 
 #: What overshooting directions shorten a step to at least.
@@ -92,17 +92,17 @@ def move(m: Floats, o: Integers, alpha: float) -> None:
 @compiled
 def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tuple[float, float]:
     """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
-    Equalities that are wishes have a variable of their own.
+    Equalities that are soft have a variable of their own.
 
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
     n, nx, nu = o[N], o[NX], o[NU]
-    forget_outside(m, o)
+    reset_violations(m, o)
     if single:
         roll_out_policy(m, o, x0, alpha)
     else:
         move(m, o, alpha)
-    cost, violation, of_rows, wished = 0.0, 0.0, 0.0, 0.0
+    cost, violation, of_rows, of_soft = 0.0, 0.0, 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
     for first in range(0, n, LANES):
@@ -113,8 +113,8 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
         path_cost, equalities = cost_and_equalities(m, o)
         cost, violation = cost + path_cost, violation + equalities
         if o[SOFT_EQUALITIES] > 0:
-            paid, apart, missed = wishes_of_block(m, o, first, alpha)
-            of_rows, violation, wished = of_rows + paid, violation + apart, wished + missed - apart
+            paid, apart, missed = soft_equality_terms_of_block(m, o, first, alpha)
+            of_rows, violation, of_soft = of_rows + paid, violation + apart, of_soft + missed - apart
         evaluate_rows(m, o)
         for k in range(first, first + count):
             h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
@@ -127,7 +127,7 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
     end_values(m, o, last)
     row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
     of_rows, violation = of_rows + row_cost, violation + row_violation
-    m[o[STATE] + StateField.COST], m[o[STATE] + StateField.VIOLATION] = cost, violation + wished
+    m[o[STATE] + StateField.COST], m[o[STATE] + StateField.VIOLATION] = cost, violation + of_soft
     return cost + of_rows, violation
 
 

@@ -1,4 +1,4 @@
-"""Compiled code of hard rows that are curved in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
+"""Compiled code of hard rows that are nonlinear in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
 are held within the true rows.
 
 A linearised row says little about where the true one ends. Two things help. The Hessian takes the rows' second derivatives by the
@@ -16,7 +16,7 @@ import numpy as np
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.exact import clear_second, costate_node, stage_with
 from wbmpc.solver.inequalities import collect_values
-from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, row_penalty, tell_outside
+from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, record_input_violations, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
     CHAINED,
@@ -289,7 +289,7 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
     _, boxes, general = node_rows(o, k)
     pull_inside(m, o, k)
-    tell_outside(m, o, k)
+    record_input_violations(m, o, k)
     if alpha == 0.0:
         return
     for j in range(boxes, boxes + general):

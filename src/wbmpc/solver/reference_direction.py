@@ -79,7 +79,7 @@ class InterpretedDirections:
         self.has_rows = any(r.kind.size for r in self.own)
         self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
         self.feed, self.last_du = np.zeros((n, nu)), np.zeros((n, nu))
-        self.wish, self.wish_step = (np.zeros((n, problem.softness.size)) for _ in range(2))
+        self.soft_residual, self.soft_step = (np.zeros((n, problem.softness.size)) for _ in range(2))
 
     def _p(self, k: int) -> np.ndarray:
         return self.ws.p[k, : self.problem.node.size]  # type: ignore[no-any-return]
@@ -144,13 +144,13 @@ class InterpretedDirections:
             more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
             cost, violation = cost + h * more, violation + h * broken
         more, broken = self.own[n].merit(self._rows(n, x[n], u[-1]), alpha, self.mu)
-        paid, apart, _ = self._wishes(x, u, alpha)
+        paid, apart, _ = self._soft_equality_terms(x, u, alpha)
         return cost + more + paid, float(violation + broken + apart)
 
-    def _wishes(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> tuple[float, float, float]:
-        """As wish_of of the compiled solver, of all nodes."""
+    def _soft_equality_terms(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> tuple[float, float, float]:
+        """As soft_equality_terms of the compiled solver, of all nodes."""
         soft = self.problem.softness > MIN_SOFTNESS
-        g, r = self._equality_values(x, u)[:, soft], (self.wish + alpha * self.wish_step)[:, soft]
+        g, r = self._equality_values(x, u)[:, soft], (self.soft_residual + alpha * self.soft_step)[:, soft]
         paid = np.sum(0.5 * r**2 / self.problem.softness[soft])
         return float(paid), float(np.abs(g - r).sum()), float(np.abs(g).sum())
 
@@ -214,8 +214,8 @@ class InterpretedDirections:
             du.append(ws.k[k] @ dx[k] + self.feed[k])
             dz = np.concatenate([dx[k], du[k]])
             kkt, along, bend = max(kkt, np.abs(own @ dz).max()), along + g @ dz, bend + dz @ h @ dz
-            self.wish_step[k] = e + np.hstack([c, d]) @ dz - self.wish[k]
-            along += sum(self.wish[k, soft] * self.wish_step[k, soft] / self.problem.softness[soft])
+            self.soft_step[k] = e + np.hstack([c, d]) @ dz - self.soft_residual[k]
+            along += sum(self.soft_residual[k, soft] * self.soft_step[k, soft] / self.problem.softness[soft])
             dx.append(a @ dx[k] + b @ du[k] + gap)
             self.own[k].step(self.mu, dz)
         kkt, along = max(kkt, np.abs(end[2] @ dx[n]).max()), along + end[3] @ dx[n]

@@ -18,7 +18,7 @@ from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
 from wbmpc.solver.reference_direction import InterpretedDirections
 from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
-from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
+from wbmpc.solver.settings import THRESHOLDS
 
 
 def lacking(problem: Transcription, settings: Any) -> str:
@@ -132,7 +132,7 @@ class InterpretedSolver(InterpretedDirections):
                 self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
             self._start_rows(*start)
-        self.wish = self._equality_values(ws.x, ws.u)
+        self.soft_residual = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
@@ -161,8 +161,8 @@ class InterpretedSolver(InterpretedDirections):
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             row = log[run.count]
             row[:] = np.nan
-            paid, apart, wished = self._wishes(self.ws.x, self.ws.u)
-            row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + wished - apart
+            paid, apart, of_soft = self._soft_equality_terms(self.ws.x, self.ws.u)
+            row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + of_soft - apart
             row[4:7] = 0.0, row[1], self._equalities()
             run.count += 1
             try:
@@ -190,18 +190,18 @@ class InterpretedSolver(InterpretedDirections):
         if not np.isfinite([cost, violation, s["slope"]]).all():
             return NOT_FINITE
         self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
-        if abs(cost) > HUGE or size > HUGE:
+        if abs(cost) > THRESHOLDS.divergence or size > THRESHOLDS.divergence:
             return DIVERGED
         feasible = max(violation, residual) <= c.feasibility
         moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
-        if self.problem.softness.any() and residual <= c.feasibility and moved <= AT_REST:
+        if self.problem.softness.any() and residual <= c.feasibility and moved <= THRESHOLDS.at_rest:
             feasible = row[1] - self._equalities() <= c.feasibility
         if self.mu < run.last_mu:
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
-        small = moved <= UNSETTLED or not last
+        small = moved <= THRESHOLDS.settled or not last
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
-            if last and (not self.has_rows or run.bias <= BIAS or self.mu <= c.min_barrier):
+            if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
                 return CONVERGED
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
@@ -229,14 +229,12 @@ class InterpretedSolver(InterpretedDirections):
         return None
 
     def _starts_anew(self, x0: np.ndarray, c: Any) -> bool:
-        """As starts_anew of the compiled solver."""
-        from wbmpc.solver.driver import JAMMED
-
+        """As restart_from_rollout of the compiled solver."""
         rows = self.own[0]
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
         ahead[-rows.change <= 0.5 * ahead] = 0.0
         reach = min(r.reach(c.fraction_to_boundary)[0] for r in self.own)
-        if reach > JAMMED or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
+        if reach > THRESHOLDS.jammed or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
             return False
         hold, self.hold = self.hold, max(self.hold, 1)
         x, u = self._trial({}, 0.0, x0, True)
@@ -276,7 +274,7 @@ class InterpretedSolver(InterpretedDirections):
 
         (alpha, primal, dual), (product, residual) = lengths, found
         solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
-        self.wish += alpha * self.wish_step
+        self.soft_residual += alpha * self.soft_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
         if not self.has_rows:
@@ -390,9 +388,9 @@ class InterpretedSolver(InterpretedDirections):
             forced = ratio < c.min_step
             good = np.isfinite(merit).all() if forced else accept.python(merit[0], merit[1], *base, penalty, alpha)
             if good:
-                paid, apart, wished = self._wishes(x, u, alpha)
+                paid, apart, of_soft = self._soft_equality_terms(x, u, alpha)
                 cost = merit[0] - self._row_cost(x, u, alpha) - paid
-                self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + wished - apart
+                self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
                 self.ws.x[:], self.ws.u[:] = x, u
                 for row in self.ws.x:
                     self._normalise(row)

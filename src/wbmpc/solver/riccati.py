@@ -224,7 +224,7 @@ def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, f
 def first_equalities(m: Floats, o: Integers) -> float:
     """The worst equality of the plan's first input, as a share of what its row [C e D] makes of inputs: |g| / (|D| + Σ |D_i u_i|).
 
-    Rows with a softness to speak of are wishes. The buffer still has the first node's rows: they were eliminated last.
+    Rows with a softness to speak of are soft. The buffer still has the first node's rows: they were eliminated last.
     """
     nu, lz, values, state = o[NU], o[LZ], o[LANE_VALUES], o[STATE]
     m[state + StateField.EQUALITY_RESIDUAL] = 0.0

@@ -9,14 +9,26 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 
-#: A plan that has grown beyond this [units of the states], or a cost, has diverged.
-HUGE = 1e10
-#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
-UNSETTLED = 1e-3
-#: The same for equalities with a softness: what they still lack when nothing moves is their share.
-AT_REST = 1e-7
-#: By how much the plan may still depend on μ at the end (of 1 + |x| or 1 + |u|), and how far μ falls for that at most.
-BIAS, MIN_BARRIER = 1e-4, 1e-18
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Constants of the iteration. Steps and biases are relative to 1 + |x| and 1 + |u|.
+
+    ``divergence``: a plan [units of the states] or a cost that is larger has diverged. ``settled``: the largest step of a solution,
+    however small the gradient is. ``at_rest``: the same for soft equalities, whose residual is then theirs. ``bias``: by how much a
+    solution may still depend on the barrier parameter; ``min_barrier``: as far as it falls for that. ``jammed``: steps that slacks
+    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``).
+    """
+
+    divergence: float = 1e10
+    settled: float = 1e-3
+    at_rest: float = 1e-7
+    bias: float = 1e-4
+    min_barrier: float = 1e-18
+    jammed: float = 0.25
+
+
+THRESHOLDS = Thresholds()
 
 
 def _count(value: object, minimum: int) -> bool:
@@ -80,7 +92,7 @@ class InteriorPoint:
             "max_extra_iterations": float(self.max_extra_iterations if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
             "rollout_restart": float(self.rollout_restart),
-            "min_barrier": mu if real_time or self.barrier is not None else min(MIN_BARRIER, mu),
+            "min_barrier": mu if real_time or self.barrier is not None else min(THRESHOLDS.min_barrier, mu),
         }
 
 

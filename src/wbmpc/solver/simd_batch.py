@@ -271,7 +271,7 @@ def equality_size(o: Integers) -> int:
 
 @compiled
 def cost_and_equalities(m: Floats, o: Integers) -> tuple[float, float]:
-    """Path cost and barriers times h, and Σ |equality row| without those that are wishes, of a block that is loaded."""
+    """Path cost and barriers times h, and Σ |equality row| without those that are soft, of a block that is loaded."""
     small, values = o[LANE_SMALL], o[LANE_VALUES]
     counted = m[small + COUNTED : small + COUNTED + LANES] > 0.0
     stage_lanes(o, LANES_COST, o[LANE_X], o[LANE_U], small + LANE_COST, values, values)

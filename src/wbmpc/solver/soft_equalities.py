@@ -38,7 +38,7 @@ from wbmpc.solver.simd_batch import equality_size, load_block, stage_lanes, unpa
 
 
 @compiled
-def start_wishes(m: Floats, o: Integers) -> None:
+def start_soft_residuals(m: Floats, o: Integers) -> None:
     """r = g at the iterate."""
     for first in range(0, o[N], LANES):
         count = min(LANES, o[N] - first)
@@ -50,7 +50,7 @@ def start_wishes(m: Floats, o: Integers) -> None:
 
 
 @compiled
-def wishes_step(m: Floats, o: Integers) -> float:
+def soft_residual_steps(m: Floats, o: Integers) -> float:
     """Step of r along the directions dx, du; returns the slope of ½ r² / ε."""
     nx, lz, slope = o[NX], o[LZ], 0.0
     for block in range(
@@ -77,7 +77,7 @@ def wishes_step(m: Floats, o: Integers) -> float:
 
 
 @compiled
-def wish_of(m: Floats, o: Integers, k: int, lane: int, alpha: float) -> tuple[float, float, float]:
+def soft_equality_terms(m: Floats, o: Integers, k: int, lane: int, alpha: float) -> tuple[float, float, float]:
     """Of node k, whose equality rows are in ``lane``: (Σ ½ r² / ε, Σ |g − r|, Σ |g|) with r a step of ``alpha`` further."""
     paid, apart, missed = 0.0, 0.0, 0.0
     for q in range(o[NG]):
@@ -89,18 +89,18 @@ def wish_of(m: Floats, o: Integers, k: int, lane: int, alpha: float) -> tuple[fl
 
 
 @compiled
-def wishes_of_block(m: Floats, o: Integers, first: int, alpha: float) -> tuple[float, float, float]:
-    """As :func:`wish_of`, of a block that is loaded and whose equality rows have been evaluated."""
+def soft_equality_terms_of_block(m: Floats, o: Integers, first: int, alpha: float) -> tuple[float, float, float]:
+    """As :func:`soft_equality_terms`, of a block that is loaded and whose equality rows have been evaluated."""
     paid, apart, missed = 0.0, 0.0, 0.0
     for lane in range(LANES):
         if m[o[LANE_SMALL] + COUNTED + lane] > 0.0:
-            p, a, s = wish_of(m, o, first + lane, lane, alpha)
+            p, a, s = soft_equality_terms(m, o, first + lane, lane, alpha)
             paid, apart, missed = paid + p, apart + a, missed + s
     return paid, apart, missed
 
 
 @compiled
-def take_wishes(m: Floats, o: Integers, alpha: float) -> None:
+def take_soft_residuals(m: Floats, o: Integers, alpha: float) -> None:
     """r moves by a step of ``alpha``."""
     for i in range(o[N] * o[NG]):
         m[o[SOFT_RESIDUAL] + i] += alpha * m[o[SOFT_RESIDUAL_STEP] + i]

@@ -18,7 +18,7 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcript
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
-from wbmpc.solver.diagnostics import verdict
+from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
@@ -290,7 +290,7 @@ class Solver:
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
 
-        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
+        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's message.
         """
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
@@ -308,7 +308,7 @@ class Solver:
         elapsed = time.perf_counter() - start
         solution = self.solution(status, count, elapsed)
         if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
-            solution = verdict(self, solution)
+            solution = diagnose(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -349,7 +349,7 @@ class Solver:
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
-        return verdict(self, self.solution(status, count, elapsed))
+        return diagnose(self, self.solution(status, count, elapsed))
 
     @cached_property
     def checks(self) -> Checks:
@@ -381,7 +381,7 @@ class Solver:
     def missed(self, status: Status) -> str:
         """The equality of the first input, or the hard row, that the last plan misses most; empty where none is missed.
 
-        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (curved rows).
+        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         state = self.ws.state
         if status is Status.EQUALITY_INFEASIBLE:
@@ -397,10 +397,10 @@ class Solver:
             self.ws.rows_h.shape[1],
         )
         limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        sentence = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
+        message = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
         if of_inputs == by:
-            return sentence
-        return f"{sentence}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
+            return message
+        return f"{message}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
 
     def _unequal(self) -> str:
         names, row = self.problem.equality_names(), int(self.ws.state[StateField.EQUALITY_ROW])
