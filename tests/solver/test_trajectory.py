@@ -12,8 +12,8 @@ from toys import pendulum
 from wbmpc.solver import Solver
 
 ROOT = Path(__file__).parents[2]
-#: Outside of the solver's tests: what one solve after another leaves in the solver's state (no public name, needed by nobody else).
-LEFT = {"tests/mpc/test_realtime.py"}
+#: A test that needs what solves leave in the solver's state, which has no public name; a benchmark of single functions of the driver.
+LEFT = {"tests/mpc/test_realtime.py", "benchmarks/translator_vs_numba.py"}
 
 
 def solved() -> Solver:
