@@ -76,7 +76,7 @@ def _normalised(t: Transcription, x: ca.SX) -> ca.SX:
 
 def _box_rows(rows: list[Row], z: ca.SX) -> ca.SX:
     """h of the rows of single variables."""
-    return ca.vertcat(*[r.sign * z[r.place] + r.offset for r in rows]) if rows else ca.SX(0, 1)
+    return ca.vertcat(*[r.sign * z[r.variable] + r.offset for r in rows]) if rows else ca.SX(0, 1)
 
 
 def _nonzeros(m: ca.SX) -> ca.SX:

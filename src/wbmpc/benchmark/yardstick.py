@@ -117,7 +117,7 @@ def _address(array: np.ndarray) -> ctypes.c_void_p:
 
 def _prepare(library: ctypes.CDLL, t: Transcription, samples: Samples, lg: int) -> None:
     extended = lambda place: place + (place >= t.nx)
-    table = lambda rows: np.array([[extended(b.place), *b[1:]] for b in rows] or [[0.0] * 5])
+    table = lambda rows: np.array([[extended(b.variable), *b[1:]] for b in rows] or [[0.0] * 5])
     grid = np.concatenate([[0.0], np.cumsum(samples.h)])
     eps = np.zeros(lg)
     eps[: t.equality.shape[0]] = t.softness + 1e-14

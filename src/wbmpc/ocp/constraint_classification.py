@@ -34,9 +34,9 @@ class Kind(IntEnum):
 
 
 class BoxRow(NamedTuple):
-    """Relaxed barrier on h = sign z[place] + offset ≥ 0, z = [x; u]."""
+    """Relaxed barrier on h = sign z[variable] + offset ≥ 0, z = [x; u]."""
 
-    place: int
+    variable: int
     sign: float
     offset: float
     mu: float
@@ -45,7 +45,7 @@ class BoxRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """A row with a state of its own: h = sign z[place] + offset of one variable, or (``place`` −1) a general expression.
+    """A row with a state of its own: h = sign z[variable] + offset of one variable, or (``variable`` −1) a general expression.
 
     ``penalty``: weight of the L1 slack (infinite: no slack) or ρ; ``unit``: size of one unit of h in the residual's own;
     ``state_only``: does not count at the measured state.
@@ -53,7 +53,7 @@ class Row:
 
     name: str
     kind: Kind
-    place: int
+    variable: int
     sign: float
     offset: float
     penalty: float
@@ -62,8 +62,8 @@ class Row:
 
 
 @dataclass
-class Place:
-    """The rows of one place (path or end of the horizon): those of single variables first, then general ones."""
+class RowGroup:
+    """The rows along the path, or at the end of the horizon: those of single variables first, then general ones."""
 
     barriers: list[BoxRow] = field(default_factory=list)
     general_barriers: list[tuple[Constraint, ca.SX]] = field(default_factory=list)
@@ -101,7 +101,7 @@ def row_names(term: Constraint) -> list[str]:
 
 
 def equality_rows(
-    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
 ) -> Equalities:
     """Sort the rows of equality terms, given as (term, residual, switch)."""
     parts, softness, names = [], [], []
@@ -163,7 +163,7 @@ def _sides(term: Constraint, rows: int) -> list[_Side]:
 
 
 def inequality_rows(
-    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
 ) -> None:
     """Sort the rows of inequality terms, given as (term, residual, switch)."""
     z = ca.vertcat(x, u)
@@ -173,32 +173,32 @@ def inequality_rows(
         with_input, with_state = depends(r, u), depends(r, x)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
-        places = [(path, term.at != "terminal", sides)]
-        places.append((end, term.at != "path", [s for s in sides if not with_input[s.i]]))
-        for place, wanted, chosen in places:
-            if not wanted or not chosen:
+        groups = [(path, term.at != "terminal", sides)]
+        groups.append((end, term.at != "path", [s for s in sides if not with_input[s.i]]))
+        for group, applies, chosen in groups:
+            if not applies or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place, z)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, group, z)
             else:
-                _barriers(term, r, chosen, selection, place)
-    for place in (path, end):
-        place.barriers.sort(key=lambda b: (b.mu, b.place))
-        place.boxes.sort(key=lambda b: b.place)
+                _barriers(term, r, chosen, selection, group)
+    for group in (path, end):
+        group.barriers.sort(key=lambda b: (b.mu, b.variable))
+        group.boxes.sort(key=lambda b: b.variable)
 
 
 def _barriers(
-    term: Constraint, r: ca.SX, sides: list[_Side], selection: list[tuple[int, float, float]] | None, place: Place
+    term: Constraint, r: ca.SX, sides: list[_Side], selection: list[tuple[int, float, float]] | None, group: RowGroup
 ) -> None:
     assert not isinstance(term.penalty, AugmentedLagrangian)
     if selection is None:
-        place.general_barriers.append((term, ca.vertcat(*[s.sign * r[s.i] + s.offset for s in sides])))
+        group.general_barriers.append((term, ca.vertcat(*[s.sign * r[s.i] + s.offset for s in sides])))
         return
     for s in sides:
         index, scale, shift = selection[s.i]
         penalty = term.penalty
         box = BoxRow(index, s.sign * scale, s.offset + s.sign * shift, penalty.mu, penalty.delta)
-        place.barriers.append(box)
+        group.barriers.append(box)
 
 
 def _own_rows(
@@ -209,7 +209,7 @@ def _own_rows(
     selection: list[tuple[int, float, float]] | None,
     with_input: np.ndarray,
     with_state: np.ndarray,
-    place: Place,
+    group: RowGroup,
     z: ca.SX,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
@@ -225,12 +225,12 @@ def _own_rows(
         if selection is not None:
             index, scale, shift = selection[s.i]
             sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
-            place.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
+            group.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
         else:
             # a term that does not count in the present mode is h = 1: far inside
             h = switch * ((s.sign * r[s.i] + s.offset) / width) + (1.0 - switch)
-            place.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
-            place.expressions.append(ca.SX(h))
+            group.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
+            group.expressions.append(ca.SX(h))
 
 
 def _paired_widths(sides: list[_Side], selection: list[tuple[int, float, float]] | None) -> list[float]:
@@ -285,27 +285,27 @@ def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
     return np.sqrt(np.array(ca.Function("square", [ca.vertcat(*symbols)], [ca.densify(square)])(points)))
 
 
-def nonlinear_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
+def nonlinear_in_inputs(group: RowGroup, x: ca.SX, u: ca.SX) -> bool:
     """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
-    hard = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is Kind.HARD]
+    hard = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is Kind.HARD]
     if not hard or not u.shape[0]:
         return False
     slopes = ca.jacobian(ca.vertcat(*hard), u)
     return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
-def nonlinear_equalities(equality: ca.SX, place: Place, u: ca.SX) -> bool:
+def nonlinear_equalities(equality: ca.SX, group: RowGroup, u: ca.SX) -> bool:
     """Whether an equality, or a row with a multiplier, has second derivatives by the inputs."""
-    own = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is not Kind.HARD]
+    own = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is not Kind.HARD]
     slopes = ca.jacobian(ca.vertcat(equality, *own), u)
     return bool(ca.jacobian(ca.vec(slopes), u).nnz())
 
 
-def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+def input_bounds(group: RowGroup, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
     """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
     nx, z = x.shape[0], ca.vertcat(x, u)
-    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
-    for expression, row in zip(place.expressions, place.general, strict=True):
+    hard = [(r.variable, r.sign, r.offset) for r in group.boxes if r.kind is Kind.HARD]
+    for expression, row in zip(group.expressions, group.general, strict=True):
         found = _selection(expression, z) if row.kind is Kind.HARD else None
         hard += found or []
     lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
@@ -327,11 +327,11 @@ class InputPlanes(NamedTuple):
     switches: np.ndarray
 
 
-def input_planes(place: Place, u: ca.SX, switches: list[ca.SX]) -> InputPlanes:
+def input_planes(group: RowGroup, u: ca.SX, switches: list[ca.SX]) -> InputPlanes:
     """Of the rows that are straight in the inputs and depend on nothing else but ``switches``, one for each term with modes."""
     found = []
     every = ca.vertcat(u, *switches)
-    for h, row in zip(place.expressions, place.general, strict=True):
+    for h, row in zip(group.expressions, group.general, strict=True):
         if row.kind is not Kind.HARD or row.state_only:
             continue
         own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]

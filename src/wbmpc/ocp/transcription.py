@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.constraint_classification import (
     BoxRow,
     InputPlanes,
-    Place,
+    RowGroup,
     depends,
     equality_rows,
     inequality_rows,
@@ -39,7 +39,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 
 @dataclass(frozen=True)
 class _Slots:
-    """Places in a parameter vector."""
+    """Slices of a parameter vector."""
 
     slices: Mapping[str, slice]
     size: int
@@ -87,7 +87,7 @@ class Transcription:
         self.p, self.w = ca.SX.sym("p", self.node.size), ca.SX.sym("w", self.constant.size)
         self.h = ca.SX.sym("h")
         self.z = ca.vertcat(self.x, self.u)
-        self.path, self.end = Place(), Place()
+        self.path, self.end = RowGroup(), RowGroup()
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
@@ -209,42 +209,42 @@ class Transcription:
         """ẋ, (nx, 1)."""
         return self._f[0]
 
-    def term_values(self, place: str) -> dict[str, ca.SX]:
-        """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
-        at = (place, "path+terminal")
+    def term_values(self, stage: str) -> dict[str, ca.SX]:
+        """The weighted value of every cost, and the residual of every constraint, at ``stage`` (path or terminal)."""
+        at = (stage, "path+terminal")
         out = {t.name: self.residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
         for cost in self.ocp.costs:
             if cost.at in at:
-                weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+                weight = self.w[self.constant.slices[f"{stage}.{cost.name}"]] * self._switch(cost.name)
                 out[cost.name] = weight * cost.norm.value(self.residual(cost))
         return out
 
-    def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
-        """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``place``."""
+    def _pieces(self, stage: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
+        """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``stage``."""
         out = []
         for cost in self.ocp.costs:
-            if cost.at not in (place, "path+terminal"):
+            if cost.at not in (stage, "path+terminal"):
                 continue
-            weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+            weight = self.w[self.constant.slices[f"{stage}.{cost.name}"]] * self._switch(cost.name)
             r, norm = self.residual(cost), cost.norm
-            if place == "terminal" and ca.depends_on(r, self.u):
+            if stage == "terminal" and ca.depends_on(r, self.u):
                 raise InputError(
                     f"cost '{cost.name}', at: its residual depends on the input, which ends before the horizon does; valid: path"
                 )
             out.append((r, weight * norm.value(r), weight * norm.gradient(r), weight * norm.curvature(r)))
-        for term, h in (self.path if place == "path" else self.end).general_barriers:
+        for term, h in (self.path if stage == "path" else self.end).general_barriers:
             switch, b = self._switch(term.name), cast(RelaxedBarrier, term.penalty)
             out.append((h, switch * b.value(h), switch * b.gradient(h), switch * b.curvature(h)))
         return out
 
-    def _value(self, place: str) -> ca.SX:
-        return sum((ca.sum1(v) for _, v, _, _ in self._pieces(place)), ca.SX(0))
+    def _value(self, stage: str) -> ca.SX:
+        return sum((ca.sum1(v) for _, v, _, _ in self._pieces(stage)), ca.SX(0))
 
-    def _quadratic(self, place: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _quadratic(self, stage: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Value, gradient and Gauss-Newton Hessian (upper triangle with a full diagonal) by z."""
         n = z.shape[0]
         value, gradient, hessian = ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
-        for r, v, g, c in self._pieces(place):
+        for r, v, g, c in self._pieces(stage):
             jacobian = ca.jacobian(r, z)
             value += ca.sum1(v)
             gradient += jacobian.T @ g
@@ -353,7 +353,7 @@ class Transcription:
         """Names of the equalities, and of constraints with multipliers, that have second derivatives by the inputs."""
         own = [t for t in self.ocp.terms.values() if isinstance(t, Constraint) and not t.hard]
         own = [t for t in own if t.equality or isinstance(t.penalty, AugmentedLagrangian)]
-        return {t.name for t in own if nonlinear_equalities(self.residual(t), Place(), self.u)}
+        return {t.name for t in own if nonlinear_equalities(self.residual(t), RowGroup(), self.u)}
 
     @property
     def second(self) -> bool:

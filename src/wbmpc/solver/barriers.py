@@ -80,9 +80,9 @@ def logarithms(m: Floats, o: Integers, values: Vector) -> Vector:
 
 
 @compiled
-def add_derivatives(m: Floats, o: Integers, place: int, sign: float, slope: Vector, curve: Vector) -> None:
+def add_derivatives(m: Floats, o: Integers, variable: int, sign: float, slope: Vector, curve: Vector) -> None:
     """Slope and curvature of one variable onto those of the block."""
-    at = o[LANE_BARRIER] + 2 * LANES * place
+    at = o[LANE_BARRIER] + 2 * LANES * variable
     after = at + LANES
     m[at : at + LANES] = m[at : at + LANES] + sign * slope
     m[after : after + LANES] = m[after : after + LANES] + sign * sign * curve

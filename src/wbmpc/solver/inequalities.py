@@ -103,13 +103,13 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    place, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
+    base, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
     if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
         record_violations(m, o, k)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q, at = place + j, values + j
+        q, at = base + j, values + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, l = m[at : at + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
         t = m[o[ROW_T] + q : o[ROW_T] + q + LANES] + alpha * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
@@ -126,52 +126,52 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
 
 @compiled
 def add_general(
-    m: Floats, o: Integers, k: int, jacobian: int, place: int, general: int, w: float, matrix: int, ld: int
+    m: Floats, o: Integers, k: int, jacobian: int, base: int, general: int, w: float, matrix: int, ld: int
 ) -> None:
     """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
     lz, base = o[LZ], o[BASE]
     if k < o[N]:
         for j in range(general):
-            scale = w * m[o[ROW_C] + place + j]
+            scale = w * m[o[ROW_C] + base + j]
             for c in range(0, lz, LANES):
                 out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
                 m[out : out + LANES] = scale * m[row : row + LANES]
         call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
         return
     for j in range(general):
-        scale, row = w * m[o[ROW_C] + place + j], jacobian + j * lz
+        scale, row = w * m[o[ROW_C] + base + j], jacobian + j * lz
         for a in range(o[NX] + 1):
             for b in range(o[NX] + 1):
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
 @compiled
-def add_boxes(m: Floats, o: Integers, first: int, place: int, boxes: int, w: float, matrix: int, ld: int) -> None:
+def add_boxes(m: Floats, o: Integers, first: int, base: int, boxes: int, w: float, matrix: int, ld: int) -> None:
     """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
     index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
     for j in range(boxes):
-        slope = w * m[o[ROW_C] + place + j] * m[signs + j]
-        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + place + j])
+        slope = w * m[o[ROW_C] + base + j] * m[signs + j]
+        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + base + j])
 
 
 @compiled
 def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, ld: int) -> tuple[float, float]:
     """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
 
-    The functions of general rows along the path have been called: values in ``small``, Jacobian in its place.
+    The functions of general rows along the path have been called: values in ``small``, Jacobian where it belongs.
     """
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, place, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
+    mu, base, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
     if general > 0 and k == o[N]:
         stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
-    collect_values(m, o, k, x, u, o[ROW_H] + place)
+    collect_values(m, o, k, x, u, o[ROW_H] + base)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q = place + j
+        q = base + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, t = m[o[ROW_H] + q : o[ROW_H] + q + LANES], m[o[ROW_T] + q : o[ROW_T] + q + LANES]
         l, s = m[o[ROW_L] + q : o[ROW_L] + q + LANES], m[o[ROW_S] + q : o[ROW_S] + q + LANES]  # noqa: E741
@@ -185,11 +185,11 @@ def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, 
             logs += log_of_product(m, o, product)
             product = np.full(LANES, 1.0)
     logs += log_of_product(m, o, product)
-    add_boxes(m, o, first, place, boxes, w, matrix, ld)
+    add_boxes(m, o, first, base, boxes, w, matrix, ld)
     for j in range(general):
-        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + place + boxes + j]
+        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + base + boxes + j]
     if general > 0:
-        add_general(m, o, k, jacobian, place + boxes, general, w, matrix, ld)
+        add_general(m, o, k, jacobian, base + boxes, general, w, matrix, ld)
     return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
 
 
@@ -216,17 +216,17 @@ def row_changes(m: Floats, o: Integers, k: int) -> None:
 def add_rows_product(m: Floats, o: Integers, k: int, w: float) -> None:
     """w Jᵀ σ J δz of node k by [x, 1, u] into ``pulled``: what the rows have put into H δz."""
     first, boxes, general = node_rows(o, k)
-    place, lz, out = k * o[ROWS], o[LZ], o[PULLED]
+    base, lz, out = k * o[ROWS], o[LZ], o[PULLED]
     for i in range(lz):
         m[out + i] = 0.0
     for j in range(boxes):
-        q = place + j
+        q = base + j
         m[out + o[row_index(o) + first + j]] += (
             w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, RowField.SIGN, first + j)]
         )
     size = lz if k < o[N] else o[NX]
     for j in range(general):
-        q = place + boxes + j
+        q = base + boxes + j
         row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
         for i in range(size):
             m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
@@ -235,7 +235,7 @@ def add_rows_product(m: Floats, o: Integers, k: int, w: float) -> None:
 # ---------------------------------------------------------------------- all nodes
 @compiled
 def rows_step(m: Floats, o: Integers, tau: float) -> None:
-    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see places.py).
+    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see memory_layout.py).
 
     ``tau``: fraction to the boundary.
     """

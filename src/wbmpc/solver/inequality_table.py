@@ -44,7 +44,7 @@ def node_rows(o: Integers, k: int) -> tuple[int, int, int]:
 
 @compiled
 def entry(o: Integers, column: int, r: int) -> int:
-    """Place of row r in a column of the row table."""
+    """Offset of row r in a column of the row table."""
     return o[ROW_TABLE] + column * o[ROW_TOTAL] + r
 
 
@@ -99,14 +99,14 @@ def record_input_violations(m: Floats, o: Integers, k: int) -> None:
     _, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
         if bounds_inputs(m, o, j):
-            place, by = (
+            field, by = (
                 o[STATE]
                 + (StateField.MIXED_VIOLATION if row_penalty(m, o, j) < np.inf else StateField.INPUT_VIOLATION),
                 -m[o[ROW_TRIAL] + j],
             )
             if by > max(m[o[STATE] + StateField.INPUT_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION]):
                 m[o[STATE] + StateField.INPUT_VIOLATION_ROW] = k * o[ROWS] + j
-            m[place] = max(m[place], by)
+            m[field] = max(m[field], by)
 
 
 @compiled

@@ -40,8 +40,8 @@ LINEAR, POSE, HOLD, POSE_HOLD = range(len(Reference.KINDS))
 class Tables(NamedTuple):
     """References and modes over absolute time in two flat arrays.
 
-    ``integers``: counts of slots, events and mode values, the place of the mode in a node's parameters; then per slot: first
-    time, samples, first value, width, kind, place. ``numbers``: events, modes (modes, values), times, values.
+    ``integers``: counts of slots, events and mode values, the offset of the mode in a node's parameters; then per slot: first
+    time, samples, first value, width, kind, offset. ``numbers``: events, modes (modes, values), times, values.
     """
 
     numbers: np.ndarray
@@ -59,8 +59,8 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
         if name in references:
             r = references[name]
             width = r.values.shape[1]
-            kind, place = Reference.KINDS.index(r.kind), problem.node.slices[f"reference.{name}"].start
-            slots += [start, r.times.size, start + r.times.size, width, kind, place]
+            kind, target = Reference.KINDS.index(r.kind), problem.node.slices[f"reference.{name}"].start
+            slots += [start, r.times.size, start + r.times.size, width, kind, target]
             parts += [r.times, r.values.ravel()]
             start += r.times.size * (1 + width)
             head[0] += 1
@@ -70,7 +70,7 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
 
 
 def overwrite(tables: Tables, slot: int, reference: Reference) -> None:
-    """Put a reference of the same shape and kind into the place of the one that is there."""
+    """Put a reference of the same shape and kind over the one that is there."""
     times, count, values, width = tables.integers[4 + 6 * slot : 8 + 6 * slot]
     tables.numbers[times : times + count] = reference.times
     tables.numbers[values : values + count * width] = reference.values.ravel()
@@ -95,7 +95,7 @@ def sample(numbers: Floats, integers: Integers, t: float, m: Floats, out: int) -
     for slot in range(integers[0]):
         s = 4 + 6 * slot
         times, n, values, width = integers[s], integers[s + 1], integers[s + 2], integers[s + 3]
-        kind, place = integers[s + 4], out + integers[s + 5]
+        kind, target = integers[s + 4], out + integers[s + 5]
         hold = kind >= HOLD
         i = count_until(numbers, times, n, t + (1e-9 if hold else 0.0)) - 1
         fraction = 0.0
@@ -108,13 +108,13 @@ def sample(numbers: Floats, integers: Integers, t: float, m: Floats, out: int) -
             value = numbers[base + c]
             if fraction > 0.0:
                 value += fraction * (numbers[base + width + c] - value)
-            m[place + c] = value
+            m[target + c] = value
         if kind == POSE and fraction > 0.0:
             norm = 0.0
             for c in range(3, 7):
-                norm += m[place + c] ** 2
+                norm += m[target + c] ** 2
             for c in range(3, 7):
-                m[place + c] /= np.sqrt(norm)
+                m[target + c] /= np.sqrt(norm)
     events, width = integers[1], integers[2]
     mode = count_until(numbers, 0, events, t + 1e-9)
     for c in range(width):

@@ -18,14 +18,14 @@ RELATIVE_COMPLIANCE = 1e-12
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Value, gradient and diagonal curvature of the boxes' relaxed barriers at z = [x; u]."""
-    h = boxes.sign * z[boxes.place] + boxes.offset
+    h = boxes.sign * z[boxes.variable] + boxes.offset
     mu, delta = boxes.mu, boxes.delta
     far, q = h > delta, (h - 2 * delta) / delta
     safe = np.where(far, h, 1.0)
     value = np.where(far, -mu * np.log(safe), mu * (0.5 * (q * q - 1.0) - np.log(delta))).sum()
     gradient, curvature = np.zeros(z.size), np.zeros(z.size)
-    np.add.at(gradient, boxes.place, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
-    np.add.at(curvature, boxes.place, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
+    np.add.at(gradient, boxes.variable, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
+    np.add.at(curvature, boxes.variable, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
     return float(value), gradient, curvature
 
 

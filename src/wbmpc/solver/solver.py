@@ -126,10 +126,10 @@ class Solver:
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
         """What the term ``name`` compares with from now on."""
-        places = self.problem.references.slices
-        if name not in places:
-            raise unknown_name("reference", name, places)
-        width = places[name].stop - places[name].start
+        slices = self.problem.references.slices
+        if name not in slices:
+            raise unknown_name("reference", name, slices)
+        width = slices[name].stop - slices[name].start
         if reference.values.shape[1] != width:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
@@ -143,7 +143,7 @@ class Solver:
             return
         from wbmpc.solver.receding import overwrite
 
-        overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
+        overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
@@ -329,8 +329,12 @@ class Solver:
     def _lost_jumps(self, t0: float) -> list[tuple[float, float]]:
         """Pairs of successive events [s] that fall into one interval of the fixed grid of a horizon from ``t0`` [s]."""
         events = np.array(self.schedule.events)
-        place = np.searchsorted(t0 + self.ocp.grid + 1e-9, events)  # an event on a node belongs to the interval before
-        same = np.flatnonzero((place[1:] == place[:-1]) & (place[1:] > 0) & (place[1:] <= self.ocp.intervals))
+        interval = np.searchsorted(
+            t0 + self.ocp.grid + 1e-9, events
+        )  # an event on a node belongs to the interval before
+        same = np.flatnonzero(
+            (interval[1:] == interval[:-1]) & (interval[1:] > 0) & (interval[1:] <= self.ocp.intervals)
+        )
         return [(float(events[i]), float(events[i + 1])) for i in same]
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ def stage_end(o: Integers, function: int, x: int, p: int, r0: int, r1: int) -> N
 
 @compiled
 def row_index(o: Integers) -> int:
-    """First of the rows' entries in the table: their places in [x, 1, u]; behind them, whether an event ends an interval."""
+    """First of the rows' entries in the table: their indices in [x, 1, u]; behind them, whether an event ends an interval."""
     return INDEX + o[PATH_BOXES] + o[END_BOXES] + o[QUATERNIONS]
 
 

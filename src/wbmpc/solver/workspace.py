@@ -175,9 +175,9 @@ def aligned(count: int) -> np.ndarray:
 
 
 class BoxTable(NamedTuple):
-    """Relaxed barriers on h = sign z[place] + offset, z = [x; u]."""
+    """Relaxed barriers on h = sign z[variable] + offset, z = [x; u]."""
 
-    place: np.ndarray
+    variable: np.ndarray
     sign: np.ndarray
     offset: np.ndarray
     mu: np.ndarray
@@ -291,9 +291,9 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
     return shapes | {name: (n + 1, rows) for name in _ROWS}
 
 
-def _extended(places: list[int] | np.ndarray, nx: int) -> np.ndarray:
-    """Places in [x; u] as places in [x, 1, u]."""
-    index = np.asarray(places, dtype=np.int64)
+def _extended(variables: list[int] | np.ndarray, nx: int) -> np.ndarray:
+    """Indices in [x; u] as indices in [x, 1, u]."""
+    index = np.asarray(variables, dtype=np.int64)
     return np.where(index >= nx, index + 1, index)
 
 
@@ -331,7 +331,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     weights = problem.default_weights()
     view["w"][: weights.size] = weights
     boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
-    if boxes.place.size:
+    if boxes.variable.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
     rows = [*_filled(problem.path.rows), *_filled(problem.end.rows)]
     view["row_table"][:, : len(rows)] = _row_table(rows)
@@ -344,7 +344,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         problem.nonlinear_input_rows, problem.nonlinear_equalities, problem.soft_equalities, any(r.kind != Kind.HARD for r in rows),
     ]  # fmt: skip
     indices = [
-        *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),
+        *_extended(boxes.variable, s.nx), *quaternions, *_extended([r.variable for r in rows], s.nx),
         *([0] * problem.ocp.intervals),
     ]  # fmt: skip
     table = np.array(
