@@ -103,13 +103,13 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    base, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
+    offset, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
     if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
         record_violations(m, o, k)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q, at = base + j, values + j
+        q, at = offset + j, values + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, l = m[at : at + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
         t = m[o[ROW_T] + q : o[ROW_T] + q + LANES] + alpha * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
@@ -126,32 +126,32 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
 
 @compiled
 def add_general(
-    m: Floats, o: Integers, k: int, jacobian: int, base: int, general: int, w: float, matrix: int, ld: int
+    m: Floats, o: Integers, k: int, jacobian: int, offset: int, general: int, w: float, matrix: int, ld: int
 ) -> None:
     """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
     lz, base = o[LZ], o[BASE]
     if k < o[N]:
         for j in range(general):
-            scale = w * m[o[ROW_C] + base + j]
+            scale = w * m[o[ROW_C] + offset + j]
             for c in range(0, lz, LANES):
                 out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
                 m[out : out + LANES] = scale * m[row : row + LANES]
         call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
         return
     for j in range(general):
-        scale, row = w * m[o[ROW_C] + base + j], jacobian + j * lz
+        scale, row = w * m[o[ROW_C] + offset + j], jacobian + j * lz
         for a in range(o[NX] + 1):
             for b in range(o[NX] + 1):
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
 @compiled
-def add_boxes(m: Floats, o: Integers, first: int, base: int, boxes: int, w: float, matrix: int, ld: int) -> None:
+def add_boxes(m: Floats, o: Integers, first: int, offset: int, boxes: int, w: float, matrix: int, ld: int) -> None:
     """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
     index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
     for j in range(boxes):
-        slope = w * m[o[ROW_C] + base + j] * m[signs + j]
-        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + base + j])
+        slope = w * m[o[ROW_C] + offset + j] * m[signs + j]
+        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + offset + j])
 
 
 @compiled
@@ -164,14 +164,14 @@ def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, 
     if boxes + general == 0:
         return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, base, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
+    mu, offset, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
     if general > 0 and k == o[N]:
         stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
-    collect_values(m, o, k, x, u, o[ROW_H] + base)
+    collect_values(m, o, k, x, u, o[ROW_H] + offset)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q = base + j
+        q = offset + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, t = m[o[ROW_H] + q : o[ROW_H] + q + LANES], m[o[ROW_T] + q : o[ROW_T] + q + LANES]
         l, s = m[o[ROW_L] + q : o[ROW_L] + q + LANES], m[o[ROW_S] + q : o[ROW_S] + q + LANES]  # noqa: E741
@@ -185,11 +185,11 @@ def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, 
             logs += log_of_product(m, o, product)
             product = np.full(LANES, 1.0)
     logs += log_of_product(m, o, product)
-    add_boxes(m, o, first, base, boxes, w, matrix, ld)
+    add_boxes(m, o, first, offset, boxes, w, matrix, ld)
     for j in range(general):
-        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + base + boxes + j]
+        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + offset + boxes + j]
     if general > 0:
-        add_general(m, o, k, jacobian, base + boxes, general, w, matrix, ld)
+        add_general(m, o, k, jacobian, offset + boxes, general, w, matrix, ld)
     return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
 
 
@@ -216,17 +216,17 @@ def row_changes(m: Floats, o: Integers, k: int) -> None:
 def add_rows_product(m: Floats, o: Integers, k: int, w: float) -> None:
     """w Jᵀ σ J δz of node k by [x, 1, u] into ``pulled``: what the rows have put into H δz."""
     first, boxes, general = node_rows(o, k)
-    base, lz, out = k * o[ROWS], o[LZ], o[PULLED]
+    offset, lz, out = k * o[ROWS], o[LZ], o[PULLED]
     for i in range(lz):
         m[out + i] = 0.0
     for j in range(boxes):
-        q = base + j
+        q = offset + j
         m[out + o[row_index(o) + first + j]] += (
             w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, RowField.SIGN, first + j)]
         )
     size = lz if k < o[N] else o[NX]
     for j in range(general):
-        q = base + boxes + j
+        q = offset + boxes + j
         row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
         for i in range(size):
             m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
