@@ -26,7 +26,7 @@ bench: $(VENV)/.installed
 
 # the whole race: more peers, C, scaling, floor, closed loop (minutes)
 race: $(VENV)/.installed
-	$(ENVIRONMENT) $(BIN)/wbmpc bench --peers --out runs/race
+	$(ENVIRONMENT) $(BIN)/python benchmarks/race.py --out runs/race
 
 # both robots by the wall clock, 60 s each; REALTIME_ARGS="--process --fifo" and others
 realtime: $(VENV)/.installed

@@ -107,6 +107,7 @@ def measure(compiler: str, name: str, data: Path) -> dict[str, Any]:
 def save_memory(path: Path) -> None:
     """Memory and table of a solver after a few iterations."""
     from wbmpc.benchmark.problems import swerve_bench
+
     from wbmpc.solver import SQP
 
     problem = swerve_bench(100, SQP.real_time(3))

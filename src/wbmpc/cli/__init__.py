@@ -314,30 +314,24 @@ def demo(
 @app.command()
 def bench(
     context: typer.Context,
-    peers: Annotated[
-        bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
-    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Directory for race.json, race.txt and race.html (plots).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory for race.json and race.txt.")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:
     """Time the solver against others on the same discretised problems, on one core."""
-    from wbmpc.benchmark import run_benchmark
+    from wbmpc.studies.race import run_benchmark
+    from wbmpc.studies.race.table import text, write
 
     tell = not (as_json or context.obj.quiet)
     with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:
         with progress_bar("bench", tell) as bar:
             show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
-            figures = run_benchmark(repeat, show, peers)
+            figures = run_benchmark(repeat, show)
         if directory is not None:
-            from wbmpc.benchmark.figure import write
-
-            figures["files"] = write(figures, directory)
+            figures["files"] = write(figures, directory, text(figures))
     if as_json:
         typer.echo(json.dumps(figures, allow_nan=False))
     else:
-        from wbmpc.benchmark.table import text
-
         typer.echo(text(figures))
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.problems import zoo_bench
+from wbmpc.studies.race.ours import ours
+from wbmpc.studies.race.problems import zoo_bench
 from wbmpc.studies.test_problems import MAKERS
 
 #: Milliseconds of one SQP iteration of OCS2 (C++, one thread, quiet, on an AMD Zen 5) on problems of the same sizes, not

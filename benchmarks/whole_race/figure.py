@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import html
-import json
 from pathlib import Path
 from typing import Any
 
-from wbmpc.benchmark.table import text
+from wbmpc.studies.race.table import write as write_small
+from whole_race.tables import text
 
 _AXES = {"intervals": "intervals", "joints": "joints", "limits": "hard limits per node (0 drawn at 6)"}
 
@@ -42,16 +42,13 @@ def scaling_figures(figures: dict[str, Any]) -> list[Any]:
 def write(figures: dict[str, Any], directory: Path) -> dict[str, str]:
     """``race.json``, ``race.txt`` and, when there is scaling to draw, ``race.html``: paths by kind."""
     table = text(figures)
-    files = {"json": directory / "race.json", "table": directory / "race.txt"}
-    files["json"].write_text(json.dumps(figures, indent=1))
-    files["table"].write_text(table)
+    files = write_small(figures, directory, table)
     if "scaling" in figures:
         from plotly.offline import get_plotlyjs
 
         drawn = [f.to_html(full_html=False, include_plotlyjs=False) for f in scaling_figures(figures)]
         page = f"<script>{get_plotlyjs()}</script><h1>The race</h1>{''.join(drawn)}<pre>{html.escape(table)}</pre>"
-        files["plots"] = directory / "race.html"
-        files["plots"].write_text(
-            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Race</title>{page}</html>'
-        )
-    return {kind: str(path) for kind, path in files.items()}
+        plots = directory / "race.html"
+        plots.write_text(f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Race</title>{page}</html>')
+        files["plots"] = str(plots)
+    return files

@@ -12,16 +12,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.lq import LQProblem, eliminate, linearise, pack
-from wbmpc.benchmark.ours import milliseconds, single_iteration
-from wbmpc.benchmark.problems import Problem
-from wbmpc.benchmark.program import Program, Samples, compiler, sampled
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.cache import cache_directory
 from wbmpc.kernel.compiled import RELATIVE_COMPLIANCE, output_maps
 from wbmpc.ocp import Transcription
+from wbmpc.studies.race.ours import milliseconds, single_iteration
+from wbmpc.studies.race.problems import Problem
+from wbmpc.studies.race.program import Program, Samples, compiler, sampled
+from whole_race.lq import LQProblem, eliminate, linearise, pack
 
-SOURCE = Path(__file__).parents[3] / "benchmarks" / "c" / "iteration.c"
+SOURCE = Path(__file__).parents[1] / "c" / "iteration.c"
 FLAGS = (
     "-O3",
     "-march=native",

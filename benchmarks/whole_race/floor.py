@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark import loops
-from wbmpc.benchmark.lq import eliminate, linearise, pack, substitute
-from wbmpc.benchmark.ours import milliseconds, single_iteration
-from wbmpc.benchmark.problems import Problem
-from wbmpc.benchmark.program import Program
-from wbmpc.kernel import dense
-from wbmpc.kernel.codegen_target import compile_module, load_object, vector_budget
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.ir import LANES
 from wbmpc.solver.workspace import aligned
+from wbmpc.studies.race.machine_speed import peak_gflops
+from wbmpc.studies.race.ours import milliseconds, single_iteration
+from wbmpc.studies.race.problems import Problem
+from wbmpc.studies.race.program import Program
+from whole_race import loops
+from whole_race.lq import eliminate, linearise, pack, substitute
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
 _CALLS = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ATAN2, ca.OP_ACOS, ca.OP_ASIN, ca.OP_ATAN, ca.OP_EXP, ca.OP_LOG}
@@ -62,24 +60,6 @@ def iteration_operations(program: Program, sizes: Sizes) -> dict[str, int]:
         "trial: cost": n * count["cost"] + count["terminal"],
         "trial: equalities": n * count["equality"],
     }
-
-
-@cache
-def peak_gflops(inner: int = 48) -> float:
-    """GFLOP/s of one core on products (24 × ``inner``)(``inner`` × 48) in the first-level cache, by our own kernel."""
-    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
-    engine = load_object(compile_module(ir))
-    a, b, c = aligned(24 * inner), aligned(48 * inner), aligned(24 * 48)
-    a[:], b[:], count = 1.0, 1.0, 1000
-    address = engine.get_function_address("peak")
-    times = milliseconds(lambda: loops.repeat_product(address, a, b, c, count), 20)
-    return float(2 * 24 * 48 * inner * count / times.min() / 1e6)
-
-
-def matrix_product_speed() -> float:
-    """GFLOP/s of one core on products of 512 x 512 matrices (NumPy's BLAS): a yardstick of the machine."""
-    a = np.random.default_rng(0).normal(size=(512, 512))
-    return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
 
 
 def _net(call: Callable[[int], Any], count: int, repeat: int) -> float:

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
 from wbmpc.solver import SQP, InteriorPoint, Solver
+from wbmpc.studies.race.problems import Problem, rezero_bench, swerve_bench
 
 
 def _milliseconds(solver: Solver, x0: np.ndarray, passes: int = 200) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from wbmpc.benchmark.program import Program
+from wbmpc.studies.race.program import Program
 
 Array = np.ndarray
 #: Solvers are compared at points that are this close to the conditions (the tables say 1e-6).

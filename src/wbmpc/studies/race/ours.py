@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.benchmark.problems import Problem
 from wbmpc.solver import SQP, InteriorPoint, Solver
+from wbmpc.studies.race.problems import Problem
 
 #: Real time, but never a second iteration in one call.
 ONE_ITERATION = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))

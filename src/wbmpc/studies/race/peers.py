@@ -14,10 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.child import within
-from wbmpc.benchmark.problems import Problem
-from wbmpc.benchmark.program import Program, compiled_library
-from wbmpc.benchmark.residual import Measure, to_equal_residual
+from wbmpc.studies.race.child import within
+from wbmpc.studies.race.problems import Problem
+from wbmpc.studies.race.program import Program, compiled_library
+from wbmpc.studies.race.residual import Measure, to_equal_residual
 
 #: A peer that has not answered after this time [s] is stopped and reported so.
 PEER_SECONDS = 20.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("benchmark", rooms=("benchmark", "kernel"))
+LIBRARY = Library("race")
 compiled = LIBRARY.compiled
-call2, call4, call5, call7 = PointerCall(2), PointerCall(4), PointerCall(5), PointerCall(7)
+call2, call5, call7 = PointerCall(2), PointerCall(5), PointerCall(7)
 
 #: Entries of the sizes that the loops take.
 N, NX, NU, LX, LZ, NODE_AB, NODE_H, NODE_E, NODE_K = range(9)
@@ -64,13 +64,6 @@ def forward(sizes: Integers, ab: Floats, k: Floats, dx: Floats, du: Floats) -> N
             for j in range(nu):
                 total += ab[row + nx + 1 + j] * du[u + j]
             dx[x + lx + r] = total
-
-
-@compiled
-def repeat_product(address: int, a: Floats, b: Floats, c: Floats, count: int) -> None:
-    """One matrix product many times."""
-    for _ in range(count):
-        call4(address, a.ctypes.data, b.ctypes.data, c.ctypes.data, c.ctypes.data)
 
 
 @compiled
