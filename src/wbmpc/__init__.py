@@ -45,6 +45,7 @@ _MODULES = {
     "RealTimeRunner": "wbmpc.runtime.runner",
     "InputError": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",
+    "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
 __all__ = ["__version__", *_MODULES]

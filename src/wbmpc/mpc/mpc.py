@@ -139,7 +139,7 @@ class MPC:
         self.reference = References(self.solver)
         self.guess = guess
         self.statistics = Statistics()
-        planes = self.solver.problem.input_planes()
+        self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
         # rows of some modes: where they are among all, and the parameters that switch them
@@ -219,7 +219,12 @@ class MPC:
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
-        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one."""
+        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
+        :class:`SolverBusy` while another thread is in this MPC."""
+        with self.solver.exclusive:
+            return self._update(observation)
+
+    def _update(self, observation: Observation) -> Policy:
         started = self._t is not None
         usable = self.advance(observation)
         self.statistics.solves += 1
@@ -235,17 +240,30 @@ class MPC:
         mismatch = self.solver.initial_state_mismatch
         if mismatch:
             self.statistics.count_initial_state_mismatch(mismatch)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, self.active_rows())
+        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, *self.input_rows())
         return self._policy
 
-    def active_rows(self) -> np.ndarray | None:
-        """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
+    def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
+        offsets at its beginning and end, (N, 2, r), None where they do not move."""
         if not self.limits.offset.size:
-            return None
+            return None, None
         nodes = self.solver.node_parameters[:-1]  # of the solver's grid, which may be finer than the problem's
         active = np.ones((len(nodes), self.limits.offset.size))
         active[:, self._switched] = nodes[:, self._switches]
-        return active
+        return active, self._moving() if self._planes.move else None
+
+    def _moving(self) -> np.ndarray:
+        """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+        solver, planes = self.solver, self._planes
+        nodes = solver.ws.p[:, : planes.by_node.shape[1]]
+        ends = nodes[:-1].copy()
+        for name, reference in solver.references.items():
+            if reference.kind == "linear":
+                part = solver.problem.node.slices[f"reference.{name}"]
+                ends[:, part] = nodes[1:, part]
+        fixed = planes.offset + planes.by_constant @ solver.ws.w[: planes.by_constant.shape[1]]
+        return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
 
     @property
     def limit_violation(self) -> float:
@@ -277,6 +295,10 @@ class MPC:
 
         If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
+        with self.solver.exclusive:
+            return self._advance(observation)
+
+    def _advance(self, observation: Observation) -> bool:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
@@ -304,8 +326,12 @@ class MPC:
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""
         found = None if self._guess is None else self._guess(t, x0, self.solver.trajectory(start))
-        if found is not None:
+        if found is None:
+            return
+        try:
             self.solver.warm_start(found.x, found.u)
+        except NotFinite as error:  # the last plan is the better start
+            _LOG.warning("MPC at %.3f s: the initial guess is not used: %s", t, error)
 
     def _count_events(self, t: float) -> None:
         """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""

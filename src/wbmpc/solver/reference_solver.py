@@ -5,6 +5,7 @@ It is the oracle of the tests and the fallback where no code can be generated.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -108,9 +109,13 @@ class InterpretedSolver(InterpretedDirections):
         )
 
     def run(
-        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
-    ) -> tuple[int, int]:
-        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps."""
+        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray,
+        check: Callable[[], None] = lambda: None,
+    ) -> tuple[int, int]:  # fmt: skip
+        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps.
+
+        ``check`` is called before every iteration and may raise.
+        """
         from wbmpc.solver.receding import sample
 
         missing = lacking(self.problem, settings)
@@ -133,7 +138,7 @@ class InterpretedSolver(InterpretedDirections):
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
             self._start_rows(*start)
         self.soft_residual = self._equality_values(ws.x, ws.u)
-        return self._iterate_to_the_end(x0, c, log)
+        return self._iterate_to_the_end(x0, c, log, check)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
@@ -146,7 +151,9 @@ class InterpretedSolver(InterpretedDirections):
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
-    def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
+    def _iterate_to_the_end(
+        self, x0: np.ndarray, c: Any, log: np.ndarray, check: Callable[[], None]
+    ) -> tuple[int, int]:
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
@@ -157,6 +164,7 @@ class InterpretedSolver(InterpretedDirections):
         )
         run, self.shift = _Progress(int(c.iterations), c.barrier, c.initial_barrier, self.hold, again), 0.0
         while run.count < run.limit:
+            check()
             self.shift = run.shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             row = log[run.count]
