@@ -98,7 +98,7 @@ def direction(rng: np.random.Generator, size: int = 2) -> Array:
 def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cost: RezeroCost = BALL_COST) -> Rig:
     settings = RezeroStepsSettings(cost=cost)
     planner = settings.mpc.model_copy(update={"barrier_mu": BALL_MU, "rate": BALL_RATE})
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
     plant = BallPlant(robot.description, home, torque, settings.plant, seed)

@@ -75,7 +75,7 @@ def make_rezero_mpc(rate: float) -> MPC:
     robot = load_robot("rezero")
     settings = MpcSettings(rate=rate, horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-2)
     mpc = rezero_mpc(robot, settings, BALL.cost)
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses(*rezero_poses(), hold=True)
     mpc.reset(home, torque)
@@ -85,15 +85,15 @@ def make_rezero_mpc(rate: float) -> MPC:
 def make_rezero_plant() -> BallPlant:
     """Perturbed against the model, sensors with noise, as in the experiments."""
     robot = load_robot("rezero")
-    return BallPlant(robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), None, 0)
+    return BallPlant(robot.description, *robot.base.numeric.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
 def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController:
     """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
-    robot.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    agent = BallController(robot, own, robot.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
+    robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
+    agent = BallController(robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
     agent.leaning = leaning_of(BALL, robot, arm)
     return agent
 

@@ -55,7 +55,7 @@ class ModelledRobot:
     def __init__(self, mode: str) -> None:
         self.mode, self.settings = mode, MODES[mode]()
         self.robot = load_robot("rezero")
-        self.home, self.torque = self.robot.equilibrium(self.robot.home[self.robot.state["arm"]])
+        self.home, self.torque = self.robot.base.numeric.equilibrium(self.robot.home[self.robot.state["arm"]])
         self.mpc = rezero_mpc(self.robot, self.settings.mpc, self.settings.cost)
         set_home_references(self.mpc, self.robot, self.torque, self.home)
         self.mpc.reset(self.home, self.torque)

@@ -33,7 +33,7 @@ def rezero(seconds: float) -> MPC:
     """The ball robot's hand goes to and fro by 0.1 m every three seconds; 20 intervals over 1 s."""
     robot = load_robot("rezero")
     mpc = rezero_mpc(robot, MpcSettings(horizon=1.0, intervals=20, first_interval=0.0, barrier_mu=1e-2), RezeroCost())
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     position, quaternion = robot.pose(home)
     times = np.arange(0.0, seconds, 3.0)

@@ -15,10 +15,10 @@ from driving import Motion, drive
 from own_bases import write_base
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
-from wbmpc.bases.swerve.model import beyond_range
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.model.wheels import beyond_range
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
 from wbmpc.studies.minniti2019.directions import refuse_directions

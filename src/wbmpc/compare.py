@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.recording.reader import read
 from wbmpc.report import RECORDING
 from wbmpc.result import Plot, Series
-from wbmpc.robots import SwerveBaseDescription, load_description
+from wbmpc.robots import load_description
 
 #: Components of a channel, at most, that are drawn.
 MOST_LINES = 6

@@ -9,10 +9,10 @@ from scipy.linalg import expm
 from toys import robot
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.controller import LOOK, SwerveController
-from wbmpc.bases.swerve.model import aligned_steering
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import GlobalPose, SwerveMeasurement

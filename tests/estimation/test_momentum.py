@@ -15,7 +15,7 @@ from wbmpc.studies.minniti2019.door_control import SensorlessForce
 from wbmpc.types import BallCommand
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 FORCE = np.array([6.0, -3.0, 4.0])
 
 

@@ -233,7 +233,7 @@ def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.
     settings = configure(REGISTRY[name].config_type, ["controller=lqr", *short[name]], name)
     REGISTRY[name].run(settings, 0)
     robot, body = load_robot("rezero"), given[0].references["body"]
-    home = robot.pose(robot.equilibrium(BENT_ARM)[0])[0]
+    home = robot.pose(robot.base.numeric.equilibrium(BENT_ARM)[0])[0]
     for t in (0.0, 0.75, 1.0, 1.7):
         x = body.at(t)
         ball, hand = np.zeros(2), home
@@ -245,7 +245,7 @@ def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.
         assert robot.pose(x)[0] == pytest.approx(hand, abs=1e-3)
         assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9
         # it leans as it balances, and its speeds are those of its way
-        lean = robot.equilibrium(x[robot.state["arm"]])[0][3:5]
+        lean = robot.base.numeric.equilibrium(x[robot.state["arm"]])[0][3:5]
         assert x[3:5] == pytest.approx(lean, abs=1e-3)
         n = robot.base.nq
         assert (

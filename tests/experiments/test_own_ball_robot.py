@@ -98,7 +98,7 @@ def test_wheels_are_told_from_the_arm(own: RobotModel) -> None:
 
 def test_the_task_space_rival_balances_on_all_wheels(own: RobotModel) -> None:
     """Its regulator's poles, of the robot on five wheels."""
-    home, torque = own.equilibrium(own.home[own.state["arm"]])
+    home, torque = own.base.numeric.equilibrium(own.home[own.state["arm"]])
     agent = TaskSpaceController.__new__(TaskSpaceController)
     agent.robot, agent.gains, agent.home, agent._rest = own, TaskGains(), home, torque
     agent._model = _functions(own)

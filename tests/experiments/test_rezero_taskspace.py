@@ -11,15 +11,14 @@ import pytest
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.defaults import RezeroCost, balance_settings, rezero_mpc
 from wbmpc.settings import ControlSettings
 from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
-from wbmpc.studies.minniti2019.task import mpc_settings
 from wbmpc.studies.minniti2019.taskspace import RezeroTaskspaceSettings
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 
 ROBOT = robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def hand_acceleration(x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -37,7 +36,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     """Without balance and torque weights: squared miss of the wanted acceleration, for the torques found and others."""
     place, quaternion = ROBOT.pose(HOME)
     goal, gains = place + [0.03, -0.02, 0.02], replace(TaskGains(), balance=1e-9, torque=1e-12)
-    mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
+    mpc = rezero_mpc(ROBOT, balance_settings(3e-2), RezeroCost())
     agent = TaskSpaceController(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, 0.0)
     x = HOME.copy()
     x[13:16] = [1.0, -1.5, 1.2]
@@ -55,7 +54,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
 
 
 def test_torques_of_the_rival_respect_the_limits() -> None:
-    mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
+    mpc = rezero_mpc(ROBOT, balance_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
     agent = TaskSpaceController(ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, 0.0)
     torque = agent._solve(0.0, HOME)

@@ -175,7 +175,7 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
         solver = Solver(
             rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(mu=1e-3))
         )
-        home, torque = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+        home, torque = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
         place, quaternion = ROBOT.pose(home)
         for name, value in (("body", home), ("twist", np.zeros(6)), ("torque", torque)):
             solver.set_reference(name, Reference.constant(value))

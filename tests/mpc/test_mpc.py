@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.mpc.mpc import MPC, STUCK, Observation
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver

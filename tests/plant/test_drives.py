@@ -21,7 +21,7 @@ from wbmpc.types import BallCommand
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
 ROBOT = load_robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def drives(n: int = 1, limit: float = 1e3, lag: float = 0.0, step: float = STEP) -> ElasticDrives:

@@ -51,7 +51,7 @@ def floating(model: RobotModel, x: np.ndarray) -> tuple[mujoco.MjModel, mujoco.M
     d = mujoco.MjData(m)
     yaw = x[model.state["base"]][2]
     d.qpos[3:7] = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
-    d.qpos[2] = model.base.height
+    d.qpos[2] = model.base.body_height
     for group in ("leg", "steer", "wheel", "arm"):
         for name, value in zip(model.state.groups.get(group, ()), x[model.state[group]], strict=True):
             d.qpos[m.joint(name).qposadr[0]] = value

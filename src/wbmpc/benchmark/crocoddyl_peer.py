@@ -78,7 +78,7 @@ def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat
 def ball_robot_spec(intervals: int, integrator: str = "rk2", repeat: int = 30) -> dict[str, Any]:
     """The ball robot's links with every joint actuated, a step of the hand."""
     robot = load_robot("rezero")
-    home, _ = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, _ = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     tree = robot.tree
     position, _ = robot.pose(home)
     tool, n = tree.frames[robot.tool], len(tree.links)

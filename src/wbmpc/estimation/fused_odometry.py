@@ -15,7 +15,6 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
@@ -24,6 +23,7 @@ from wbmpc.estimation.odometry_filter import BIAS, LATE, WHEELS, LegsShow, Odome
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry, fit_twist
 from wbmpc.estimation.wheel_slip import SlipIntensity
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class FusedOdometry:
 
     def __init__(
         self,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         pose0: ArrayLike = (0.0, 0.0, 0.0),
         *,
         calibration: WheelCalibration | None = None,

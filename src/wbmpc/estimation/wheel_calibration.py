@@ -10,9 +10,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class WheelCalibration:
     @classmethod
     def unknown(
         cls,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         zero: float = ZERO_STD,
         radius: float = RADIUS_STD,
         common_radius: float = COMMON_RADIUS_STD,
@@ -64,7 +64,7 @@ class WheelCalibration:
         return cls(np.zeros(n), np.zeros(n), np.full(n, geometry.wheel_radius), covariance)
 
     @classmethod
-    def exact(cls, geometry: SwerveGeometry) -> WheelCalibration:
+    def exact(cls, geometry: ModuleGeometry) -> WheelCalibration:
         """The description's numbers, without any doubt."""
         return cls.unknown(geometry, 0.0, 0.0, 0.0)
 
@@ -73,7 +73,7 @@ class WheelCalibration:
         """Number of modules n."""
         return len(self.steer_zero)
 
-    def rise(self, geometry: SwerveGeometry) -> float:
+    def rise(self, geometry: ModuleGeometry) -> float:
         """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tyre's sink
         a rolling radius holds half.)"""
         return float(np.mean(self.wheel_radius)) - geometry.wheel_radius
@@ -108,7 +108,7 @@ class WheelCalibration:
         path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
 
     @classmethod
-    def load(cls, path: Path | str, geometry: SwerveGeometry, modules: list[str]) -> WheelCalibration:
+    def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
         """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
         Raises :class:`InputError` naming the key."""
         rows, given = _read(Path(path), modules)

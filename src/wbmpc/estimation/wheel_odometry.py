@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import each, numbers, positive
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -74,7 +74,7 @@ class Increment:
 
 
 def fit_twist(
-    geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+    geometry: ModuleGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
 ) -> Increment:
     """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
 
@@ -136,7 +136,7 @@ class WheelOdometry:
 
     def __init__(
         self,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         pose0: ArrayLike = (0.0, 0.0, 0.0),
         *,
         wheel_radius: ArrayLike | None = None,
@@ -187,7 +187,7 @@ class ReleaseOdometry:
     ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
     :class:`InputError` for times that are not positive."""
 
-    def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
+    def __init__(self, geometry: ModuleGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
         positive("odometry", period=period, refresh=refresh)
         self._fit = WheelOdometry(geometry, pose0)
         self.pose = self._fit.pose

@@ -112,7 +112,7 @@ class SwerveSide(_Side):
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """Position and quaternion of the base."""
-        return upright(truth.pose, self.robot.base.height)
+        return upright(truth.pose, self.robot.base.body_height)
 
 
 class BallSide(_Side):
@@ -123,9 +123,8 @@ class BallSide(_Side):
     def __init__(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> None:
         super().__init__()
         self.robot, self.lift = robot, robot.base.radius
-        self.plant = BallPlant(
-            robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), perturbation, seed
-        )
+        home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+        self.plant = BallPlant(robot.description, home, torque, perturbation, seed)
         self.imu_at = self.plant.sensors.mount
 
     def rest(self) -> dict[str, Array]:

@@ -70,9 +70,11 @@ class BallController:
         self._torques: deque[np.ndarray] = deque([torque.copy()] * known, maxlen=known)
         self.observer: DisturbanceObserver | None = None
         if observer:
-            self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
+            self.observer = DisturbanceObserver(self._step, robot.base.numeric.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
-        self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
+        self.payload = (
+            PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
+        )
         self.shoves: PushEstimator | None = None
         self.leaning: LeanControl | None = None
         self.measured: BallMeasurement | None = None

@@ -12,7 +12,6 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
-from wbmpc.studies.minniti2019.held_arm import ServoedArm
 
 
 class HandCost(Settings):
@@ -62,6 +61,26 @@ class RezeroCost(Settings):
     terminal: Weight = 1.0
     lean: float = Field(default=0.0, ge=0, le=1.0)
     speed_slack: float = Field(default=1e3, gt=0)
+
+
+#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
+#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
+#: swings from limit to limit for ever.
+BALANCE_COST = RezeroCost(
+    hand=HandCost(orientation=40.0),
+    body=BodyCost(tilt_rate=3.0, arm=1.0),
+    torque=TorqueCost(wheel=0.1, arm=0.3),
+    lean=0.6,
+    speed_slack=20.0,
+)
+
+
+def balance_settings(barrier_mu: float = 3e-2) -> MpcSettings:
+    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
+    return MpcSettings(
+        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
+    )
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
@@ -133,24 +152,6 @@ def limit_torques(
         lean = residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
         reach = cost.lean * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
-
-
-def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """What is left of that problem for a base whose arm somebody else moves (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`): ball, yaw,
-    rates and wheel torques, the same limits."""
-    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
-    b = cost.body
-    body: dict[str, Any] = {
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
-        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
-        "arm": 0.0,
-        "arm_velocity": 0.0,
-    }
-    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
-    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
-    limit_torques(ocp, robot, settings, cost, ["wheel"])
-    return ocp
 
 
 def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:

@@ -16,11 +16,11 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
+from wbmpc.bases.ball.description import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
-from wbmpc.robots import InertialDescription
 
 Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, 9.81])

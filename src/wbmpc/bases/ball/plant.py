@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.sensors import BallSensors, Inertial, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
-from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
+from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables

@@ -16,7 +16,6 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.leg_guard import LegGuard
-from wbmpc.bases.swerve.model import aligned_steering, wheel_velocities
 from wbmpc.checks import not_negative, positive
 from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.estimation.fused_odometry import FusedOdometry
@@ -24,6 +23,7 @@ from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import aligned_steering, wheel_velocities
 from wbmpc.mpc.mpc import Observation
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import SwerveCommand, SwerveMeasurement
@@ -209,7 +209,7 @@ class SwerveController:
     def base_pose(self) -> np.ndarray:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
         x, y, yaw = self.pose
-        return np.array([x, y, self.robot.base.height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+        return np.array([x, y, self.robot.base.body_height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
 
     @property
     def leg(self) -> np.ndarray:

@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brakes import Brakes
+from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
+from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import (
     LOOK,
     NODES,
@@ -26,6 +25,7 @@ from wbmpc.bases.swerve.steering_planner import (
     wheel_directions,
 )
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.ocp import Reference
 from wbmpc.solver import Solver
 

@@ -62,7 +62,7 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
         settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
     robot = ball_robot(settings)
     arm = bent_arm(settings, robot)
-    home = robot.equilibrium(arm)[0]
+    home = robot.base.numeric.equilibrium(arm)[0]
     duration = settings.settle + settings.rounds * settings.lap + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.swerve.model import beyond_range, wheel_velocities
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import beyond_range, wheel_velocities
 
 #: Speed [m/s] below which a wheel need not point anywhere; angle [rad] by which it may miss its direction (it slips 2 % sideways).
 ROLLS, OFF = 0.02, 0.02

@@ -161,7 +161,7 @@ class Trial:
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
     robot = ball_robot(settings, settings.weigh and settings.observer, contact="force")
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or suited(settings.scheme)
     mpc = MPC(

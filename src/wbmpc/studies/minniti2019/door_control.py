@@ -309,8 +309,10 @@ class SensorlessForce:
         self._known = ca.Function("known", [q, torque], [known])
         self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
         still = np.zeros(n)
-        self.observer = MomentumObserver(robot.mass_matrix, lambda q, v: robot.inverse_dynamics(q, v, still))
-        self._load = robot.tool_weight
+        self.observer = MomentumObserver(
+            robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
+        )
+        self._load = robot.base.numeric.tool_weight
         self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
         self.force = np.zeros(3)
 

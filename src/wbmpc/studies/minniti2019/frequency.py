@@ -128,7 +128,7 @@ def drive(
 ) -> tuple[Ending, MPC, BallController]:
     """One variant over the step and back; channels are CHANNEL_NAME (none if it ended before its first record)."""
     robot = ball_robot(settings)
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = frequency_mpc(settings, name == "shaped")
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)

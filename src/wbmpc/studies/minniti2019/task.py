@@ -13,7 +13,14 @@ from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
+from wbmpc.bases.ball.defaults import (
+    BALANCE_COST,
+    BodyCost,
+    HandCost,
+    RezeroCost,
+    balance_settings,
+    rezero_mpc,
+)
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.lean_control import LeanControl
@@ -49,24 +56,8 @@ IDEALISATIONS = [
 ]
 
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
-#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
-#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
-#: swings from limit to limit for ever.
-STEPS_AND_PUSHES = RezeroCost(
-    hand=HandCost(orientation=40.0),
-    body=BodyCost(tilt_rate=3.0, arm=1.0),
-    torque=TorqueCost(wheel=0.1, arm=0.3),
-    lean=0.6,
-    speed_slack=20.0,
-)
-
-
-def mpc_settings(barrier_mu: float) -> MpcSettings:
-    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
-    return MpcSettings(
-        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
-    )
+#: The default weights hold for steps of the hand and for pushes of 200 N.
+STEPS_AND_PUSHES = BALANCE_COST
 
 
 #: What the filter alone reads of the simulated sensors, and what only the state of the simulator has [of ``plant``].
@@ -92,7 +83,7 @@ class RezeroSettings(ExperimentSettings):
     with its gains (``rival``); ``tracking`` of the MPC's plans. What the chosen controller does not read is refused."""
 
     robot: str = "rezero"
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
+    mpc: MpcSettings = balance_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     observer: bool = True
     weigh: bool = True
@@ -198,7 +189,7 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
     arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
 
     def state(z: np.ndarray) -> np.ndarray:
-        x = robot.equilibrium(z[3:], yaw=float(z[2]))[0]
+        x = robot.base.numeric.equilibrium(z[3:], yaw=float(z[2]))[0]
         x[:2] = z[:2]
         return x
 
@@ -216,7 +207,7 @@ def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.nd
     arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
 
     def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        x = robot.equilibrium(angles, yaw=float(start[2]))[0]
+        x = robot.base.numeric.equilibrium(angles, yaw=float(start[2]))[0]
         x[:2] = place
         return x
 
@@ -291,7 +282,7 @@ def run_task(
     for push in task.pushes:
         whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
     robot = robot_of(settings)
-    home, torque = robot.equilibrium(task.arm)
+    home, torque = robot.base.numeric.equilibrium(task.arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)

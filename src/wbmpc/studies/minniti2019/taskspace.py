@@ -67,7 +67,7 @@ def drive(
     chosen = settings.model_copy(update={"controller": name})
     robot = robot_of(chosen)
     arm = robot.home[robot.state["arm"]]
-    home, torque = robot.equilibrium(arm)
+    home, torque = robot.base.numeric.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)

@@ -62,7 +62,7 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
     robot = ball_robot(settings)
     arm, wheels = bent_arm(settings, robot), len(robot.input.groups["wheel"])
     second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
-    home = robot.equilibrium(arm)[0]
+    home = robot.base.numeric.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
     times, places = hand_path(settings, position)
     ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.model import rolling_inverse_kinematics
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import SwerveCommand, scale_wheels
 
