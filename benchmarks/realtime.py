@@ -22,9 +22,11 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
@@ -37,7 +39,6 @@ from wbmpc.settings import MpcSettings
 from wbmpc.studies.minniti2019.steps import STEPS, target
 from wbmpc.studies.minniti2019.task import RezeroSettings, leaning_of, set_home_references
 from wbmpc.studies.paths import SinePath
-from wbmpc.types import BallCommand, SwerveCommand
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0

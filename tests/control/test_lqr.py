@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
-from wbmpc.types import BallMeasurement
 
 PERIOD = 0.0025
 HAND, TWIST = np.array([30.0, 20.0, 10.0, 4.0, 3.0, 2.0]), np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
@@ -17,7 +18,6 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
-from wbmpc.types import BallCommand, BallMeasurement
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025

@@ -17,11 +17,11 @@ from wbmpc import lie
 from wbmpc.bases.ball.description import InertialDescription
 from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise, BallState
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 H, SEEDS = 0.0025, 50
 ROBOT = robot("rezero")

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
 from wbmpc.studies.minniti2019 import task as rezero_task
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings, run_hand
-from wbmpc.types import BallMeasurement
 
 START = 0.6
 

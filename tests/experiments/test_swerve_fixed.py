@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.pankert2022 import fixed
-from wbmpc.types import SwerveMeasurement
 
 
 @pytest.fixture(scope="module")

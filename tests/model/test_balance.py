@@ -12,9 +12,10 @@ from toys import robot
 from wbmpc.bases.ball.balance import Balance, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
 from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
-from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
+from wbmpc.ocp.residuals import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver

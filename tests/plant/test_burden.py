@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.simulation.perturbation import SWERVE_ONLY, Perturbation
-from wbmpc.types import SwerveCommand
 
 ROBOT = load_robot("swerve-ur10")
 G = 9.81

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 BALL = robot("rezero")
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
@@ -16,7 +17,6 @@ from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant, body_rates, minimal_state
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])

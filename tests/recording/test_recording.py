@@ -23,6 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from wbmpc import lie
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
@@ -36,7 +37,6 @@ from wbmpc.simulation.scene import Scene, SceneReader
 from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track import SwerveTrackSettings
-from wbmpc.types import SwerveCommand
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]

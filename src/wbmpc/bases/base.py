@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.model.kinematics import Chain, FramePose
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.tree import Tree
+    from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.mpc.mpc import MPC
     from wbmpc.ocp import Constraint
     from wbmpc.robots.description import LimitsDescription, RobotDescription
@@ -73,9 +74,11 @@ class BaseDescription(Section):
 
 
 class Footprint(Protocol):
-    """Where a base stands on the ground: n points, in the axes of its body."""
+    """Where a base stands on the ground: ``size`` points, in the axes of its body. ``modules``: its legs, where the points are
+    those of steered wheels."""
 
     size: int
+    modules: ModuleGeometry | None
 
     def positions(self, x: Array) -> Array:
         """Feet (n, 2) [m] in the axes of the body at a state (nx)."""

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import seconds, upright
 from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand, SwerveCommand, Truth
+from wbmpc.types import Truth
 
 Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s].

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.checks import not_negative, numbers, positive, whole
@@ -19,10 +20,10 @@ from wbmpc.errors import InputError, NotFinite, SensorFailure
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.sensor_faults import EncoderMonitor
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import BallCommand, BallMeasurement
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.ball import residuals as ball_residuals
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -115,7 +116,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
     inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
-    ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
+    ocp.add(Cost("effort", ball_residuals.JointEffort(robot), t.arm))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, None)
     return ocp
@@ -144,12 +145,12 @@ def limit_torques(
     ocp.add(Constraint("torques", free, box, penalty=barrier, hard=hard))
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
-        ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
+        ocp.add(Constraint("spin", ball_residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
     if cost.lean > 0.0:
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
         answer = balance.answer if "force" in robot.input else 0.0
         pushed = groups is None  # a base whose arm others move has parameters of its own
-        lean = residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
+        lean = ball_residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
         reach = cost.lean * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
 

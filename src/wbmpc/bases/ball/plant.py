@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.sensors import BallSensors, Inertial, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
@@ -37,7 +38,7 @@ from wbmpc.simulation.world import (
     set_options,
     unwrap,
 )
-from wbmpc.types import BallCommand, BallMeasurement, Truth
+from wbmpc.types import Truth
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]

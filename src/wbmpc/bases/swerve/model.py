@@ -130,6 +130,7 @@ class ModuleFootprint:
 
     def __init__(self, base: SwerveBase) -> None:
         self._base, self.size = base, base.geometry.modules
+        self.modules: ModuleGeometry | None = base.geometry
 
     def positions(self, x: Array) -> Array:
         """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
@@ -250,13 +251,13 @@ class SwerveBase:
         return ca.vertcat(*rolling, *side)
 
     def constraints(
-        self, robot: RobotModel, side_softness: float = 0.0, *, allow_side_slip: bool = False
+        self, robot: RobotModel, side_compliance: float = 0.0, *, allow_side_slip: bool = False
     ) -> list[Constraint]:
         """Rolling wheels, with the softness of their rows; closed brakes where legs are hinged. ``allow_side_slip``: the
         reference of "rolling" says which wheels may slip sideways."""
         from wbmpc.ocp import Constraint, residuals
 
-        rolling = Constraint("rolling", residuals.Rolling(robot, allow_side_slip), compliance=side_softness)
+        rolling = Constraint("rolling", residuals.Rolling(robot, allow_side_slip), compliance=side_compliance)
         brakes = [Constraint("brakes", residuals.LockedJoints(robot))] if self.brakes else []
         return [rolling, *brakes]
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from wbmpc import lie
 from wbmpc.bases.swerve.brakes import Brakes
 from wbmpc.bases.swerve.description import SwerveBaseDescription
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
@@ -37,7 +38,7 @@ from wbmpc.simulation.world import (
     add_light,
     set_options,
 )
-from wbmpc.types import SwerveCommand, SwerveMeasurement, Truth
+from wbmpc.types import Truth
 
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0

@@ -15,6 +15,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.controller import SwerveController, Tick
 from wbmpc.bases.swerve.defaults import swerve_mpc
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -25,7 +26,6 @@ from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS, RosSettings
 from wbmpc.solver import Solver
-from wbmpc.types import SwerveCommand, SwerveMeasurement
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray

@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import residuals
-from wbmpc.types import BallMeasurement
+from wbmpc.types import Observation
 
 Array = NDArray[np.float64]
 

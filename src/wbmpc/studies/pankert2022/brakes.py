@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
@@ -20,7 +21,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-brakes"
 SUMMARY = "pushes with brakes closed and open, slip of a brake, brakes that do not answer (Pankert et al. 2022, Fig. 4)"

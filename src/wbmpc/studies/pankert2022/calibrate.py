@@ -14,6 +14,7 @@ from pydantic import Field
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
 from wbmpc.bases.swerve.calibration import WheelRecord, calibrate
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.estimation.wheel_calibration import WheelCalibration
@@ -25,7 +26,6 @@ from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.directions import refuse_directions
-from wbmpc.types import SwerveCommand, SwerveMeasurement
 
 NAME = "swerve-calibrate"
 SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"

@@ -122,7 +122,7 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 
 
 def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveController:
-    return SwerveController(r, pose, period, lag=s.drive_lag, scrubbing=fast_enough(r))
+    return SwerveController(r, pose, period, lag=s.drive_lag, allow_side_slip=fast_enough(r))
 
 
 def legs_at_home(robot: RobotModel) -> np.ndarray:
@@ -170,7 +170,7 @@ def run(settings: SwerveFixedSettings, seed: int, progress: Progress | None = No
     reference = Motion.of(settings, seed)
     turns = fast_enough(robot)  # else the base stops for wheels that have to turn about
     guess = (WheelFlipGuess if turns else SteeringGuess)(robot, lambda t, _: reference.path.twist(t))
-    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, scrubbing=turns)
+    mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, allow_side_slip=turns)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
     log, ending, faults, whole = Log(), Ending(), list[str](), list[str]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
@@ -10,7 +11,6 @@ from wbmpc.settings import Settings
 from wbmpc.simulation.lockstep import Progress, part, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-stability"
 SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from wbmpc import lie
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import HandCost, SwerveCost, closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry
 from wbmpc.log import Log
@@ -21,7 +22,6 @@ from wbmpc.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.simulation.lockstep import Progress, Timing, run_lockstep
 from wbmpc.studies.pankert2022.calibrate import WheelLog, calibrated, swerve_robot
 from wbmpc.studies.paths import Approach, SinePath, nearest_distance
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-track"
 SUMMARY = "the hand follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"

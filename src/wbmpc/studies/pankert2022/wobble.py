@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.log import Log
@@ -23,7 +24,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw
 from wbmpc.studies.pankert2022.support_prediction import AWAY, RAISE, REST, UNLOADED, Case, Support, predict, tippings
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-wobble"
 SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"

@@ -1,17 +1,16 @@
-"""Residuals of ball robots, and of hands that push doors and walls (:mod:`wbmpc.ocp.residuals` has them all)."""
+"""Residuals of robots that balance on a ball."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from wbmpc.bases.ball.balance import load_offset
 from wbmpc.checks import finite
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
@@ -104,87 +103,3 @@ class JointEffort:
         rest, w = ca.SX(n, 1), s.parameters
         net = base.generalised_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
         return net[n - self.size :]
-
-
-@dataclass(frozen=True)
-class PanelContact:
-    """Hand and door move together: the hand stays at its place on the panel, by rows of acceleration (Baumgarte 1972).
-
-    ``normal``: g̈ + 2 ``rate`` ġ + ``rate``² g for the distance g [m] from the panel, with g̈ = tᵀ(J q̈ + J̇ q̇) − ℓ φ̈ + … and φ̈ from
-    the door's own equation: the row that Minniti et al. 2019, section V-A, leave out. ``stick``: s̈ + 2 ``rate`` ṡ for the
-    place along the panel and the height: a hand inside its friction cone does not slide. ``dynamics``: a
-    :class:`wbmpc.studies.minniti2019.door_model.WithDoor`; ``rate`` [1/s].
-    """
-
-    dynamics: Any
-    rate: float = 10.0
-
-    size, reference = 3, 0
-    groups = {"normal": slice(0, 1), "stick": slice(1, 3)}  # noqa: RUF012
-
-    def __post_init__(self) -> None:
-        finite("panel contact", rate=self.rate)
-        if self.rate < 0.0:
-            raise InputError(f"panel contact: rate must not be negative, got {self.rate}")
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        place, speed, acceleration = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
-        pull = ca.vertcat(self.rate**2 * place[0], 0.0, 0.0)
-        return acceleration + 2.0 * self.rate * speed + pull
-
-
-@dataclass(frozen=True)
-class PushForce:
-    """The robot's push on a surface in its axes, minus what is wanted: along the normal, across (level), up [N].
-
-    Reference: the unit normal (3) of an upright surface, into it, and the wanted force [N] along it. ``group``: the input that
-    is the force of the world on the robot, world axes.
-    """
-
-    robot: RobotModel
-    group: str = "force"
-
-    size, reference = 3, 4
-    groups = {"push": slice(0, 1), "across": slice(1, 2), "up": slice(2, 3)}  # noqa: RUF012
-
-    def __post_init__(self) -> None:
-        if self.group not in self.robot.input:
-            raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        push = push_on_surface(-s.u[self.robot.input[self.group]], s.reference[0:3])
-        return push - ca.vertcat(s.reference[3], 0.0, 0.0)
-
-
-def push_on_surface(force: ca.SX, normal: ca.SX) -> ca.SX:
-    """A force (3) [N] in the axes of an upright surface: along its unit normal (3), across, up."""
-    return ca.vertcat(ca.dot(normal, force), normal[0] * force[1] - normal[1] * force[0], force[2])
-
-
-@dataclass(frozen=True)
-class FrictionCone:
-    """A hand that can only push, and not slide: rows [N] that are to be at least zero.
-
-    Reference: the unit normal n (3) of an upright surface, into it. With the robot's push F = −(force of the world on it):
-    ``push``: nᵀF − ``least``; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
-    """
-
-    robot: RobotModel
-    friction: float
-    least: float = 0.0
-    group: str = "force"
-
-    size, reference = 5, 3
-    groups = {"push": slice(0, 1), "cone": slice(1, 5)}  # noqa: RUF012
-
-    def __post_init__(self) -> None:
-        if self.group not in self.robot.input:
-            raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
-        finite("friction cone", friction=self.friction, least=self.least)
-        if not self.friction > 0.0:
-            raise InputError(f"friction cone: friction must be positive, got {self.friction}")
-
-    def __call__(self, s: Symbols) -> ca.SX:
-        push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference))
-        most = self.friction / np.sqrt(2.0) * push
-        return ca.vertcat(push - self.least, most - side, most + side, most - rise, most + rise)

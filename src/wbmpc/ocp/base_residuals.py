@@ -1,4 +1,4 @@
-"""Residuals of the swerve base: rolling wheels, braked legs, the support margin."""
+"""Residuals that a base answers (:class:`wbmpc.bases.base.Base`): rolling wheels, braked joints, the support margin."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ from wbmpc.stability import GRAVITY, Support, counter_clockwise
 class Rolling:
     """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
 
-    Pankert et al. 2022, equations 4 and 5, with the leg's motion through an open brake. ``scrubbing``: the reference (n) says which
-    wheels may slip sideways (1) while they turn about under a base that goes on, and which may not (0).
+    ``allow_side_slip``: the reference (n) says which wheels may slip sideways (1) while they turn about under a base that goes
+    on, and which may not (0). Raises :class:`InputError` for a base without wheels that a constraint makes roll.
     """
 
     robot: RobotModel
-    scrubbing: bool = False
+    allow_side_slip: bool = False
     groups: Mapping[str, slice] = field(init=False, repr=False)
 
     @property
     def reference(self) -> int:
-        return self.robot.base.geometry.modules if self.scrubbing else 0
+        return self.robot.base.wheels if self.allow_side_slip else 0
 
     def __post_init__(self) -> None:
-        wheels = self.robot.base.geometry.modules
+        wheels = self.robot.base.wheels
+        if not wheels:
+            kind = self.robot.description.base.type
+            raise InputError(f"rolling: the wheels of a base of type '{kind}' need no constraint to roll")
         object.__setattr__(self, "groups", {"rolling": slice(0, wheels), "side": slice(wheels, 2 * wheels)})
 
     @property
@@ -40,14 +43,14 @@ class Rolling:
 
     def __call__(self, s: Symbols) -> ca.SX:
         rows = self.robot.base.rolling(s.x, s.u, s.mode)
-        if not self.scrubbing:
+        if not self.allow_side_slip:
             return rows
         return ca.vertcat(rows[self.groups["rolling"]], (1.0 - s.reference) * rows[self.groups["side"]])
 
 
 @dataclass(frozen=True)
 class LockedJoints:
-    """Leg rates [rad/s] where the brake is closed, zero where it is open."""
+    """Rates [rad/s] of joints where their brake is closed, zero where it is open. Raises :class:`InputError` without brakes."""
 
     robot: RobotModel
     groups: Mapping[str, slice] = field(init=False, repr=False)
@@ -55,14 +58,21 @@ class LockedJoints:
     reference = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "groups", {"leg": slice(0, self.size)})
+        groups, start = {}, 0
+        for joints in self.robot.base.brakes.values():
+            groups[joints] = slice(start, start := start + len(self.robot.input.groups[joints]))
+        if not groups:
+            raise InputError(f"locked joints: '{self.robot.description.name}' has no brakes")
+        object.__setattr__(self, "groups", groups)
 
     @property
     def size(self) -> int:
-        return len(self.robot.input.groups["leg"])
+        return sum(part.stop - part.start for part in self.groups.values())
 
     def __call__(self, s: Symbols) -> ca.SX:
-        return (1.0 - s.mode[self.robot.mode["brake"]]) * s.u[self.robot.input["leg"]]
+        layouts = self.robot.mode, self.robot.input
+        brakes = self.robot.base.brakes.items()
+        return ca.vertcat(*[(1.0 - s.mode[layouts[0][b]]) * s.u[layouts[1][joints]] for b, joints in brakes])
 
 
 @dataclass(frozen=True)
