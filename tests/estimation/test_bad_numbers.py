@@ -17,6 +17,7 @@ from wbmpc.bases.ball.estimator import HISTORY, BallEstimator, JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.base_slip import BaseSlipObserver
@@ -25,7 +26,6 @@ from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.rocking import rockings
-from wbmpc.estimation.sensor_faults import EncoderMonitor
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise

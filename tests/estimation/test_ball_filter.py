@@ -14,12 +14,12 @@ from scipy.stats import chi2
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.bases.ball.description import InertialDescription
 from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise, BallState
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
+from wbmpc.bases.base import InertialDescription
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.simulation.perturbation import Perturbation
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -37,6 +37,14 @@ class Section(BaseModel):
     """A mapping of a robot file: its keys are the fields, unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class InertialDescription(Section):
+    """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
+    out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
+
+    rate: float = Field(np.deg2rad(1000.0), gt=0)
+    acceleration: float = Field(18.0 * 9.81, gt=0)
 
 
 class BaseDescription(Section):

@@ -1,4 +1,4 @@
-"""What is known of a swerve base's wheels: zeros of the steering encoders and radii, and its file."""
+"""What is known of a base's steered wheels: zeros of the steering encoders and radii, and its file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
 
 @dataclass(frozen=True)
 class WheelCalibration:
-    """Corrections of a swerve base with n modules: true angle = measured − zero.
+    """Corrections of n steered wheels: true angle = measured − zero.
 
     ``steer_zero``, ``leg_zero`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
     zeros [rad] and of the radii (relative), in this order. The heading of a wheel shows only the sum of both zeros:
@@ -101,7 +101,7 @@ class WheelCalibration:
         scale[scale == 0.0] = 1.0
         correlation = self.covariance / np.outer(scale, scale)
         correlation[np.diag_indices_from(correlation)] = 1.0
-        head = "# Wheels of a swerve base: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
+        head = "# Steered wheels: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)

@@ -1,4 +1,4 @@
-"""Wheel odometry of swerve bases from positions that were measured together.
+"""Wheel odometry of bases on steered wheels from positions that were measured together.
 
 Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), section III-B: least squares for the twist over all wheels, leg
 motion subtracted. Here with increments of positions instead of speeds (nothing is lost between two samples), angles at
@@ -126,7 +126,7 @@ def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
 
 
 class WheelOdometry:
-    """Planar pose of a swerve base by dead reckoning.
+    """Planar pose of a base on steered wheels by dead reckoning.
 
     ``pose`` (x, y, yaw) starts at ``pose0``, yaw not wrapped; ``increment`` (dx, dy, dyaw): integral of the body twist
     over the last update; ``residual`` (n, 2) [m]: by what each wheel's displacement differs from it. Calibration:
@@ -183,7 +183,7 @@ class WheelOdometry:
 
 
 class ReleaseOdometry:
-    """The odometry of leggedrobotics/swerve_steering, as a baseline: angles of steering and legs are refreshed every
+    """The odometry of the release of Pankert et al. 2022, as a baseline: angles of steering and legs are refreshed every
     ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
     :class:`InputError` for times that are not positive."""
 

@@ -42,7 +42,7 @@ class LimitsDescription(Section):
 
     ``drive_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels (needed);
-    ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
+    ``spin_effort`` [N m]: what they may do about the vertical before the robot spins on the floor.
     """
 
     velocity: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})

@@ -15,10 +15,10 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.checks import not_negative, numbers, positive, whole
 from wbmpc.errors import InputError, NotFinite, SensorFailure
 from wbmpc.estimation.disturbance import DisturbanceObserver
-from wbmpc.estimation.sensor_faults import EncoderMonitor
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from wbmpc.bases.base import BaseDescription, Section
+from wbmpc.bases.base import BaseDescription, InertialDescription, Section
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import LimitsDescription
@@ -30,14 +30,6 @@ class OmniWheelsDescription(Section):
         if np.linalg.svd(around, compute_uv=False)[-1] < LEAST_SPREAD:
             raise ValueError("the wheels cannot turn the ball about every axis: three different azimuths are needed")
         return value
-
-
-class InertialDescription(Section):
-    """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
-    out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
-
-    rate: float = Field(np.deg2rad(1000.0), gt=0)
-    acceleration: float = Field(18.0 * 9.81, gt=0)
 
 
 class BallBaseDescription(BaseDescription):

@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
-from wbmpc.bases.ball.description import InertialDescription
+from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError, NotFinite
