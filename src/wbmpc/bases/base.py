@@ -57,6 +57,8 @@ class BaseDescription(Section):
     joint_key: ClassVar[str] = ""
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.
     not_applicable: ClassVar[Mapping[str, str]] = {}
+    #: Keys of the file's ``limits`` that this base reads, beside those of joints.
+    limit_keys: ClassVar[tuple[str, ...]] = ()
 
     type: str
     body: str

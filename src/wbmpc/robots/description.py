@@ -28,6 +28,8 @@ from wbmpc.robots.fixed_joints import lock
 from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
 
 DATA = Path(__file__).parent / "data"
+#: Keys of ``limits`` that are of joints, whatever the base.
+JOINT_LIMITS = ("velocity", "drive_velocity", "acceleration", "effort", "position")
 
 
 class ArmDescription(Section):
@@ -107,6 +109,12 @@ class RobotDescription(Section):
 
     @model_validator(mode="after")
     def _limits_fit_the_base(self) -> Self:
+        valid = [*JOINT_LIMITS, *self.base.limit_keys]
+        for key in type(self.limits).model_fields:
+            if key in self.limits.model_fields_set and key not in valid:
+                raise ValueError(
+                    f"key 'limits.{key}': a base of type {self.base.type} does not read it; valid: {', '.join(valid)}"
+                )
         self.base.check_limits(self.limits)
         return self
 

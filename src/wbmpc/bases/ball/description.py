@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -39,6 +39,8 @@ class BallBaseDescription(BaseDescription):
     ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
     ``payload``: whether a mass at the tool [kg] is a parameter (``payload``).
     """
+
+    limit_keys: ClassVar[tuple[str, ...]] = ("wheel_effort", "spin_effort")
 
     type: Literal["ball"]
     ball: str
