@@ -12,8 +12,8 @@ import numpy as np
 from study import Figures, Kept, drawing
 
 from wbmpc.configuration import configure
+from wbmpc.experiments import REGISTRY
 from wbmpc.reproduce import parse_seeds
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings, torque_error
 
 NAME = "rezero-frequency"

@@ -18,15 +18,15 @@ import numpy as np
 from ros2_processes import Bus, Recorder, matched, open_bus
 from ros2_stream import balance, drive, stream, without_bus
 
+from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
+from wbmpc.paths import SinePath
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.convert import header, path, upright
 from wbmpc.ros2.settings import BallSettings, RosSettings
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019.steps import STEADY, STEPS, RezeroStepsSettings, Schedule, progress_of, rise_time
 from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
-from wbmpc.studies.paths import SinePath
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
 AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0

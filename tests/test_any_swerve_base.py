@@ -21,9 +21,9 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
-from wbmpc.studies.minniti2019.directions import refuse_directions
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
+from wbmpc.studies.pankert2022.directions import refuse_directions
 from wbmpc.studies.pankert2022.mission import at_home
 from wbmpc.studies.pankert2022.rolling import RollingController
 from wbmpc.studies.pankert2022.unified import SwerveUnifiedSettings, rear_triangles

@@ -10,9 +10,9 @@ import pytest
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
 from wbmpc.model.robot import load_robot
 from wbmpc.settings import Settings
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights

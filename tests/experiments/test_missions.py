@@ -10,9 +10,9 @@ import pytest
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022.drive import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain

@@ -10,10 +10,10 @@ from test_ball_variants import variant
 
 from wbmpc.cli import main
 from wbmpc.configuration import configure
+from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import frequency as rezero_frequency
 from wbmpc.studies.minniti2019 import push as rezero_push

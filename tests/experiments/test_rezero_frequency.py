@@ -7,7 +7,7 @@ import pytest
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.studies import REGISTRY
+from wbmpc.experiments import REGISTRY
 from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
 
 SHORT = {"settle": 1.5, "hold": 2.0}

@@ -12,9 +12,9 @@ import pytest
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.settings import mpc_settings
 from wbmpc.settings import ControlSettings
 from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
-from wbmpc.studies.minniti2019.task import mpc_settings
 from wbmpc.studies.minniti2019.taskspace import RezeroTaskspaceSettings
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 

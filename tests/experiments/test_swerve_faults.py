@@ -13,11 +13,11 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022 import fixed as swerve_fixed

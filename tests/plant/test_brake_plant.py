@@ -8,9 +8,9 @@ import pytest
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
+from wbmpc.experiments import REGISTRY
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
 from wbmpc.types import SwerveCommand
 
 

@@ -26,6 +26,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
+from wbmpc.experiments import REGISTRY
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.recording.reader import read
@@ -33,7 +34,6 @@ from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 from wbmpc.types import SwerveCommand

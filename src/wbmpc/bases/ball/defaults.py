@@ -10,9 +10,8 @@ from pydantic import Field
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
-from wbmpc.studies.minniti2019.held_arm import ServoedArm
 
 
 class HandCost(Settings):
@@ -135,24 +134,13 @@ def limit_torques(
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
 
 
-def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """What is left of that problem for a base whose arm somebody else moves (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`): ball, yaw,
-    rates and wheel torques, the same limits."""
-    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
-    b = cost.body
-    body: dict[str, Any] = {
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
-        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
-        "arm": 0.0,
-        "arm_velocity": 0.0,
-    }
-    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
-    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
-    limit_torques(ocp, robot, settings, cost, ["wheel"])
-    return ocp
-
-
 def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
     """The MPC of that problem with its real-time settings."""
     return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)
+
+
+def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
+    """Rest at home for body, twist and torques."""
+    mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)

@@ -9,13 +9,14 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, base_problem
+from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.settings import Settings, Weight
+from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult
@@ -93,3 +94,6 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
         reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
     task = Task(arm, duration, {"body": reference})
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroCircleSettings, run)

@@ -15,6 +15,7 @@ from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -386,3 +387,6 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
             Series("hand", *log.array("hand")[:, :2].T), Series("ball", *state[:, :2].T),
         ], equal_axes=True),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroDoorSettings, run)

@@ -9,11 +9,14 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.frequency import FrequencyAwareController
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.posture import resting
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.augment import InputFilter
 from wbmpc.mpc.mpc import MPC
@@ -25,15 +28,12 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.steps import rise_time
 from wbmpc.studies.minniti2019.task import (
     IDEALISATIONS,
-    STEPS_AND_PUSHES,
     RezeroSettings,
     ball_robot,
     count_wheels,
     fault_metrics,
     hand_felt,
     record_rezero,
-    resting,
-    set_home_references,
 )
 
 NAME = "rezero-frequency"
@@ -268,3 +268,6 @@ def _plots(log: Log) -> list[Plot]:
         ]),
         Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroFrequencySettings, run)

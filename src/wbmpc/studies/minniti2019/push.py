@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.checks import whole
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, RunResult, Series
 from wbmpc.simulation.lockstep import Ending, Progress
 from wbmpc.studies.minniti2019.task import (
-    STEPS_AND_PUSHES,
     Push,
     RezeroSettings,
     Task,
@@ -181,3 +182,7 @@ def push_once(settings: RezeroPushSettings, seed: int, force: float, direction: 
         return Outcome(False, False, float("inf"))
     found = result.metrics
     return Outcome(result.completed, result.completed and found["recovered"].value > 0.0, found["travel"].value)
+
+
+BALL_EXPERIMENT = Experiment(BALL, SUMMARY.format("ball"), RezeroPushBallSettings, run_ball)
+HAND_EXPERIMENT = Experiment(HAND, SUMMARY.format("hand"), RezeroPushHandSettings, run_hand)

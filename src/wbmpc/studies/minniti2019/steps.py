@@ -9,6 +9,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
+from wbmpc.bases.ball.posture import resting
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -22,7 +24,6 @@ from wbmpc.studies.minniti2019.task import (
     count_wheels,
     hand_felt,
     hand_turn_felt,
-    resting,
     run_task,
 )
 
@@ -267,3 +268,6 @@ def _plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
             Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])
         ]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroStepsSettings, run)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,12 +13,12 @@ from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost, rezero_mpc
+from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
-from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.settings import BallControllerSettings, leaning_of
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
 from wbmpc.log import Log
@@ -27,7 +27,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult, Series
 from wbmpc.robots import load_description
-from wbmpc.settings import ExperimentSettings, MpcSettings, finished
+from wbmpc.settings import ExperimentSettings, finished
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, run_lockstep
 from wbmpc.studies.minniti2019.baselines import (
     ACCURATE_RIVALS,
@@ -49,57 +49,18 @@ IDEALISATIONS = [
 ]
 
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
-#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
-#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
-#: swings from limit to limit for ever.
-STEPS_AND_PUSHES = RezeroCost(
-    hand=HandCost(orientation=40.0),
-    body=BodyCost(tilt_rate=3.0, arm=1.0),
-    torque=TorqueCost(wheel=0.1, arm=0.3),
-    lean=0.6,
-    speed_slack=20.0,
-)
-
-
-def mpc_settings(barrier_mu: float) -> MpcSettings:
-    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
-    return MpcSettings(
-        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
-    )
-
-
 #: What the filter alone reads of the simulated sensors, and what only the state of the simulator has [of ``plant``].
 INERTIAL = tuple(f"plant.{sensor}_{kind}" for sensor in ("gyro", "accel") for kind in ("noise", "bias", "walk"))
 STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "speed", "rate"))
 
 
-def refuse_unlearnt(observer: bool, changed: bool) -> None:
-    """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
-    if changed and not observer:
-        raise ValueError("pushed_speed: with observer=false nothing uses it")
-
-
-class RezeroSettings(ExperimentSettings):
+class RezeroSettings(BallControllerSettings, ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
-    ``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
-    ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
-    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
-    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's policy and the regulators do, in the
-    middle of what may be;
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
     unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
     with its gains (``rival``); ``tracking`` of the MPC's plans. What the chosen controller does not read is refused."""
 
     robot: str = "rezero"
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
-    cost: RezeroCost = STEPS_AND_PUSHES
-    observer: bool = True
-    weigh: bool = True
-    brace: float = Field(0.3, ge=0, le=1.0)
-    pushed_speed: float = Field(2.0, gt=0)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
-    drive_dead_time: float = Field(0.010, ge=0, le=0.05)
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"
@@ -190,26 +151,6 @@ class Task:
     pushes: tuple[Push, ...] = ()
 
 
-def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """State (nx) in which the robot rests with its hand as near as it can be to a pose, and its arm near that of home.
-
-    Where the arm does not decide (place and heading of the base), a weak pull towards home does.
-    """
-    arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
-
-    def state(z: np.ndarray) -> np.ndarray:
-        x = robot.equilibrium(z[3:], yaw=float(z[2]))[0]
-        x[:2] = z[:2]
-        return x
-
-    def error(z: np.ndarray) -> np.ndarray:
-        place, turn = robot.pose(state(z))
-        turned = lie.quaternion_log(lie.quaternion_multiply(turn, wanted))
-        return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
-
-    return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
-
-
 def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.ndarray, start: np.ndarray) -> Reference:
     """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the hand as near as it can be to ``hand``
     (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
@@ -231,13 +172,6 @@ def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.nd
     return Reference(times, states)
 
 
-def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
-    """Rest at home for body, twist and torques."""
-    mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
-    mpc.reference["twist"] = Reference.constant(np.zeros(6))
-    mpc.reference["torque"] = Reference.constant(torque)
-
-
 def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "none") -> RobotModel:
     """The robot of the settings with what an experiment needs of its model, whatever its file says of that.
 
@@ -252,22 +186,6 @@ def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "
 def robot_of(settings: RezeroSettings) -> RobotModel:
     """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
     return ball_robot(settings, settings.weigh and settings.observer and settings.controller == "mpc")
-
-
-class Leans(Protocol):
-    """Settings of whatever controls a ball robot with the MPC."""
-
-    @property
-    def observer(self) -> bool: ...
-    @property
-    def cost(self) -> RezeroCost: ...
-    @property
-    def pushed_speed(self) -> float: ...
-
-
-def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
-    """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
-    return LeanControl(robot, arm, settings.cost.lean, settings.pushed_speed) if settings.observer else None
 
 
 def count_wheels(state: np.ndarray, torque: np.ndarray) -> int:

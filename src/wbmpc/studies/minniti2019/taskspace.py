@@ -10,9 +10,11 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.posture import resting
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -29,9 +31,7 @@ from wbmpc.studies.minniti2019.task import (
     fault_metrics,
     hand_felt,
     record_rezero,
-    resting,
     robot_of,
-    set_home_references,
 )
 
 NAME = "rezero-taskspace"
@@ -182,3 +182,6 @@ def _plots(log: Log) -> list[Plot]:
             Series(n, t[n], wheels(n).max(axis=1)) for n in done
         ]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroTaskspaceSettings, run)

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -109,3 +110,6 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
     task = Task(arm, float(ends[-1]), references)
     return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, RezeroWholebodySettings, run)

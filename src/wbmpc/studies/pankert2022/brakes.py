@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.result import Metric, Plot, RunResult, Series
@@ -329,3 +330,6 @@ def _plots(log: Log, tried: int) -> list[Plot]:
         Plot("Pushed until it slides, brakes closed", "force [N]", "displacement [mm]", slides),
         Plot("Left front leg, its brake sound or stuck", "time [s]", "leg angle [deg]", legs),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveBrakesSettings, run)

@@ -12,20 +12,22 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
-from wbmpc.bases.swerve.calibration import WheelRecord, calibrate
+from wbmpc.bases.swerve.calibration import calibrate
+from wbmpc.bases.swerve.calibration_log import WheelLog, record_of, steer_joints, swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.model import SwerveGeometry, rolling_inverse_kinematics
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
-from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
 from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.minniti2019.directions import refuse_directions
-from wbmpc.types import SwerveCommand, SwerveMeasurement
+from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.types import SwerveCommand
 
 NAME = "swerve-calibrate"
 SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"
@@ -62,30 +64,6 @@ STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
 #: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s], and at
 #: least so long after brakes have opened.
 LEG_GAIN, OPENING, SURE = 2.0, 0.4, 0.3
-
-
-class WheelLog:
-    """Writes the channels that a calibration reads: one row for ``every`` messages."""
-
-    def __init__(self, log: Log, every: int = 4) -> None:
-        self.log, self.every = log, every
-        self._count, self._gyro = 0, list[float]()
-
-    def add(self, t: float, m: SwerveMeasurement, brake: np.ndarray | None = None) -> None:
-        """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were told before it."""
-        self._gyro.append(float(m.gyro[2]))
-        if m.place is not None:
-            row = np.concatenate([m.place.pose, np.sqrt(np.diag(m.place.covariance))])
-            self.log.add("place", m.place.time - m.time + t, row)
-        if self._count % self.every == 0:
-            self.log.add("steer", t, m.steer)
-            self.log.add("wheel", t, m.wheel)
-            if m.leg.size:
-                self.log.add("leg", t, m.leg)
-                self.log.add("brake", t, np.zeros(m.leg.size) if brake is None else brake)
-            self.log.add("gyro", t, np.mean(self._gyro))
-            self._gyro = []
-        self._count += 1
 
 
 class _Phase(NamedTuple):
@@ -164,14 +142,6 @@ def _rolling(
     return steer, wheel * phase.share(t)
 
 
-def swerve_robot(name: str) -> RobotModel:
-    """The robot of that name or file, which must have a swerve base."""
-    robot = load_robot(name)
-    if robot.description.base.type != "swerve":
-        raise InputError(f"robot: '{name}' has a base of type '{robot.description.base.type}'; valid: swerve")
-    return robot
-
-
 def drive(
     robot: RobotModel,
     settings: SwerveCalibrateSettings,
@@ -213,16 +183,6 @@ def drive(
                 if plant.fell:
                     return log, agent, f"the robot fell at {plant.time:.2f} s"
     return log, agent, ""
-
-
-def steer_joints(robot: RobotModel) -> list[str]:
-    """The names by which a calibration file knows the modules."""
-    return list(robot.state.groups["steer"])
-
-
-def record_of(log: Log) -> WheelRecord:
-    """What a calibration reads of a log."""
-    return WheelRecord.of({c: log.array(c) for c in log.channels} | {f"{c}.time": log.times(c) for c in log.channels})
 
 
 def calibrated(
@@ -285,3 +245,6 @@ def _plots(log: Log) -> list[Plot]:
             Series("wheels, gyro and global poses", t, apart(odometry)), Series("wheels alone", t, apart(wheels)),
         ]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveCalibrateSettings, run)

@@ -12,11 +12,13 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -25,7 +27,6 @@ from wbmpc.result import RunResult
 from wbmpc.settings import ExperimentSettings, finished
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.stability import CONFIGURATIONS, corners, leg_angles
-from wbmpc.studies.pankert2022.calibrate import swerve_robot
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home, riding
@@ -272,3 +273,6 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
         plots=lambda: plots(bench.log, robot),
         idealisations=IDEALISATIONS, faults=[*faults, *rivals],
     )  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveDriveSettings, run)

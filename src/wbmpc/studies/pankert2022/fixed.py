@@ -12,11 +12,13 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.wheel_flip import WheelFlipGuess, fast_enough
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -25,8 +27,7 @@ from wbmpc.result import Metric, Plot, RunResult, Series, no_comparison
 from wbmpc.settings import ExperimentSettings, finished
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
-from wbmpc.studies.minniti2019.directions import refuse_directions
-from wbmpc.studies.pankert2022.calibrate import swerve_robot
+from wbmpc.studies.pankert2022.directions import refuse_directions
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController
 from wbmpc.studies.pankert2022.track import stand_still
 
@@ -293,3 +294,6 @@ def _plots(log: Log, reference: Motion) -> list[Plot]:
         ]),
         Plot("Yaw error", "time [s]", "error [deg]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in found.items()]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveFixedSettings, run)

@@ -11,21 +11,23 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import RunAborted
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import Approach
 from wbmpc.result import Metric, Plot, RunResult, Series
 from wbmpc.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.simulation.lockstep import Progress, Timing, run_lockstep
 from wbmpc.simulation.world import GROUND
-from wbmpc.studies.pankert2022.calibrate import calibrated, swerve_robot
+from wbmpc.studies.pankert2022.calibrate import calibrated
 from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, in_frame, stand_still
-from wbmpc.studies.paths import Approach
 
 NAME = "swerve-plaster"
 SUMMARY = "five lines of 3.5 m on a wall, ten times, over cables and bumps (Pankert et al. 2022, section IV-D)"
@@ -362,3 +364,6 @@ def _plots(log: Log, references: _References) -> list[Plot]:
             Series("world", t, 1e3 * np.linalg.norm(hand - wanted, axis=1)),
         ]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwervePlasterSettings, run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.result import Drawing, Metric, RunResult
@@ -69,3 +70,6 @@ def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
             value, paper = (a.polygon_area, a.double_support_area)[column], TABLE[name][column]
             metrics[f"{kind}_{name}"] = Metric(value, "m2", paper=paper, goal=paper + ROUNDING, least=paper - ROUNDING)
     return metrics
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveStabilitySettings, run)

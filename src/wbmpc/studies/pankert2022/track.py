@@ -8,19 +8,21 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc import lie
+from wbmpc.bases.swerve.calibration_log import WheelLog, swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import HandCost, SwerveCost, closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import Approach, SinePath, nearest_distance
 from wbmpc.result import Metric, Plot, RunResult, Series
 from wbmpc.settings import ExperimentSettings, LocalisationSettings, finished
 from wbmpc.simulation.lockstep import Progress, Timing, run_lockstep
-from wbmpc.studies.pankert2022.calibrate import WheelLog, calibrated, swerve_robot
-from wbmpc.studies.paths import Approach, SinePath, nearest_distance
+from wbmpc.studies.pankert2022.calibrate import calibrated
 from wbmpc.types import SwerveCommand
 
 NAME = "swerve-track"
@@ -290,3 +292,6 @@ def _plots(log: Log, robot: Any, mpc: MPC, references: _References) -> list[Plot
         Plot("Joint speeds over their limits", "time [s]", "largest |speed| / limit", _speed_ratios(log, robot)),
         Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
     ]  # fmt: skip
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveTrackSettings, run)

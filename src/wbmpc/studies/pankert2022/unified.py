@@ -13,25 +13,26 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_COMPLIANCE, StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
+from wbmpc.paths import Approach
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
 from wbmpc.settings import ExperimentSettings, Weight, finished
 from wbmpc.simulation.lockstep import Progress, Timing, run_lockstep
 from wbmpc.stability import StanceOf, draw, leg_angles, region_margin, support_triangles
 from wbmpc.stability.assessment import Assessment
 from wbmpc.stability.geometry import Triangle, overlap_regions
-from wbmpc.studies.pankert2022.calibrate import swerve_robot
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, in_frame, stand_still
-from wbmpc.studies.paths import Approach
 
 NAME = "swerve-unified"
 SUMMARY = "the hand holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
@@ -252,3 +253,6 @@ def _picture(robot: RobotModel, title: str, x: np.ndarray) -> Drawing:
     x[robot.state["base"]] = 0.0
     stance = StanceOf(robot)(x)
     return Drawing(title, draw(Assessment(robot, "angles", x, stance, overlap_regions(stance.feet))))
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveUnifiedSettings, run)

@@ -14,6 +14,7 @@ from pydantic import Field
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
+from wbmpc.experiments import Experiment
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
@@ -266,3 +267,6 @@ def _path(robot: RobotModel, name: str, settings: SwerveWobbleSettings) -> Drawi
         x[robot.state["arm"]] = angles
         points.append(stance_of(x).zmp)
     return Drawing(f"Zero-moment point in {name} (Fig. 5)", draw(stretched, np.array(points)))
+
+
+EXPERIMENT = Experiment(NAME, SUMMARY, SwerveWobbleSettings, run)
