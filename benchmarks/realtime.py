@@ -36,8 +36,8 @@ from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.minniti2019.steps import STEPS, target
-from wbmpc.studies.minniti2019.task import RezeroSettings
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.step_goals import STEPS, target
 from wbmpc.types import BallCommand, SwerveCommand
 from wbmpc.view.physics import Simulated
 

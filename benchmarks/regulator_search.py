@@ -26,8 +26,8 @@ from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
 from wbmpc.studies.minniti2019.lqr import LqrController, RegulatorGains
-from wbmpc.studies.minniti2019.push import LAST, NEAR
 from wbmpc.studies.minniti2019.push_map import MODES, Point
+from wbmpc.studies.minniti2019.recovery import LAST, NEAR
 
 Gains = dict[str, float]
 CONTROLLERS = ("lqr", "scheduled-lqr")

@@ -24,7 +24,7 @@ import numpy as np
 from goals import goal_rows, goals_markdown, number, order_statistics, publish
 
 from wbmpc.configuration import configure
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
 

@@ -18,14 +18,16 @@ import numpy as np
 from ros2_processes import Bus, Recorder, matched, open_bus
 from ros2_stream import balance, drive, stream, without_bus
 
-from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.paths import SinePath
+from wbmpc.registry import REGISTRY
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.convert import header, path, upright
 from wbmpc.ros2.settings import BallSettings, RosSettings
-from wbmpc.studies.minniti2019.steps import STEADY, STEPS, RezeroStepsSettings, Schedule, progress_of, rise_time
+from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
+from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
 from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from wbmpc.errors import RunAborted
-from wbmpc.experiments import Experiment
+from wbmpc.experiment import Experiment
 from wbmpc.log import Log
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
 

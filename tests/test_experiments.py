@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from wbmpc import experiments
+from wbmpc import registry
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies import EXPERIMENTS
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 OWN = """
 from pydantic import BaseModel
-from wbmpc.experiments import Experiment
+from wbmpc.experiment import Experiment
 from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 
@@ -47,14 +47,14 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         (metadata / "entry_points.txt").write_text(f"[wbmpc.experiments]\n{name} = their_lab:EXPERIMENT\n")
         monkeypatch.syspath_prepend(str(tmp_path))
         sys.modules.pop("their_lab", None)
-        experiments.locations.cache_clear()
-        experiments.load.cache_clear()
+        registry.locations.cache_clear()
+        registry.load.cache_clear()
 
     yield install
     monkeypatch.undo()
     sys.modules.pop("their_lab", None)
-    experiments.locations.cache_clear()
-    experiments.load.cache_clear()
+    registry.locations.cache_clear()
+    registry.load.cache_clear()
 
 
 def test_entry_points_are_the_table() -> None:
@@ -129,8 +129,8 @@ def test_a_file_is_an_experiment(
     ("source", "message"),
     [
         (None, "there is no file 'mine.py'"),
-        ("x = 1\n", "mine.py: EXPERIMENT: a wbmpc.experiments.Experiment is needed, got NoneType"),
-        ("EXPERIMENT = 3\n", "mine.py: EXPERIMENT: a wbmpc.experiments.Experiment is needed, got int"),
+        ("x = 1\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got NoneType"),
+        ("EXPERIMENT = 3\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got int"),
         ("x = 1\ny = = 2\n", "mine.py, line 2: cannot be imported: SyntaxError"),
         ("import a_module_that_is_nowhere\n", "mine.py: cannot be imported: ModuleNotFoundError"),
         ("1 / 0\n", "mine.py: cannot be imported: ZeroDivisionError"),

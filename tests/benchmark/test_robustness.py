@@ -16,7 +16,7 @@ from goals import goal_rows, goals_markdown, publish
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.pankert2022.unified import SwerveUnifiedSettings
 
 METRIC = "hand_error_rms"

@@ -12,9 +12,9 @@ from toys import robot
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.types import BallCommand, BallMeasurement

@@ -15,7 +15,7 @@ from wbmpc.bases.swerve.calibration_log import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
 from wbmpc.studies.pankert2022.calibrate import OPENING, SwerveCalibrateSettings, _phases

@@ -15,8 +15,10 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
+from wbmpc.studies.minniti2019 import step_figures
 from wbmpc.studies.minniti2019 import steps as rezero_steps
-from wbmpc.studies.minniti2019.steps import STEPS, RezeroStepsSettings
+from wbmpc.studies.minniti2019.step_goals import STEPS
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022 import track as swerve_track
 from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 
@@ -55,7 +57,7 @@ def stepping(settings: RezeroStepsSettings, constants, offsets, turns, heading=N
         log.add("state", t, np.zeros(2 * 8))  # three joints: the other three torques are the wheels'
         log.add("torque", t, [1.0, -2.5 if t > 3.0 else 0.0, 0.5, 9.0, 9.0, 9.0])
     assert len(schedule.times) == len(STEPS) + 3
-    return {n: m.value for n, m in rezero_steps._metrics(log, schedule, settings, fell=False).items()}
+    return {n: m.value for n, m in step_figures.metrics(log, schedule, settings, fell=False).items()}
 
 
 @pytest.mark.parametrize("preview", [True, False])

@@ -10,8 +10,8 @@ import pytest
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022.drive import SwerveDriveSettings, straight, tour

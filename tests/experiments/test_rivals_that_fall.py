@@ -10,6 +10,7 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.experiment import Outcome
 from wbmpc.log import Log
 from wbmpc.result import RunResult
 from wbmpc.simulation.lockstep import Ending
@@ -150,12 +151,12 @@ def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -
             for channel, row in rows.items():
                 log.add(f"{channel}_{name}", t, row[:3] if module is rezero_frequency and channel == "wanted" else row)
         found = SimpleNamespace(faults=[STANDS], monitor=SimpleNamespace(faults=[STANDS]))
-        return endings.get(name, Ending()), no_mpc(), found
+        return Outcome(endings.get(name, Ending()), found.faults, found, no_mpc())
 
     monkeypatch.setattr(module, "drive", drive)
-    monkeypatch.setattr(module, "_plots", lambda *_: [])
+    monkeypatch.setattr(module, "plots", lambda *_: [])
     kind = {rezero_frequency: "RezeroFrequencySettings", rezero_taskspace: "RezeroTaskspaceSettings"}[module]
-    result: RunResult = module.run(getattr(module, kind)(), 0)
+    result: RunResult = module.EXPERIMENT.run(getattr(module, kind)(), 0)
     return result
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from archives import check_steps, check_track
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track import SwerveTrackSettings
 

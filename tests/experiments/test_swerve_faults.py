@@ -13,8 +13,8 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
 from wbmpc.log import Log
+from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation

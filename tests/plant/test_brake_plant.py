@@ -8,8 +8,8 @@ import pytest
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.experiments import REGISTRY
 from wbmpc.model.robot import load_robot
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.types import SwerveCommand
 

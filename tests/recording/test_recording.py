@@ -26,11 +26,11 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
-from wbmpc.experiments import REGISTRY
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.recording.reader import read
 from wbmpc.recording.recorder import PAUSE, Recorder
+from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader

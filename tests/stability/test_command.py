@@ -11,7 +11,7 @@ import pytest
 
 from toys import robot
 from wbmpc.cli import main
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.stability import assess, slope_gravity
 
 SWERVE = robot("swerve-ur10")

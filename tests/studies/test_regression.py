@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from wbmpc.configuration import configure
-from wbmpc.experiments import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies import regression
 from wbmpc.studies.regression import FAST, FULL, differences, key, main
 

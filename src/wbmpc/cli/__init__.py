@@ -45,7 +45,7 @@ from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknow
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from wbmpc.experiments import Experiment
+    from wbmpc.experiment import Experiment
     from wbmpc.result import MpcStatistics, RunResult
     from wbmpc.view.live import View
 
@@ -76,14 +76,14 @@ class _Session:
     def registry(self) -> Mapping[str, Experiment]:
         if self.given is not None:
             return self.given
-        from wbmpc.experiments import REGISTRY
+        from wbmpc.registry import REGISTRY
 
         return REGISTRY
 
     def open(self, name: str) -> Experiment:
         """The experiment of a name, or of a Python file that a user wrote."""
         if name.endswith(".py"):
-            from wbmpc.experiments import load_file
+            from wbmpc.registry import load_file
 
             return load_file(Path(name))
         return self.find(name)

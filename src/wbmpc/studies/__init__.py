@@ -1,4 +1,4 @@
-"""Experiments of two papers, one file each. Nothing outside of this package imports it: :mod:`wbmpc.experiments` finds them."""
+"""Experiments of two papers, one file each. Nothing outside of this package imports it: :mod:`wbmpc.registry` finds them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Experiments by name: those of this package, those of other installed packages, and files that a user wrote.
 
-An experiment is an :class:`Experiment` somewhere in a module. A package offers its own through the entry-point group
+An experiment is a :class:`wbmpc.experiment.Experiment` somewhere in a module. A package offers its own through the entry-point group
 ``wbmpc.experiments``; the built-in ones are listed by :data:`wbmpc.studies.EXPERIMENTS`, so that a source checkout that is not
 installed has them too::
 
@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -24,33 +23,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from pydantic import BaseModel
-
 from wbmpc.errors import InputError, WbmpcError, unknown_name
-from wbmpc.result import RunResult
+from wbmpc.experiment import Experiment
 
 GROUP = "wbmpc.experiments"
 #: The module whose ``EXPERIMENTS`` lists the built-in ones: imported by its name when it is asked for, and nowhere else.
 BUILT_IN = "wbmpc.studies"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A name, a line about it, its settings and ``run(settings, seed, progress)``.
-
-    The name is that of the run's directory too: letters, digits, dots, dashes and underscores. Raises :class:`InputError` for
-    another one.
-    """
-
-    name: str
-    summary: str
-    config_type: type[BaseModel]
-    run: Callable[[Any, int, Callable[[float, str], None] | None], RunResult]
-
-    def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            raise InputError(f"experiment '{self.name}': valid in a name: letters, digits, '.', '-' and '_'")
 
 
 @cache
@@ -111,7 +89,7 @@ def _imported(path: Path) -> ModuleType:
 
 def _checked(found: Any, where: str) -> Experiment:
     if not isinstance(found, Experiment):
-        raise InputError(f"{where}: a wbmpc.experiments.Experiment is needed, got {type(found).__name__}")
+        raise InputError(f"{where}: a wbmpc.experiment.Experiment is needed, got {type(found).__name__}")
     return found
 
 
