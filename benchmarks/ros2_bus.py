@@ -28,7 +28,7 @@ from wbmpc.ros2.settings import BallSettings, RosSettings
 from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
-from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
 
 #: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
 AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0

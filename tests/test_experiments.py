@@ -94,7 +94,7 @@ def test_an_installed_package_offers_an_experiment(
 
 def test_a_built_in_name_cannot_be_taken(package: Callable[[str, str], None]) -> None:
     package("swerve-stability", OWN.replace("NAME", "swerve-stability"))
-    assert REGISTRY["swerve-stability"].run.__module__ == "wbmpc.studies.pankert2022.stability"
+    assert REGISTRY["swerve-stability"].config_type.__module__ == "wbmpc.studies.pankert2022.stability"
 
 
 def test_a_package_that_cannot_be_imported_does_not_hide_the_others(

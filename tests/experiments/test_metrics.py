@@ -19,8 +19,8 @@ from wbmpc.studies.minniti2019 import step_figures
 from wbmpc.studies.minniti2019 import steps as rezero_steps
 from wbmpc.studies.minniti2019.step_goals import STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.pankert2022 import track as swerve_track
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022 import track_figures
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 
 BALL = robot("rezero")
 
@@ -116,7 +116,7 @@ def tracking(
 ) -> dict[str, Metric]:
     """Metrics of a hand beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
     and odometries that end ``drift``, 2 drift and 3 drift [m] off."""
-    references, log = swerve_track._References(settings, robot("swerve-ur10")), Log()
+    references, log = TrackReferences(settings, robot("swerve-ur10")), Log()
     for t in np.arange(0.0, references.duration, 0.02):
         reference, gone = references.hand(np.array([t]))[0], references.base(np.array([t]))[0][0]
         factor, share = (10.0 if t < 2.0 else 1.0), t / references.duration
@@ -129,7 +129,7 @@ def tracking(
         for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
             log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
         log.add("wheel_slip", t, factor * np.array([0.01, 0.02, 0.03, 0.0]))
-    return swerve_track._metrics(log, references)
+    return track_figures.metrics(log, references)
 
 
 def values(metrics: dict[str, Metric]) -> dict[str, float]:
@@ -187,7 +187,7 @@ def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
     assert known.rise(geometry) == pytest.approx(-3e-4)
     given: dict[str, Reference] = {}
     mpc = SimpleNamespace(reference=given, ocp=SimpleNamespace(dynamics=swerve.dynamics()))
-    references = swerve_track._References(TRACK, swerve)
+    references = TrackReferences(TRACK, swerve)
     references.set(mpc, swerve.home, -known.rise(geometry))  # type: ignore[arg-type]
     t = np.array([3.0])
     height = given["hand"].at(3.0)[2]

@@ -14,7 +14,7 @@ from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, pla
 from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
+from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0

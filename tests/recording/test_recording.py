@@ -35,7 +35,7 @@ from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader
 from wbmpc.studies.pankert2022 import stability as swerve_stability
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.types import SwerveCommand
 from wbmpc.view.replay import Film
 

@@ -40,8 +40,8 @@ def build(settings: SwerveBrakesSettings, seed: int) -> Scenario:
 
     def test(name: str, into: dict[Any, Any], key: Any, run: Callable[..., Any], *given: Any) -> Part:
         def kept(progress: Progress | None) -> Outcome:
-            into[key] = run(bench, *given, progress)
-            return Outcome(faults=getattr(into[key], "real", ()))
+            result = into[key] = run(bench, *given, progress)
+            return Outcome(faults=[str(fault) for fault in result.real] if isinstance(result, Found) else ())
 
         return Part(name, kept)
 
