@@ -21,9 +21,9 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
-from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -31,14 +31,15 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import SinePath
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.minniti2019.steps import STEPS, target
-from wbmpc.studies.minniti2019.task import RezeroSettings, leaning_of, set_home_references
-from wbmpc.studies.paths import SinePath
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.step_goals import STEPS, target
+from wbmpc.types import BallCommand, SwerveCommand
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0

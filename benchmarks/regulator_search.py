@@ -22,13 +22,12 @@ import numpy as np
 from push_map import gains, settings_with, write_gains
 from rezero_rivals import SPACE, Store, candidate
 
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
 from wbmpc.studies.minniti2019.lqr import LqrController, RegulatorGains
-from wbmpc.studies.minniti2019.push import LAST, NEAR
 from wbmpc.studies.minniti2019.push_map import MODES, Point
-from wbmpc.studies.minniti2019.task import set_home_references
+from wbmpc.studies.minniti2019.recovery import LAST, NEAR
 
 Gains = dict[str, float]
 CONTROLLERS = ("lqr", "scheduled-lqr")

@@ -16,15 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.minniti2019.task import set_home_references
-from wbmpc.studies.paths import SinePath
-from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.
 PERIOD, NOISE = 0.005, 1e-3

@@ -30,10 +30,10 @@ from wbmpc.benchmark.program import Program, compiler
 from wbmpc.benchmark.qp import matrices, quadratic_race, step_problem
 from wbmpc.benchmark.scaling import limited_arm, slope
 from wbmpc.benchmark.table import text
+from wbmpc.benchmark.test_problems.ballbot import ballbot
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 from wbmpc.benchmark.yardstick import yardstick
 from wbmpc.kernel.compiled import Sizes
-from wbmpc.studies.test_problems.ballbot import ballbot
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
 
 
 # ---------------------------------------------------------------------- operation counts

@@ -9,7 +9,7 @@ import pytest
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.held_arm import ServoedArm
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.circle import RezeroCircleSettings

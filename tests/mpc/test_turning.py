@@ -13,8 +13,7 @@ from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
-from wbmpc.types import Observation
+from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0

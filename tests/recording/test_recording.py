@@ -31,12 +31,13 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.recording.reader import read
 from wbmpc.recording.recorder import PAUSE, Recorder
+from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import stability as swerve_stability
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
+from wbmpc.types import SwerveCommand
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]

@@ -11,8 +11,8 @@ import pytest
 
 from toys import robot
 from wbmpc.cli import main
+from wbmpc.registry import REGISTRY
 from wbmpc.stability import assess, slope_gravity
-from wbmpc.studies import REGISTRY
 
 SWERVE = robot("swerve-ur10")
 

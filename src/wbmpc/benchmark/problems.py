@@ -9,12 +9,12 @@ import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.paths import SinePath
-from wbmpc.studies.test_problems.problem import TestProblem
 
 Limits = Literal["hard", "soft"]
 

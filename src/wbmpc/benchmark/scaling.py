@@ -12,10 +12,10 @@ from wbmpc.benchmark.crocoddyl_peer import crocoddyl_figures, torque_arm_spec
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_figures, prepare
 from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench, zoo_bench
+from wbmpc.benchmark.test_problems.multibody import Multibody
+from wbmpc.benchmark.test_problems.torque_arm import torque_arm
 from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
-from wbmpc.studies.test_problems.multibody import Multibody
-from wbmpc.studies.test_problems.torque_arm import torque_arm
 
 INTERVALS = (25, 50, 100, 200, 400)
 JOINTS = (6, 12, 18)

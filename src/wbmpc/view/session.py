@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
-from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
+from wbmpc.bases.ball.settings import BallControllerSettings as RezeroSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.description import SwerveBaseDescription
@@ -26,7 +27,6 @@ from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Ending, Timing, Watch, Watcher, run_lockstep
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, RezeroSettings, leaning_of, set_home_references
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView

@@ -11,7 +11,7 @@ from wbmpc.bases.ball import residuals as ball_residuals
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 
 
@@ -158,3 +158,10 @@ def limit_torques(
 def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
     """The MPC of that problem with its real-time settings."""
     return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)
+
+
+def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
+    """Rest at home for body, twist and torques."""
+    mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)

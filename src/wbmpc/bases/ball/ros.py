@@ -13,8 +13,9 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallNoise
-from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -25,7 +26,7 @@ from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import BallSettings
-from wbmpc.studies.minniti2019.task import leaning_of, resting
+from wbmpc.types import BallCommand, BallMeasurement
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.

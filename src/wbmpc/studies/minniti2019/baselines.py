@@ -22,7 +22,7 @@ from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateCon
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 
 if TYPE_CHECKING:
-    from wbmpc.studies.minniti2019.task import RezeroSettings
+    from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 Controller = Literal[
     "mpc", "lqr", "scheduled-lqr", "separate", "separate-integral", "separate-aware", "taskspace"

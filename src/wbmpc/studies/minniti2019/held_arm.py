@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_torques
-from wbmpc.bases.ball.model import ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import solve_spd
 from wbmpc.model.layout import Layout
@@ -69,8 +68,8 @@ class ServoedArm:
 
 
 def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """What is left of that problem for a base whose arm somebody else moves (:class:`ServoedArm`): ball, yaw,
-    rates and wheel torques, the same limits."""
+    """What is left of that problem for a base whose arm somebody else moves (:class:`ServoedArm`): ball, yaw, rates and wheel
+    torques, the same limits."""
     ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
     b = cost.body
     body: dict[str, Any] = {

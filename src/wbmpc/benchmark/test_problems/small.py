@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
-from wbmpc.studies.test_problems.problem import TestProblem
 
 
 def double_integrator(

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import (
@@ -26,7 +27,6 @@ from wbmpc.ocp import (
     residuals,
     sets,
 )
-from wbmpc.studies.test_problems.problem import TestProblem
 
 Brakes = Literal["closed", "open", "events"]
 

@@ -6,12 +6,12 @@
 from collections.abc import Callable
 from functools import partial
 
-from wbmpc.studies.test_problems.ballbot import ballbot
-from wbmpc.studies.test_problems.differential import differential_manipulator
-from wbmpc.studies.test_problems.problem import TestProblem
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
-from wbmpc.studies.test_problems.swerve import swerve
-from wbmpc.studies.test_problems.torque_arm import torque_arm
+from wbmpc.benchmark.test_problems.ballbot import ballbot
+from wbmpc.benchmark.test_problems.differential import differential_manipulator
+from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
+from wbmpc.benchmark.test_problems.swerve import swerve
+from wbmpc.benchmark.test_problems.torque_arm import torque_arm
 
 MAKERS: dict[str, Callable[..., TestProblem]] = {
     "double-integrator": double_integrator,

@@ -12,13 +12,13 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.tree import Link
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.ocp.residuals import Symbols
-from wbmpc.studies.test_problems.problem import TestProblem
 
 #: Where the arm's swerve robot stands in for the arm alone, and where its base link is on the base [m] (assumed).
 _MOUNT = np.array([0.2, 0.0, 0.4])
