@@ -22,6 +22,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
@@ -39,7 +40,6 @@ from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
-from wbmpc.types import BallCommand, SwerveCommand
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0

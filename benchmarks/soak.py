@@ -23,6 +23,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
+from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.
 PERIOD, NOISE = 0.005, 1e-3

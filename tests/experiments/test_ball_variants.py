@@ -55,7 +55,7 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     assert len(robot.input.groups["wheel"]) == wheels and len(robot.state.groups["arm"]) == (6 if wrist else 3)
     arm = robot.home[robot.state["arm"]]
     home, torque = robot.base.numeric.equilibrium(arm)
-    settings = balance_settings(barrier_mu=3e-2)
+    settings = mpc_settings(barrier_mu=3e-2)
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque, home)
     mpc.reference["hand"] = Reference.poses([0.0], *robot.pose(home))

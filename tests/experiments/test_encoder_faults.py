@@ -15,7 +15,6 @@ from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
 from wbmpc.studies.minniti2019 import task as rezero_task
 from wbmpc.studies.minniti2019.push import HAND_EXPERIMENT, RezeroPushHandSettings
-from wbmpc.types import BallMeasurement
 
 START = 0.6
 

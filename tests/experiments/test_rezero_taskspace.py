@@ -37,7 +37,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     """Without balance and torque weights: squared miss of the wanted acceleration, for the torques found and others."""
     place, quaternion = ROBOT.pose(HOME)
     goal, gains = place + [0.03, -0.02, 0.02], replace(TaskGains(), balance=1e-9, torque=1e-12)
-    mpc = rezero_mpc(ROBOT, balance_settings(3e-2), RezeroCost())
+    mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     agent = TaskSpaceController(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, 0.0)
     x = HOME.copy()
     x[13:16] = [1.0, -1.5, 1.2]
@@ -55,7 +55,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
 
 
 def test_torques_of_the_rival_respect_the_limits() -> None:
-    mpc = rezero_mpc(ROBOT, balance_settings(3e-2), RezeroCost())
+    mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
     agent = TaskSpaceController(ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, 0.0)
     torque = agent._solve(0.0, HOME)

@@ -13,7 +13,6 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.pankert2022 import fixed
 from wbmpc.studies.pankert2022.fixed_figures import standstill
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
-from wbmpc.types import SwerveMeasurement
 
 
 @pytest.fixture(scope="module")

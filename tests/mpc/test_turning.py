@@ -14,6 +14,7 @@ from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, pla
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.types import Observation
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0

@@ -12,7 +12,6 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import SwerveCommand
 
 
 def test_torque_rises_and_falls_within_the_delay() -> None:

@@ -37,7 +37,6 @@ from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader
 from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
-from wbmpc.types import SwerveCommand
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]

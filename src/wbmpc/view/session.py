@@ -10,6 +10,7 @@ import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
+from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
 from wbmpc.bases.ball.settings import BallControllerSettings as RezeroSettings

@@ -64,26 +64,6 @@ class RezeroCost(Settings):
     speed_slack: float = Field(default=1e3, gt=0)
 
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
-#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
-#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
-#: swings from limit to limit for ever.
-BALANCE_COST = RezeroCost(
-    hand=HandCost(orientation=40.0),
-    body=BodyCost(tilt_rate=3.0, arm=1.0),
-    torque=TorqueCost(wheel=0.1, arm=0.3),
-    lean=0.6,
-    speed_slack=20.0,
-)
-
-
-def balance_settings(barrier_mu: float = 3e-2) -> MpcSettings:
-    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
-    return MpcSettings(
-        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
-    )
-
-
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
     """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
     first = settings.first_interval or None

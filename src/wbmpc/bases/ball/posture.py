@@ -17,7 +17,7 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
     arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
 
     def state(z: np.ndarray) -> np.ndarray:
-        x = robot.equilibrium(z[3:], yaw=float(z[2]))[0]
+        x = robot.base.numeric.equilibrium(z[3:], yaw=float(z[2]))[0]
         x[:2] = z[:2]
         return x
 

@@ -13,6 +13,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallNoise
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.settings import leaning_of
@@ -26,7 +27,6 @@ from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import BallSettings
-from wbmpc.types import BallCommand, BallMeasurement
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.

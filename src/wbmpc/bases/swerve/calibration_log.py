@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import WheelRecord
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.types import SwerveMeasurement
 
 
 def swerve_robot(name: str) -> RobotModel:

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_torques
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import solve_spd
 from wbmpc.model.layout import Layout

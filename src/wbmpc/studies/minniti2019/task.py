@@ -125,7 +125,7 @@ def ball_system(
 ) -> BallSystem:
     """The controller of the settings on a perturbed plant, at rest with its ``arm`` (m) [rad] there, the estimator in the loop."""
     robot = robot_of(settings)
-    home, torque = robot.equilibrium(arm)
+    home, torque = robot.base.numeric.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -19,7 +20,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
-from wbmpc.types import SwerveCommand
 
 #: Push [N] and its length [s] (Fig. 4).
 PUSH, PUSH_TIME = 100.0, 2.0

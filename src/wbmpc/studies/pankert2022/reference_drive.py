@@ -15,17 +15,17 @@ from wbmpc.bases.swerve.brake_control import FLOATING, floating
 from wbmpc.bases.swerve.calibration import calibrate
 from wbmpc.bases.swerve.calibration_log import WheelLog, record_of, steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.model import SwerveGeometry, rolling_inverse_kinematics
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import RunAborted
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.directions import refuse_directions
-from wbmpc.types import SwerveCommand
 
 
 class SwerveCalibrateSettings(Settings):
@@ -71,7 +71,7 @@ class _Phase(NamedTuple):
         return float(rise(t) * rise(self.length - t))
 
 
-def _strokes(geometry: SwerveGeometry, leg: np.ndarray, s: SwerveCalibrateSettings) -> list[tuple[np.ndarray, float]]:
+def _strokes(geometry: ModuleGeometry, leg: np.ndarray, s: SwerveCalibrateSettings) -> list[tuple[np.ndarray, float]]:
     """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed.
 
     With closed brakes no drive with these leg angles shows more of the zeros than their sum and their sums weighed with the
@@ -109,7 +109,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     return phases
 
 
-def _opened(geometry: SwerveGeometry, leg: np.ndarray, stroke: int) -> np.ndarray:
+def _opened(geometry: ModuleGeometry, leg: np.ndarray, stroke: int) -> np.ndarray:
     """Brakes (n, 1 = open) of a stroke: all but one, which takes turns and holds the base's yaw. Four open legs in X hardly
     do, and show no more. All closed where there are no brakes, or where the open legs would not hold the base."""
     brake = np.ones(geometry.modules)
@@ -119,7 +119,7 @@ def _opened(geometry: SwerveGeometry, leg: np.ndarray, stroke: int) -> np.ndarra
 
 
 def _rolling(
-    geometry: SwerveGeometry, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
+    geometry: ModuleGeometry, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steering angles and wheel speeds (n) at ``t`` [s] of a phase; legs (n) that swing are led back to their ``home``.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log

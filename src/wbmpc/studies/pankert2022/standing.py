@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.simulation.lockstep import Timing
-from wbmpc.types import SwerveCommand
 
 
 def stand_still(plant: SwervePlant, agent: SwerveController, timing: Timing, seconds: float) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
@@ -24,7 +25,6 @@ from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, assess, corners
 from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-wobble"
 SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"
