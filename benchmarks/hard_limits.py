@@ -25,10 +25,10 @@ from rich.table import Table
 
 import wbmpc
 from wbmpc.bases.swerve.plant import STEER_SPEED
+from wbmpc.benchmark.limits import iteration_times
 from wbmpc.report import versions
 from wbmpc.simulation.lockstep import run_lockstep
 from wbmpc.solver.solution import COLUMNS
-from wbmpc.studies.race.limits import iteration_times
 
 #: What counts as outside a limit [share of the range].
 OUTSIDE = 1e-3

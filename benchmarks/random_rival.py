@@ -7,9 +7,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.program import Stages, sampled
 from wbmpc.ocp.constraint_classification import Kind, Row
 from wbmpc.solver import Solver
-from wbmpc.studies.race.program import Stages, sampled
 
 _OPTIONS = {
     "print_time": 0,

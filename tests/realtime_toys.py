@@ -16,12 +16,13 @@ import casadi as ca
 import numpy as np
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Cost, OptimalControlProblem
 from wbmpc.runtime.clock import Clock, VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.types import Observation
 
 START = np.array([1.0, 0.0])
 #: Of the controller [s].

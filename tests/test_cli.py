@@ -223,7 +223,7 @@ def test_demo_runs_both_and_prints_one_table(capsys: pytest.CaptureFixture[str])
 
 
 def test_bench_prints_one_object(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    import wbmpc.studies.race as benchmark
+    import wbmpc.benchmark as benchmark
 
     def fake(repeat: int, progress: Any) -> dict[str, Any]:
         progress(0.5, "half")

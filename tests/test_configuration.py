@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from fake_experiment import FakeSettings
 from wbmpc.configuration import configure, keys
 from wbmpc.errors import InputError
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 
 def value_at(tree: Any, key: str) -> Any:

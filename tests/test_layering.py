@@ -109,7 +109,7 @@ environment, directory = dict(os.environ), set(os.listdir())
 import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
 heavy = [m for m in ('casadi', 'mujoco', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
 assert not heavy, heavy
-import wbmpc.studies, wbmpc.studies.race
+import wbmpc.studies, wbmpc.benchmark
 assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())
 assert set(os.listdir()) == directory, os.listdir()
 assert 'plotly' not in sys.modules

@@ -248,7 +248,7 @@ def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> Solver:
     model = robot("rezero")
     settings = MpcSettings(horizon=0.05 * n, intervals=n, first_interval=0.0, barrier_mu=1e-2)
     solver = Solver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
     solver.set_reference("hand", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
     solver.set_reference("body", Reference.constant(home))

@@ -16,11 +16,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.studies.race.child import within
-from wbmpc.studies.race.ours import ONE_ITERATION, single_iteration
-from wbmpc.studies.race.peers import TOLERANCE, Prepared, nlp_solver, prepare
-from wbmpc.studies.race.problems import Problem, rezero_bench
-from wbmpc.studies.race.program import Program
+from wbmpc.benchmark.child import within
+from wbmpc.benchmark.ours import ONE_ITERATION, single_iteration
+from wbmpc.benchmark.peers import TOLERANCE, Prepared, nlp_solver, prepare
+from wbmpc.benchmark.problems import Problem, rezero_bench
+from wbmpc.benchmark.program import Program
 
 BUDGETS_MS = (0.4, 1.0, 3.0, 10.0)
 PERIODS, EVERY, KICK, MOST = 150, 25, 0.15, 20

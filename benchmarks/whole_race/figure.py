@@ -6,7 +6,7 @@ import html
 from pathlib import Path
 from typing import Any
 
-from wbmpc.studies.race.table import write as write_small
+from wbmpc.benchmark.table import write as write_small
 from whole_race.tables import text
 
 _AXES = {"intervals": "intervals", "joints": "joints", "limits": "hard limits per node (0 drawn at 6)"}

@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.machine_speed import peak_gflops
+from wbmpc.benchmark.ours import milliseconds, single_iteration
+from wbmpc.benchmark.problems import Problem
+from wbmpc.benchmark.program import Program
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.ir import LANES
 from wbmpc.solver.workspace import aligned
-from wbmpc.studies.race.machine_speed import peak_gflops
-from wbmpc.studies.race.ours import milliseconds, single_iteration
-from wbmpc.studies.race.problems import Problem
-from wbmpc.studies.race.program import Program
 from whole_race import loops
 from whole_race.lq import eliminate, linearise, pack, substitute
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.program import Program
 from wbmpc.kernel import Kernel
 from wbmpc.solver.workspace import aligned
-from wbmpc.studies.race.program import Program
 from whole_race import loops
 
 Array = np.ndarray

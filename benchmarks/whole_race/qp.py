@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from wbmpc.studies.race.child import within
-from wbmpc.studies.race.ours import milliseconds
-from wbmpc.studies.race.problems import Problem
-from wbmpc.studies.race.program import Program
+from wbmpc.benchmark.child import within
+from wbmpc.benchmark.ours import milliseconds
+from wbmpc.benchmark.problems import Problem
+from wbmpc.benchmark.program import Program
 from whole_race.lq import LQProblem, Packed, eliminate, linearise, our_step, pack, substitute
 
 #: A step is right when it differs from ours by no more than this.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from wbmpc.studies.race import race
-from wbmpc.studies.race.peers import PEERS
+from wbmpc.benchmark import race
+from wbmpc.benchmark.peers import PEERS
 from whole_race import closed_loop, scaling
 from whole_race.crocoddyl_peer import ball_robot_spec, crocoddyl_figures, lq_spec, torque_arm_spec
 from whole_race.floor import profile

@@ -8,13 +8,13 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.ours import ours
+from wbmpc.benchmark.peers import peer_figures, prepare
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench, zoo_bench
+from wbmpc.benchmark.test_problems.multibody import Multibody
+from wbmpc.benchmark.test_problems.torque_arm import torque_arm
 from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
-from wbmpc.studies.race.ours import ours
-from wbmpc.studies.race.peers import peer_figures, prepare
-from wbmpc.studies.race.problems import Problem, rezero_bench, swerve_bench, zoo_bench
-from wbmpc.studies.test_problems.multibody import Multibody
-from wbmpc.studies.test_problems.torque_arm import torque_arm
 from whole_race.crocoddyl_peer import crocoddyl_figures, torque_arm_spec
 
 INTERVALS = (25, 50, 100, 200, 400)

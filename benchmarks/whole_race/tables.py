@@ -6,8 +6,8 @@ from typing import Any
 
 from rich.table import Table
 
-from wbmpc.studies.race.table import ending, number, table_of
-from wbmpc.studies.race.table import text as small_text
+from wbmpc.benchmark.table import ending, number, table_of
+from wbmpc.benchmark.table import text as small_text
 from whole_race.scaling import slope
 
 

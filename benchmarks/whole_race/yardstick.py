@@ -12,14 +12,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.libraries import library_folder
+from wbmpc.benchmark.ours import milliseconds, single_iteration
+from wbmpc.benchmark.problems import Problem
+from wbmpc.benchmark.program import Program, Samples, compiler, sampled
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.cache import trusted_file
-from wbmpc.kernel.compiled import RELATIVE_COMPLIANCE, output_maps
+from wbmpc.kernel.compiled import RELATIVE_SOFTNESS, output_maps
 from wbmpc.ocp import Transcription
-from wbmpc.studies.race.libraries import library_folder
-from wbmpc.studies.race.ours import milliseconds, single_iteration
-from wbmpc.studies.race.problems import Problem
-from wbmpc.studies.race.program import Program, Samples, compiler, sampled
 from whole_race.lq import LQProblem, eliminate, linearise, pack
 
 SOURCE = Path(__file__).parents[1] / "c" / "iteration.c"
@@ -60,7 +60,7 @@ def generated(t: Transcription, kernel: Kernel, width: int, weights: int) -> str
         "N": t.ocp.intervals, "NX": s.nx, "NU": s.nu, "NG": s.ng, "NZ": s.nz, "LX": s.lx, "LZ": s.lz, "LG": s.lg,
         "NP": width, "NW": weights, "NB": len(t.path_boxes), "NBE": len(t.terminal_boxes),
         "BUFFER": max(f.nnz_out(i) for f in functions.values() for i in range(f.n_out())) + 1,
-        "RELATIVE": RELATIVE_COMPLIANCE,
+        "RELATIVE": RELATIVE_SOFTNESS,
     }  # fmt: skip
     maps = output_maps(functions, s)
     tables = [

@@ -37,7 +37,7 @@ _MODULES = {
     "Status": "wbmpc.solver",
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
-    "Observation": "wbmpc.mpc.mpc",
+    "Observation": "wbmpc.types",
     "Policy": "wbmpc.mpc.policy",
     "RealTimeSettings": "wbmpc.runtime.safety",
     "WallClock": "wbmpc.runtime.clock",

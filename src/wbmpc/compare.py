@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
 from wbmpc.recording.reader import read
 from wbmpc.report import RECORDING
 from wbmpc.result import Plot, Series
-from wbmpc.robots import SwerveBaseDescription, load_description
+from wbmpc.robots import load_description
 from wbmpc.run_files import check_metric, read_log, read_metrics
 
 #: Components of a channel, at most, that are drawn.

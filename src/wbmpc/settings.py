@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from wbmpc.log import Log
-from wbmpc.mpc.mpc import MPC
-from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
@@ -78,28 +73,3 @@ class ExperimentSettings(Settings):
     mpc: MpcSettings = MpcSettings()
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
-
-
-def finished(
-    name: str,
-    seed: int,
-    settings: ExperimentSettings,
-    ending: Ending,
-    mpc: MPC,
-    log: Log,
-    *,
-    metrics: Callable[[], dict[str, Metric]],
-    plots: Callable[[], Sequence[Plot | Drawing]],
-    idealisations: list[str],
-    faults: Sequence[str] = (),
-) -> RunResult:
-    """The result of a run however it ended, with the ``faults`` that it found in its robot. A run that ended before its first
-    record has neither figures nor plots."""
-    m = mpc.statistics
-    statistics = MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
-    reason = ending.reason or statistics.fault
-    figures, drawn = (metrics(), list(plots())) if log.channels else ({}, [])
-    return RunResult(
-        name, seed, not reason, reason, figures, statistics, log, drawn, idealisations,
-        settings.model_dump(mode="json"), ending.interrupted, list(faults),
-    )  # fmt: skip

@@ -19,16 +19,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from wbmpc.benchmark import race
+from wbmpc.benchmark.child import within
+from wbmpc.benchmark.machine_speed import peak_gflops
+from wbmpc.benchmark.ours import ours
+from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
+from wbmpc.benchmark.problems import Problem, zoo_bench
+from wbmpc.benchmark.program import Program, compiler
+from wbmpc.benchmark.test_problems.ballbot import ballbot
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 from wbmpc.kernel.compiled import Sizes
-from wbmpc.studies.race import race
-from wbmpc.studies.race.child import within
-from wbmpc.studies.race.machine_speed import peak_gflops
-from wbmpc.studies.race.ours import ours
-from wbmpc.studies.race.peers import peer_figures, prepare, solve_with
-from wbmpc.studies.race.problems import Problem, zoo_bench
-from wbmpc.studies.race.program import Program, compiler
-from wbmpc.studies.test_problems.ballbot import ballbot
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -235,7 +235,7 @@ def test_a_peer_that_hangs_or_dies_ends_with_a_sentence() -> None:
 
 
 def test_a_peer_without_a_compiler_runs_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wbmpc.studies.race.program.compiler", lambda: None)
+    monkeypatch.setattr("wbmpc.benchmark.program.compiler", lambda: None)
     problem = zoo_bench(double_integrator(8))
     prepared = prepare(problem)
     assert "no C compiler" in prepared.how

@@ -7,12 +7,12 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
-from wbmpc.studies.race.ours import ours, several_iterations
-from wbmpc.studies.race.peers import peer_figures, prepare, solve_with
-from wbmpc.studies.race.problems import zoo_bench
-from wbmpc.studies.race.program import Program
-from wbmpc.studies.race.residual import EQUAL, Measure, least_squares, to_equal_residual
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
+from wbmpc.benchmark.ours import ours, several_iterations
+from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
+from wbmpc.benchmark.problems import zoo_bench
+from wbmpc.benchmark.program import Program
+from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 
 
 def test_multipliers_of_signed_rows_are_those_of_scipy() -> None:

@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
 import ipopt
 
 from toys import rezero_solver, robot
+from wbmpc.benchmark.test_problems import MAKERS
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
-from wbmpc.studies.test_problems import MAKERS
-from wbmpc.studies.test_problems.problem import TestProblem
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),
@@ -47,7 +47,7 @@ def rezero_with_a_force() -> TestProblem:
     from wbmpc.settings import MpcSettings
 
     settings = MpcSettings(horizon=0.5, intervals=10, first_interval=0.0, barrier_mu=1e-2)
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     u = np.concatenate([torque, np.zeros(3)])
     references = {
         **base.references, "body": Reference.constant(home),

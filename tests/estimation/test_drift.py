@@ -11,9 +11,9 @@ from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
 from wbmpc.estimation.base_slip import BaseSlipObserver
 from wbmpc.estimation.offset import OffsetObserver
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
+from wbmpc.types import Observation
 
 SLOPE = np.array([0.03, -0.05, 0.02])
 

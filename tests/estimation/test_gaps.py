@@ -9,10 +9,10 @@ from wheels_on_paper import ring
 from wbmpc import lie
 from wbmpc.bases.ball.estimator import JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise
-from wbmpc.bases.swerve.model import rolling_inverse_kinematics
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
 
 FOUR = ring(4)
 PERIOD = 0.0025

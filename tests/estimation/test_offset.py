@@ -15,8 +15,9 @@ from toys import Rows, robot
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.model.ode import Ode
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
+from wbmpc.types import Observation
 
 H, NOISE = 0.02, 1e-3
 GRAVITY, LENGTH = 9.81, 0.5

@@ -11,8 +11,8 @@ import pytest
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.registry import REGISTRY
 from wbmpc.settings import Settings
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
@@ -225,15 +225,15 @@ def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.
     """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
     given: list[Task] = []
     module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]
-    monkeypatch.setattr(module, "run_task", lambda _, settings, seed, task, *more: given.append(task))
+    monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: given.append(task))
     short = {
         "rezero-wholebody": ["settle=0.5", "move=0.5", "hold=1"],
         "rezero-circle": ["settle=0.5", "lap=1", "rounds=1"],
     }
     settings = configure(REGISTRY[name].config_type, ["controller=lqr", *short[name]], name)
-    REGISTRY[name].run(settings, 0)
+    module.build(settings, 0)
     robot, body = load_robot("rezero"), given[0].references["body"]
-    home = robot.pose(robot.equilibrium(BENT_ARM)[0])[0]
+    home = robot.pose(robot.base.numeric.equilibrium(BENT_ARM)[0])[0]
     for t in (0.0, 0.75, 1.0, 1.7):
         x = body.at(t)
         ball, hand = np.zeros(2), home
@@ -245,7 +245,7 @@ def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.
         assert robot.pose(x)[0] == pytest.approx(hand, abs=1e-3)
         assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9
         # it leans as it balances, and its speeds are those of its way
-        lean = robot.equilibrium(x[robot.state["arm"]])[0][3:5]
+        lean = robot.base.numeric.equilibrium(x[robot.state["arm"]])[0][3:5]
         assert x[3:5] == pytest.approx(lean, abs=1e-3)
         n = robot.base.nq
         assert (

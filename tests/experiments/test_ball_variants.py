@@ -10,16 +10,16 @@ import pytest
 import yaml
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.robots.description import DATA
 from wbmpc.simulation.lockstep import Timing, run_lockstep
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, mpc_settings, set_home_references
 
 WRIST = """<body name="wrist_{k}_link" pos="0 0 {z}"><inertial pos="0 0 0.02" mass="0.25" diaginertia="3e-3 3e-3 2e-3"/>
 <joint name="wrist_{k}" axis="{axis}" range="-2 2"/>{inside}</body>"""
@@ -54,7 +54,7 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     robot = variant(tmp_path, wheels, zenith, wrist)
     assert len(robot.input.groups["wheel"]) == wheels and len(robot.state.groups["arm"]) == (6 if wrist else 3)
     arm = robot.home[robot.state["arm"]]
-    home, torque = robot.equilibrium(arm)
+    home, torque = robot.base.numeric.equilibrium(arm)
     settings = mpc_settings(barrier_mu=3e-2)
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque, home)

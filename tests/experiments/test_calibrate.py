@@ -11,14 +11,15 @@ import pytest
 import yaml
 
 from toys import robot
+from wbmpc.bases.swerve.calibration_log import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
-from wbmpc.studies import REGISTRY
-from wbmpc.studies.pankert2022.calibrate import OPENING, SwerveCalibrateSettings, _phases, steer_joints
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSettings, _phases
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
 SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, rest=2.0)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
 from wbmpc.studies.minniti2019 import task as rezero_task
-from wbmpc.studies.minniti2019.push import RezeroPushHandSettings, run_hand
-from wbmpc.types import BallMeasurement
+from wbmpc.studies.minniti2019.push import HAND_EXPERIMENT, RezeroPushHandSettings
 
 START = 0.6
 
@@ -28,7 +28,7 @@ def pushed(monkeypatch: pytest.MonkeyPatch, *faults: SensorFault) -> RunResult:
             self.sensors.faults = faults
 
     monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
-    return run_hand(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
+    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
 
 
 def stalled(number: int, of: Any = "wheel", start: float = START) -> SensorFault:
@@ -67,7 +67,7 @@ def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[BallMeasurement], 
             return fault(m) if m.time > 0.1 - 1e-9 else m
 
     monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
-    return run_hand(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
+    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
 
 
 @pytest.mark.parametrize("field", ["gyro", "wheel", "arm"])

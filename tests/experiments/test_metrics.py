@@ -15,10 +15,12 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
+from wbmpc.studies.minniti2019 import step_figures
 from wbmpc.studies.minniti2019 import steps as rezero_steps
-from wbmpc.studies.minniti2019.steps import STEPS, RezeroStepsSettings
-from wbmpc.studies.pankert2022 import track as swerve_track
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.minniti2019.step_goals import STEPS
+from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.pankert2022 import track_figures
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 
 BALL = robot("rezero")
 
@@ -55,7 +57,7 @@ def stepping(settings: RezeroStepsSettings, constants, offsets, turns, heading=N
         log.add("state", t, np.zeros(2 * 8))  # three joints: the other three torques are the wheels'
         log.add("torque", t, [1.0, -2.5 if t > 3.0 else 0.0, 0.5, 9.0, 9.0, 9.0])
     assert len(schedule.times) == len(STEPS) + 3
-    return {n: m.value for n, m in rezero_steps._metrics(log, schedule, settings, fell=False).items()}
+    return {n: m.value for n, m in step_figures.metrics(log, schedule, settings, fell=False).items()}
 
 
 @pytest.mark.parametrize("preview", [True, False])
@@ -114,7 +116,7 @@ def tracking(
 ) -> dict[str, Metric]:
     """Metrics of a hand beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
     and odometries that end ``drift``, 2 drift and 3 drift [m] off."""
-    references, log = swerve_track._References(settings, robot("swerve-ur10")), Log()
+    references, log = TrackReferences(settings, robot("swerve-ur10")), Log()
     for t in np.arange(0.0, references.duration, 0.02):
         reference, gone = references.hand(np.array([t]))[0], references.base(np.array([t]))[0][0]
         factor, share = (10.0 if t < 2.0 else 1.0), t / references.duration
@@ -127,7 +129,7 @@ def tracking(
         for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
             log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
         log.add("wheel_slip", t, factor * np.array([0.01, 0.02, 0.03, 0.0]))
-    return swerve_track._metrics(log, references)
+    return track_figures.metrics(log, references)
 
 
 def values(metrics: dict[str, Metric]) -> dict[str, float]:
@@ -185,7 +187,7 @@ def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
     assert known.rise(geometry) == pytest.approx(-3e-4)
     given: dict[str, Reference] = {}
     mpc = SimpleNamespace(reference=given, ocp=SimpleNamespace(dynamics=swerve.dynamics()))
-    references = swerve_track._References(TRACK, swerve)
+    references = TrackReferences(TRACK, swerve)
     references.set(mpc, swerve.home, -known.rise(geometry))  # type: ignore[arg-type]
     t = np.array([3.0])
     height = given["hand"].at(3.0)[2]

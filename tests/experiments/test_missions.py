@@ -11,12 +11,13 @@ from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.log import Log
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import drive as swerve_drive
-from wbmpc.studies.pankert2022.drive import SwerveDriveSettings, straight, tour
+from wbmpc.studies.pankert2022 import drive_missions
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
 from wbmpc.studies.pankert2022.drive_figures import recovery
+from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, riding
 
 SWERVE = robot("swerve-ur10")
@@ -87,8 +88,8 @@ QUIET = SwerveDriveSettings(rest=1.0, plant=Perturbation.none(encoder_counts=2**
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]
     bench = swerve_drive._Run(QUIET, SWERVE, 0, Log())
-    ending, _, agent, hit = bench.planned("way", *straight(SWERVE, name, is_open), knock=knock)
-    assert not ending.reason and agent.faults == []
+    outcome, hit = bench.planned("way", *straight(SWERVE, name, is_open), knock=knock)
+    assert not outcome.ending.reason and outcome.faults == []
     return bench.log, hit
 
 
@@ -103,13 +104,13 @@ def test_driving_straight_with_brakes_closed_and_open(name: str, is_open: bool) 
 def test_a_knocked_leg_comes_back() -> None:
     log, hit = run_straight("X", True, knock=4.0)
     error = (log.array("way.leg") - log.array("way.leg_reference"))[:, 0]
-    assert np.abs(error).max() > 0.9 * swerve_drive.KNOCK
+    assert np.abs(error).max() > 0.9 * drive_missions.KNOCK
     assert 0.1 < recovery(log.times("way.leg"), error, hit.done) < 2.0
 
 
 def test_the_rival_drives_and_reconfigures() -> None:
     bench = swerve_drive._Run(QUIET, SWERVE, 0, Log())
-    legs = swerve_drive.leg_angles(SWERVE, "X")
+    legs = drive_missions.leg_angles(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
     bench.rival(mission, 10.0)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +15,16 @@ from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import frequency as rezero_frequency
 from wbmpc.studies.minniti2019 import push as rezero_push
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
-from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
-from wbmpc.studies.minniti2019.task import BENT_ARM, RezeroSettings, Task, ball_robot, bent_arm, common_plots, robot_of
+from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
+from wbmpc.studies.minniti2019.metrics import common_plots
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.task import BENT_ARM, Task, ball_robot, bent_arm, robot_of
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController, _functions
 
 BALL = [name for name in REGISTRY if name.startswith("rezero")]
@@ -41,19 +46,21 @@ def test_every_experiment_takes_a_robot_and_refuses_one_without_a_ball(
 
 
 @pytest.mark.parametrize(
-    ("name", "module"),
+    ("name", "module", "build"),
     [
-        ("rezero-push-hand", rezero_push),
-        ("rezero-circle", rezero_circle),
-        ("rezero-wholebody", rezero_wholebody),
+        ("rezero-push-hand", rezero_push, partial(rezero_push.build, "hand")),
+        ("rezero-circle", rezero_circle, rezero_circle.build),
+        ("rezero-wholebody", rezero_wholebody, rezero_wholebody.build),
     ],
 )
-def test_its_task_is_its_own(name: str, module: object, own: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_task_is_its_own(
+    name: str, module: object, build: Callable[..., Any], own: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It starts at the home of its file; the body's references have its size and begin with the hand where it is."""
     tasks: list[Task] = []
-    monkeypatch.setattr(module, "run_task", lambda _, settings, seed, task, *more: tasks.append(task))
+    monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: tasks.append(task))
     settings = configure(REGISTRY[name].config_type, [f"robot={own.description.source}"], name)
-    REGISTRY[name].run(settings, 0)
+    build(settings, 0)
     np.testing.assert_allclose(tasks[0].arm, [0.0, 1.0, 0.8, 0.0, 0.4, 0.0])
     if "body" in tasks[0].references:
         start = tasks[0].references["body"].at(0.0)
@@ -98,7 +105,7 @@ def test_wheels_are_told_from_the_arm(own: RobotModel) -> None:
 
 def test_the_task_space_rival_balances_on_all_wheels(own: RobotModel) -> None:
     """Its regulator's poles, of the robot on five wheels."""
-    home, torque = own.equilibrium(own.home[own.state["arm"]])
+    home, torque = own.base.numeric.equilibrium(own.home[own.state["arm"]])
     agent = TaskSpaceController.__new__(TaskSpaceController)
     agent.robot, agent.gains, agent.home, agent._rest = own, TaskGains(), home, torque
     agent._model = _functions(own)

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.studies.pankert2022 import track
-from wbmpc.studies.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
+from wbmpc.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
+from wbmpc.studies.pankert2022 import track_references as track
 
 PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
 
@@ -97,7 +97,7 @@ def led(robot: RobotModel, goals: np.ndarray) -> int:
 def test_peaks_are_out_of_reach_of_a_base_on_its_line() -> None:
     """Led outwards: the peaks are 20 to 40 mm beyond where it ends."""
     robot = load_robot("swerve-ur10")
-    path = track._References(track.SwerveTrackSettings(variant="peaks", periods=1), robot).curve()
+    path = track.TrackReferences(track.SwerveTrackSettings(variant="peaks", periods=1), robot).curve()
     y = np.concatenate([np.arange(0.65, 1.22, 0.02), np.arange(1.22, 1.30, 0.002)])
     reached = led(robot, np.stack([np.full(y.size, track.AHEAD), y, np.full(y.size, track.HEIGHT)], axis=1))
     assert 0.020 < path[:, 1].max() - y[reached - 1] < 0.040
@@ -106,11 +106,11 @@ def test_peaks_are_out_of_reach_of_a_base_on_its_line() -> None:
 def test_the_upright_sine_is_as_long_as_the_other_and_within_reach() -> None:
     """The paper's 20.53 m and 0.498 m up and down, and no other amplitude than the one that was asked for; led down, then up."""
     robot = load_robot("swerve-ur10")
-    references = track._References(track.SwerveTrackSettings(variant="vertical"), robot)
+    references = track.TrackReferences(track.SwerveTrackSettings(variant="vertical"), robot)
     path = references.curve()
     assert references.path.arc_length == pytest.approx(20.53, abs=0.01)
     assert np.ptp(path, axis=0) == pytest.approx([15.96, 0.0, 2 * 0.498], abs=1e-4)
-    small = track._References(track.SwerveTrackSettings(variant="vertical", amplitude=0.1), robot)
+    small = track.TrackReferences(track.SwerveTrackSettings(variant="vertical", amplitude=0.1), robot)
     assert np.ptp(small.curve()[:, 2]) == pytest.approx(0.2, abs=1e-4)
     way = [np.linspace(track.HEIGHT, end, 12) for end in (path[:, 2].min(), path[:, 2].max())]
     for z in way:

@@ -11,7 +11,7 @@ import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.log import Log
-from wbmpc.studies.minniti2019.push import LAST, NEAR, RezeroPushHandSettings, push_once, rest
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.push_map import (
     FINE,
     MOST,
@@ -24,6 +24,8 @@ from wbmpc.studies.minniti2019.push_map import (
     read,
     wanted,
 )
+from wbmpc.studies.minniti2019.push_once import push_once
+from wbmpc.studies.minniti2019.recovery import LAST, NEAR, rest
 
 AHEAD = Point("hand", 0.0, 0.2, 0)
 

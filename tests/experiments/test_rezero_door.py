@@ -10,7 +10,9 @@ import pytest
 from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
-from wbmpc.studies.minniti2019.door import RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_figures import trial_metrics
+from wbmpc.studies.minniti2019.door_problem import DoorScheme
+from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 
 SHORT = RezeroDoorSettings(forces=(16.0,), settle=1.0, patience=6.0, rest=0.8)
 #: With a mass that nobody tells of: 1 kg felled the robot after the release when the arm had no posture to go back to.
@@ -19,7 +21,7 @@ LOADED = SHORT.model_copy(update={"payload": 1.0})
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return rezero_door.run(LOADED, 1, None)
+    return rezero_door.EXPERIMENT.run(LOADED, 1, None)
 
 
 def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[no-untyped-def]
@@ -124,10 +126,10 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
 def test_without_the_row_the_force_is_missed() -> None:
     """The paper's free wrench: the same door, the same force."""
     paper = SHORT.model_copy(
-        update={"scheme": rezero_door.DoorScheme(row=False, identify=False, cone=False), "patience": 4.0, "rest": 0.2}
+        update={"scheme": DoorScheme(row=False, identify=False, cone=False), "patience": 4.0, "rest": 0.2}
     )
     trial = rezero_door.push_door(paper, 8.0, 1)
-    figures = rezero_door.trial_metrics(trial, paper.rise)
+    figures = trial_metrics(trial, paper.rise)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15
     assert figures["touch_peak"] > 8.0

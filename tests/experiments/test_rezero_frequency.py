@@ -7,8 +7,8 @@ import pytest
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.studies import REGISTRY
-from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
+from wbmpc.registry import REGISTRY
+from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 
 SHORT = {"settle": 1.5, "hold": 2.0}
 

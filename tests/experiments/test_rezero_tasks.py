@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.circle import RezeroCircleSettings
@@ -99,7 +99,7 @@ def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
 
 def test_hand_stays_inside_its_reach_on_the_circle() -> None:
     """85 % of 0.6 m from the shoulder, at the place of the ball that is farthest from the hand."""
-    home = BALL.equilibrium(BENT_ARM)[0]
+    home = BALL.base.numeric.equilibrium(BENT_ARM)[0]
     hand = BALL.pose(home)[0]
     shoulder = np.array([0.0, 0.0, 0.5])
     path = rezero_circle.ball_path(RezeroCircleSettings(), np.arange(0.0, 25.0, 0.01))
@@ -111,7 +111,7 @@ def test_hand_stays_while_the_ball_drives_round() -> None:
     result = REGISTRY["rezero-circle"].run(RezeroCircleSettings(rounds=1, settle=2.0), 0, None)
     m, log = values(result), result.log
     use = log.times("state") >= 2.0
-    hand = BALL.pose(BALL.equilibrium(BENT_ARM)[0])[0]
+    hand = BALL.pose(BALL.base.numeric.equilibrium(BENT_ARM)[0])[0]
     felt = np.linalg.norm(log.array("hand_estimated")[use] - hand, axis=1)
     assert m["hand_error_rms"] == pytest.approx(np.sqrt(np.mean(felt**2)))
     assert 1e-4 < m["hand_error_rms"] < 0.01

@@ -12,14 +12,14 @@ import pytest
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.settings import mpc_settings
 from wbmpc.settings import ControlSettings
 from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
-from wbmpc.studies.minniti2019.task import mpc_settings
 from wbmpc.studies.minniti2019.taskspace import RezeroTaskspaceSettings
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 
 ROBOT = robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def hand_acceleration(x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_torques_of_the_rival_respect_the_limits() -> None:
 
 def test_both_controllers_take_the_steps() -> None:
     settings = RezeroTaskspaceSettings(settle=1.0, hold=1.0)
-    result = rezero_taskspace.run(settings, 1, None)
+    result = rezero_taskspace.EXPERIMENT.run(settings, 1, None)
     assert result.completed, result.reason
     m, log = {n: v.value for n, v in result.metrics.items()}, result.log
     for name in ("mpc", "taskspace"):
@@ -87,7 +87,7 @@ def test_ctrl_c_in_the_second_part_is_told() -> None:
     # the first part is only there to be over
     slow = RezeroTaskspaceSettings().mpc.model_copy(update={"rate": 40.0})
     settings = RezeroTaskspaceSettings(settle=0.5, hold=1.0, mpc=slow, control=ControlSettings(rate=200.0))
-    result = rezero_taskspace.run(settings, 1, pressed)
+    result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error
     hand, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")

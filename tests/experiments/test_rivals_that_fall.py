@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc import experiment
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.experiment import Outcome
 from wbmpc.log import Log
 from wbmpc.result import RunResult
 from wbmpc.simulation.lockstep import Ending
@@ -18,6 +20,8 @@ from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
 from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022 import fixed as swerve_fixed
 from wbmpc.studies.pankert2022.drive_figures import metrics
+from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, tour
+from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
 
 SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
@@ -64,13 +68,13 @@ def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -
 def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     parts: list[str] = []
     planned = lambda self, name, *_, **__: (
-        parts.append(name) or (Ending(), no_mpc(), SimpleNamespace(faults=[], holds=0), None)
+        parts.append(name) or (Outcome(controller=SimpleNamespace(faults=[], holds=0), mpc=no_mpc()), None)
     )
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
-    monkeypatch.setattr(swerve_drive, "run_lockstep", lambda *_: how)
+    monkeypatch.setattr(experiment, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
-    result = swerve_drive.run(swerve_drive.SwerveDriveSettings(rest=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(rest=0.0), 0)
     # what the user ended was not found in the robot
     assert result.faults == ([f"rival: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
     assert result.reason == ("" if how is FELL else ENDED.reason)
@@ -80,10 +84,10 @@ def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monk
 def test_a_real_fall_of_the_rival_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plant that counts as fallen from its 20 ms on. The search of gains takes such a rival for infinitely bad."""
     monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
-    settings = swerve_drive.SwerveDriveSettings(rest=0.0)
-    mission, _ = swerve_drive.tour(SWERVE, 0.1)
+    settings = SwerveDriveSettings(rest=0.0)
+    mission, _ = tour(SWERVE, 0.1)
     bench = swerve_drive._Run(settings, SWERVE, 0, Log())
-    ending, _ = bench.rival(mission, 1.0)
+    ending = bench.rival(mission, 1.0).ending
     assert ending.fell and bench.log.times("rival.base")[-1] < 0.03
     assert np.isinf(swerve_drive.rival_on_tour(settings, 0)).all()
 
@@ -96,12 +100,12 @@ def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
             for channel in ("odometry", "base"):
                 log.add(f"{channel}_{name}", t, motion.path.pose(t) + [OFF[name], 0.0, 0.0])
             log.add(f"slip_{name}", t, 0.0)
-        return (how if name == who else Ending()), []
+        return Outcome(how if name == who else Ending(), mpc=mpc)
 
     monkeypatch.setattr(swerve_fixed, "drive", drive)
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
-    monkeypatch.setattr(swerve_fixed, "_plots", lambda *_: [])
-    return swerve_fixed.run(swerve_fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    monkeypatch.setattr(swerve_fixed, "plots", lambda *_: [])
+    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
 
 
 @pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
@@ -150,12 +154,12 @@ def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -
             for channel, row in rows.items():
                 log.add(f"{channel}_{name}", t, row[:3] if module is rezero_frequency and channel == "wanted" else row)
         found = SimpleNamespace(faults=[STANDS], monitor=SimpleNamespace(faults=[STANDS]))
-        return endings.get(name, Ending()), no_mpc(), found
+        return Outcome(endings.get(name, Ending()), found.faults, found, no_mpc())
 
     monkeypatch.setattr(module, "drive", drive)
-    monkeypatch.setattr(module, "_plots", lambda *_: [])
+    monkeypatch.setattr(module, "plots", lambda *_: [])
     kind = {rezero_frequency: "RezeroFrequencySettings", rezero_taskspace: "RezeroTaskspaceSettings"}[module]
-    result: RunResult = module.run(getattr(module, kind)(), 0)
+    result: RunResult = module.EXPERIMENT.run(getattr(module, kind)(), 0)
     return result
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from archives import check_steps, check_track
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 TRACK = SwerveTrackSettings(periods=1, rest=2.0, calibration="none")
 STEPS = RezeroStepsSettings(hold=3.5, settle=1.5, rest=0.0)

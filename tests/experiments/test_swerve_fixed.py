@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.pankert2022 import fixed
-from wbmpc.types import SwerveMeasurement
+from wbmpc.studies.pankert2022.fixed_figures import standstill
+from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
 
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.run(fixed.SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
+    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -41,21 +43,21 @@ def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
 
 @pytest.mark.parametrize("stopped", [0.0, 1.5])
 def test_standstill_is_seen(stopped: float) -> None:
-    motion = fixed.Motion.of(fixed.SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    motion = Motion.of(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
     log, pose = Log(), np.zeros(3)
     for t in np.arange(0.0, 8.0, 0.01):
         moves = not 3.0 <= t < 3.0 + stopped
         pose = pose + moves * 0.01 * motion.path.twist(t)
         log.add("base_mpc", t, pose.copy())
     # in the first ramp the base is asked to move before it has come 0.1 s far
-    assert fixed.standstill(log, "mpc", motion) == pytest.approx(max(stopped - 0.1, 0.0), abs=0.12)
+    assert standstill(log, "mpc", motion) == pytest.approx(max(stopped - 0.1, 0.0), abs=0.12)
 
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
 def test_hinged_legs_stay_where_they_are(name: str) -> None:
     """Of a robot whose legs could swing: the rivals leave them closed. Truth: rolling straight ahead, legs at home."""
-    settings = fixed.SwerveFixedSettings(motions=("forward",), random=0.0)
-    motion, robot = fixed.Motion.of(settings, 0), load_robot("swerve-ur10")
+    settings = SwerveFixedSettings(motions=("forward",), random=0.0)
+    motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
     agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
     home = robot.state.split(robot.home)
     agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
@@ -65,4 +67,4 @@ def test_hinged_legs_stay_where_they_are(name: str) -> None:
 
 def test_another_base_is_refused() -> None:
     with pytest.raises(InputError, match="type 'ball'"):
-        fixed.run(fixed.SwerveFixedSettings(robot="rezero"), 0)
+        fixed.EXPERIMENT.run(SwerveFixedSettings(robot="rezero"), 0)

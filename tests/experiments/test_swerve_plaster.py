@@ -8,8 +8,10 @@ import pytest
 
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
-from wbmpc.studies.pankert2022 import plaster
-from wbmpc.studies.pankert2022.plaster import Lines, SwervePlasterSettings, coat, judged, pass_spread, run, stops
+from wbmpc.studies.pankert2022 import plaster_wall as wall
+from wbmpc.studies.pankert2022.plaster import EXPERIMENT
+from wbmpc.studies.pankert2022.plaster_figures import coat, judged, metrics, pass_spread, stops
+from wbmpc.studies.pankert2022.plaster_wall import Lines, SwervePlasterSettings
 
 
 def test_the_way_is_that_of_the_paper_and_gentle() -> None:
@@ -29,22 +31,22 @@ def test_the_way_is_that_of_the_paper_and_gentle() -> None:
 
 
 def test_what_is_sprayed_is_on_the_wall() -> None:
-    hand = np.tile([1.5, plaster.WALL - 0.1, 0.9], (100, 1))
+    hand = np.tile([1.5, wall.WALL - 0.1, 0.9], (100, 1))
     along, up, thick = coat(hand, 0.01)
-    assert thick.sum() * plaster.GRID**2 == pytest.approx(1.0, rel=0.01)  # 1 s at a rate of 1
+    assert thick.sum() * wall.GRID**2 == pytest.approx(1.0, rel=0.01)  # 1 s at a rate of 1
     k, i = np.unravel_index(int(np.argmax(thick)), thick.shape)
-    assert (along[i], up[k]) == pytest.approx((1.5, 0.9), abs=plaster.GRID)
+    assert (along[i], up[k]) == pytest.approx((1.5, 0.9), abs=wall.GRID)
     far = coat(hand - [0.0, 0.05, 0.0], 0.01)[2]
     assert far.sum() == pytest.approx(thick.sum(), rel=0.01) and far.max() < 0.6 * thick.max()
 
 
 def test_even_lines_make_an_even_coat_and_a_missing_one_a_gap() -> None:
-    x = np.arange(0.0, plaster.LENGTH, 0.007) + plaster.AHEAD
-    line = lambda k: np.stack([x, 0 * x + plaster.WALL - 0.1, 0 * x + plaster.LOWEST + k * plaster.APART], axis=1)
+    x = np.arange(0.0, wall.LENGTH, 0.007) + wall.AHEAD
+    line = lambda k: np.stack([x, 0 * x + wall.WALL - 0.1, 0 * x + wall.LOWEST + k * wall.APART], axis=1)
     even = judged(*coat(np.vstack([line(k) for k in range(5)]), 0.01))
     assert even.std() / even.mean() < 0.02
     missing = judged(*coat(np.vstack([line(k) for k in (0, 1, 3, 4)]), 0.01))
-    assert missing.std() / missing.mean() > 0.2 and np.mean(missing < plaster.GAP * missing.mean()) > 0.03
+    assert missing.std() / missing.mean() > 0.2 and np.mean(missing < wall.GAP * missing.mean()) > 0.03
 
 
 def test_spread_is_that_of_the_passes() -> None:
@@ -65,11 +67,11 @@ def test_a_stop_is_counted() -> None:
 
 
 def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plaster, "LENGTH", 0.6)
-    monkeypatch.setattr(plaster, "ENDS", 0.2)
-    monkeypatch.setattr(plaster, "LINES", 3)
+    monkeypatch.setattr(wall, "LENGTH", 0.6)
+    monkeypatch.setattr(wall, "ENDS", 0.2)
+    monkeypatch.setattr(wall, "LINES", 3)
     settings = SwervePlasterSettings(passes=2, rest=0.5, calibration="none", terrain=False)
-    result = run(settings, 0)
+    result = EXPERIMENT.run(settings, 0)
     assert result.completed, result.reason
     m = {k: v.value for k, v in result.metrics.items()}
     assert 1e-4 < m["hand_error_rms"] < 0.01 and 1e-4 < m["hand_error_rms_world_normal"] < 0.01
@@ -78,17 +80,17 @@ def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_switch_stops_the_hand_before_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plaster, "NEAREST", 0.2)
-    monkeypatch.setattr(plaster, "LENGTH", 0.6)
+    monkeypatch.setattr(wall, "NEAREST", 0.2)
+    monkeypatch.setattr(wall, "LENGTH", 0.6)
     settings = SwervePlasterSettings(passes=1, rest=0.0, calibration="none", sensors=False, terrain=False)
-    result = run(settings, 0)
+    result = EXPERIMENT.run(settings, 0)
     assert not result.completed and "switch stopped it" in result.reason
 
 
 @pytest.mark.parametrize("passes", [1, 2])
 def test_one_pass_differs_from_nothing(passes: int) -> None:
     """The spread of passes is a figure only where there are two."""
-    references, log = plaster._References(SwervePlasterSettings(passes=passes), load_robot("swerve-ur10")), Log()
+    references, log = wall.WallReferences(SwervePlasterSettings(passes=passes), load_robot("swerve-ur10")), Log()
     for t in np.arange(references.lines.start, references.lines.end, 0.05):
         hand = references.hand(np.array([t]))[0]
         for name in ("hand", "hand_odometry", "hand_reference"):
@@ -96,5 +98,5 @@ def test_one_pass_differs_from_nothing(passes: int) -> None:
         for name in ("base", "base_odometry"):
             log.add(name, t, references.base(np.array([t]))[0])
         log.add("wheel_slip", t, np.zeros(4))
-    spread = {k for k in plaster._metrics(log, references, True) if k.startswith("pass_spread")}
+    spread = {k for k in metrics(log, references, True) if k.startswith("pass_spread")}
     assert spread == ({"pass_spread_rms", "pass_spread_rms_world"} if passes == 2 else set())

@@ -13,7 +13,8 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import Switch
 from wbmpc.studies.pankert2022 import wobble as swerve_wobble
 from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
-from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings, time_error, unloaded
+from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings
+from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def result():  # type: ignore[no-untyped-def]
     settings = SwerveWobbleSettings(
         heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
     )
-    return swerve_wobble.run(settings, 2)
+    return swerve_wobble.EXPERIMENT.run(settings, 2)
 
 
 def test_only_the_a_configuration_does_not_wobble(result) -> None:  # type: ignore[no-untyped-def]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 DOCS = Path(__file__).parents[2] / "docs" / "experiments-swerve.md"
 

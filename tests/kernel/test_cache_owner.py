@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from toys import LinearQuadratic
+from wbmpc.benchmark.libraries import library_folder
+from wbmpc.benchmark.program import compiled_library, compiler
 from wbmpc.kernel import build_kernel, cache
 from wbmpc.kernel.ir import NUM
 from wbmpc.kernel.library import Library
 from wbmpc.ocp import Transcription
-from wbmpc.studies.race.libraries import library_folder
-from wbmpc.studies.race.program import compiled_library, compiler
 
 CODE = b"machine code of somebody"
 SOMEBODY = 12345

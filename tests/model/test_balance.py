@@ -12,9 +12,10 @@ from toys import robot
 from wbmpc.bases.ball.balance import Balance, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
 from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
-from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
+from wbmpc.ocp.residuals import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver
@@ -175,7 +176,7 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
         solver = Solver(
             rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(barrier=1e-3))
         )
-        home, torque = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+        home, torque = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
         place, quaternion = ROBOT.pose(home)
         for name, value in (("body", home), ("twist", np.zeros(6)), ("torque", torque)):
             solver.set_reference(name, Reference.constant(value))

@@ -9,9 +9,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.types import Observation
 
 AL = AugmentedLagrangian(1e3)
 row = lambda f: Rows(1, f)

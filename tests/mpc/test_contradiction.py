@@ -11,12 +11,13 @@ import pytest
 from realtime_toys import START, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.runtime.clock import VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 #: From this time [s] on the second row counts too.
 LATER = 2.0

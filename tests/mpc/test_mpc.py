@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, STUCK, Observation
+from wbmpc.model.wheels import wheel_velocities
+from wbmpc.mpc.mpc import MPC, STUCK
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver, Trajectory
 from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
+from wbmpc.types import Observation
 
 REAL_TIME = SQP(iterations=1, compute_kkt=False, min_step=0.2, accept_min_step=True)
 START = np.array([0.1, 0.3, 0.0, 0.0])

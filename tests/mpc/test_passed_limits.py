@@ -11,7 +11,7 @@ import pytest
 
 from realtime_toys import ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
 from wbmpc.ocp.sets import Box
@@ -19,6 +19,7 @@ from wbmpc.runtime.clock import VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
+from wbmpc.types import Observation
 
 FASTEST, HARDEST = 0.5, 2.0
 RANGE = 2.0 * FASTEST

@@ -12,7 +12,7 @@ import pytest
 from realtime_toys import Force, Measured, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import InputLimits
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
@@ -22,6 +22,7 @@ from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.runtime.shared_memory import Mailbox, Sizes, TimedPolicy
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint
+from wbmpc.types import Observation
 
 PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
 #: From here the plan is far from its bounds: at them the gains of these inputs are nearly zero.

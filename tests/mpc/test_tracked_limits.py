@@ -31,7 +31,7 @@ def problem(box: wb.sets.Box | None = None, modes: tuple[str, ...] | None = None
     dynamics = wb.Ode({"x": ["cart", "angle", "cart_rate", "angle_rate"]}, {"u": ["force"]}, cart_pole)
     ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=25)
     error = wb.residuals.Expression(4, lambda s: s.x - UPRIGHT)
-    ocp.add(wb.Cost("state", error, [1.0, 10.0, 0.1, 0.1], at="all", terminal_weight=[10.0, 100.0, 1.0, 1.0]))
+    ocp.add(wb.Cost("state", error, [1.0, 10.0, 0.1, 0.1], at="path+terminal", terminal_weight=[10.0, 100.0, 1.0, 1.0]))
     ocp.add(wb.Cost("effort", wb.residuals.Expression(1, lambda s: s.u), 0.01))
     box = wb.sets.Box(-FORCE, FORCE) if box is None else box
     ocp.add(wb.Constraint("limit", wb.residuals.Input(dynamics), box, hard=True, modes=modes))
@@ -98,7 +98,9 @@ def test_the_box_moves_with_its_reference(plain: wb.MPC, reference: wb.Reference
 def test_a_tighter_fixed_bound_and_a_mode_beside_it() -> None:
     """The reference is 3 N: [−2, 8] N by the tracked box, in the mode "careful" only; at most 4 N always."""
     ocp = problem(modes=("careful",))
-    ocp.add(wb.Constraint("least", wb.residuals.Input(ocp.dynamics, tracked=False), wb.sets.Box(-20.0, 4.0), hard=True))
+    ocp.add(
+        wb.Constraint("least", wb.residuals.Input(ocp.dynamics, reference=None), wb.sets.Box(-20.0, 4.0), hard=True)
+    )
     mpc = wb.MPC(ocp, rate=50.0)
     mpc.reference["limit"] = wb.Reference.constant([3.0])
     mpc.set_schedule(wb.ModeSchedule((wb.Mode("careful"), wb.Mode("free")), (0.5,)))
@@ -114,7 +116,7 @@ def test_rows_of_several_inputs_around_references_scale_feedback_back() -> None:
     """|u0 + u1 − r| ≤ 1 with the reference r = 0.25: what feedback adds is scaled, in both inputs alike."""
     dynamics = wb.Ode({"x": ["p", "v"]}, {"u": ["a", "b"]}, lambda x, u: ca.vertcat(x[1], u[0] + 2.0 * u[1]))
     ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=20)
-    ocp.add(wb.Cost("state", wb.residuals.Expression(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(wb.Cost("state", wb.residuals.Expression(2, lambda s: s.x), [10.0, 1.0], at="path+terminal"))
     ocp.add(wb.Cost("effort", wb.residuals.Expression(2, lambda s: s.u), 0.1))
     both = wb.residuals.Expression(1, lambda s: s.u[0] + s.u[1] - s.reference, reference=1)
     ocp.add(wb.Constraint("both", both, wb.sets.Box(-1.0, 1.0), hard=True))

@@ -8,11 +8,11 @@ import pytest
 from toys import robot
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import Trajectory
-from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
+from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.types import Observation
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0
@@ -134,7 +134,7 @@ def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:
     poses = np.vstack([np.zeros(3), np.cumsum(0.5 * (twists[1:] + twists[:-1]) * t[1], axis=0)])
     preview = lambda s, _: np.stack([np.interp(s, t, twists[:, i]) for i in range(3)], axis=1)
     guess = WheelFlipGuess(MODEL, preview)
-    mpc = swerve_mpc(MODEL, MpcSettings(), SwerveFixedSettings().cost, guess, scrubbing=True)
+    mpc = swerve_mpc(MODEL, MpcSettings(), SwerveFixedSettings().cost, guess, allow_side_slip=True)
     for name, group, values in (("state", "base", poses), ("input", "base", twists)):
         layout, home = (MODEL.state, MODEL.home) if name == "state" else (MODEL.input, np.zeros(MODEL.input.size))
         table = np.tile(home, (t.size, 1))

@@ -14,7 +14,7 @@ from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.filters import FilterMemory
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import (
     Constraint,
     Cost,
@@ -26,6 +26,7 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 FILTERS = [InputFilter(4.0, 30.0), InputFilter(9.0, 50.0, 2.0)]
 A = np.array([[0.0, 1.0, 0.0], [-3.0, -0.2, 1.0], [0.5, 0.0, -1.0]])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot, swerve_solver
+from wbmpc.bases.ball.residuals import CapturePoint
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import (
@@ -27,6 +28,7 @@ from wbmpc.ocp import (
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.reference_direction import barrier
 from wbmpc.solver.workspace import box_table
+from wbmpc.studies.minniti2019.door_residuals import PanelContact
 from wbmpc.trajectory import geometric_grid
 
 POINTS = np.array([-3.0, -0.5, -0.02, 0.0, 0.01, 0.05, 0.0999, 0.1001, 0.3, 2.0, 50.0])
@@ -172,10 +174,10 @@ def test_bad_constraints() -> None:
             r"axes.* 'world'\?\); valid: world, reference",
         ),
         (lambda: residuals.Limits(robot("rezero"), "inputs"), r"did you mean 'input'\?\); valid: state, input, both"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 0.0), "capture point: pole must be positive"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
-        (lambda: residuals.PanelContact(None, -1.0), "panel contact: rate must not be negative"),
+        (lambda: CapturePoint(robot("rezero"), 0.0), "capture point: pole must be positive"),
+        (lambda: CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
+        (lambda: CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
+        (lambda: PanelContact(None, -1.0), "panel contact: rate must not be negative"),
         (lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan), "'least' must be finite"),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
         (lambda: residuals.FrameWrench(robot("rezero"), "tool"), "loaded with contact='force' or contact='wrench'"),

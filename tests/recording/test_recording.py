@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc import lie
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
@@ -31,13 +32,12 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.recording.reader import read
 from wbmpc.recording.recorder import PAUSE, Recorder
+from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, watched
 from wbmpc.simulation.scene import Scene, SceneReader
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.pankert2022 import stability as swerve_stability
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
-from wbmpc.types import SwerveCommand
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.view.replay import Film
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]

@@ -10,9 +10,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
+from wbmpc.types import Observation
 
 SOLVERS = {"sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR()}
 START = np.array([1.0, 0.0])

@@ -17,10 +17,10 @@ import pytest
 
 import wbmpc as wb
 from toys import LinearQuadratic
+from wbmpc.benchmark.test_problems.small import cartpole
 from wbmpc.errors import InputError, NotFinite, SolverBusy
 from wbmpc.solver import SLQ, SQP, Solver, Status
 from wbmpc.solver.guards import Exclusive, Interruptible
-from wbmpc.studies.test_problems.small import cartpole
 
 
 def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:
@@ -80,7 +80,7 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
     mpc = wb.MPC(lq.problem(), rate=50.0)
     ways: dict[str, Callable[[], object]] = {
         "solve": lambda: mpc.solver.solve(lq.x0),
-        "guess": lambda: mpc.solver.guess(lq.x0),
+        "warm_start": lambda: mpc.solver.warm_start(lq.x0),
         "simulate": lambda: mpc.solver.simulate(lq.x0, u, 0.1),
         "run": lambda: mpc.solver.run(lq.x0),
         "update": lambda: mpc.update(wb.Observation(0.0, lq.x0)),
@@ -90,7 +90,7 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
     refused: list[SolverBusy] = []
 
     def from_another_thread(solver: Solver, t: float, x0: np.ndarray) -> None:
-        solver.guess(x0)  # its own thread may
+        solver.warm_start(x0)  # its own thread may
 
         def enter() -> None:
             with pytest.raises(SolverBusy) as caught:
@@ -137,7 +137,7 @@ for k in range(int(os.environ["TIMES"])):
         began.set()
         while True:
             if what == "solve":
-                solver.guess(problem.x, problem.u)
+                solver.warm_start(problem.x, problem.u)
                 solver.solve(problem.x0)
             else:
                 solver.simulate(problem.x0, np.ones(1), 0.01)
@@ -201,7 +201,7 @@ def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: obje
 def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
     problem = cartpole(10)
     solver = Solver(problem.ocp, SQP())
-    solver.guess(problem.x0, np.ones(1))
+    solver.warm_start(problem.x0, np.ones(1))
     x, u = np.zeros((11, 4)), np.zeros((10, 1))
     x[7, 1] = u[9, 0] = bad
     for given, words in (
@@ -211,10 +211,10 @@ def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
         ((problem.x0, np.array([bad])), ("guess of u", "u[0]", str(bad))),
     ):
         with pytest.raises(NotFinite) as caught:
-            solver.guess(*given)
+            solver.warm_start(*given)
         assert all(word in str(caught.value) for word in words), caught.value
     with pytest.raises(InputError, match="guess of x: numbers are needed"):
-        solver.guess(["one", "two"])  # type: ignore[arg-type]
+        solver.warm_start(["one", "two"])  # type: ignore[arg-type]
     assert (solver.ws.u == 1.0).all() and np.isfinite(solver.ws.x).all()  # as it was
     fine = Solver(problem.ocp, SLQ(step=0.05))
     with pytest.raises(NotFinite, match="node 7"):

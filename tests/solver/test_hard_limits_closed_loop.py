@@ -77,7 +77,7 @@ def ball_robot(variant: str) -> Excess:
     settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=0.3)
     settings, sqp = settings_for(variant, settings)
     solver = Solver(rezero_problem(model, settings, RezeroCost()), sqp)
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))

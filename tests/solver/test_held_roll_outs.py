@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
+from wbmpc.types import Observation
 
 LIMIT, RANGE = 4.0, 8.0
 TOLERANCE = 1e-3 * RANGE

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
+from wbmpc.types import Observation
 
 RANGE = 1e-3  # of a limit's range: what a command may be outside
 

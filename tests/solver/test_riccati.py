@@ -120,7 +120,7 @@ def test_dependent_consistent_rows(backend: str, repeat: int) -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_compliance(backend: str) -> None:
+def test_softness(backend: str) -> None:
     """A soft row may be softness times its multiplier: −c I in the KKT matrix."""
     lq = LinearQuadratic(4, 3, 2, seed=5, softness=0.3)
     check_against_kkt(lq, one_step(lq, backend))

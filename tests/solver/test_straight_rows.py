@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 #: What an input may be outside [range of the row].
 SHARE, PLANES = 1e-3, 6

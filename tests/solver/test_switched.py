@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.receding import align
 from wbmpc.solver.riccati import backward
+from wbmpc.types import Observation
 
 
 class Ball(ToyDynamics):

@@ -11,9 +11,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status, solver
+from wbmpc.types import Observation
 
 KNOTS = np.linspace(-3.0, 3.0, 13)
 PARABOLA = ca.interpolant("parabola", "bspline", [KNOTS], KNOTS**2)

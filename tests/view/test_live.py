@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import STEERED, main
 from wbmpc.errors import InputError
@@ -27,7 +28,6 @@ from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
-from wbmpc.types import SwerveCommand
 from wbmpc.view.session import _ball, _swerve, run_session
 from wbmpc.view.steering import ORDERS, no_orders
 

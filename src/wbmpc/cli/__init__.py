@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import wraps
@@ -45,8 +45,8 @@ from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcE
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from wbmpc.experiment import Experiment
     from wbmpc.result import MpcStatistics, RunResult
-    from wbmpc.studies import Experiment
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
@@ -76,11 +76,20 @@ class _Session:
     def registry(self) -> Mapping[str, Experiment]:
         if self.given is not None:
             return self.given
-        from wbmpc.studies import REGISTRY
+        from wbmpc.registry import REGISTRY
 
         return REGISTRY
 
+    def open(self, name: str) -> Experiment:
+        """The experiment of a name, or of a Python file that a user wrote."""
+        if name.endswith(".py"):
+            from wbmpc.registry import load_file
+
+            return load_file(Path(name))
+        return self.find(name)
+
     def find(self, name: str) -> Experiment:
+        """The experiment of a name."""
         if name not in self.registry:
             raise unknown_name("experiment", name, self.registry)
         return self.registry[name]
@@ -141,7 +150,8 @@ def _execute(
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
-    experiment = session.find(name)
+    experiment = session.open(name)
+    name = experiment.name
     settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
     try:
         while True:
@@ -265,20 +275,32 @@ def list_experiments(
 
     registry = context.obj.registry
     if as_json:
-        names = [{"name": e.name, "summary": e.summary} for e in registry.values()]
+        names = [{"name": n, "summary": summary} for n, summary in _summaries(registry)]
         typer.echo(json.dumps({"experiments": names, "robots": available_robots()}))
         return
     typer.echo("experiments:")
-    for e in registry.values():
-        typer.echo(f"  {e.name:{max(map(len, registry))}s}  {e.summary}")
+    for n, summary in _summaries(registry):
+        typer.echo(f"  {n:{max(map(len, registry))}s}  {summary}")
     typer.echo("robots:\n  " + "\n  ".join(available_robots()))
+
+
+def _summaries(registry: Mapping[str, Experiment]) -> Iterator[tuple[str, str]]:
+    """Name and summary of each; one of another package that cannot be imported does not hide the others."""
+    for name in registry:
+        try:
+            yield name, registry[name].summary
+        except InputError as error:
+            yield name, f"({error})"
 
 
 @app.command()
 def run(
     context: typer.Context,
     name: Annotated[
-        str, typer.Argument(help="Name of the experiment (see 'wbmpc list').", autocompletion=experiment_names)
+        str,
+        typer.Argument(
+            help="Name of the experiment (see 'wbmpc list'), or a Python file.", autocompletion=experiment_names
+        ),
     ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     assignments: Annotated[
@@ -325,8 +347,8 @@ def bench(
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:
     """Time the solver against others on the same discretised problems, on one core."""
-    from wbmpc.studies.race import run_benchmark
-    from wbmpc.studies.race.table import text, write
+    from wbmpc.benchmark import run_benchmark
+    from wbmpc.benchmark.table import text, write
 
     tell = not (as_json or context.obj.quiet)
     with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:

@@ -36,8 +36,8 @@ SAME_BASE = 0.02
 
 def _robot_of(file: Path, given: str | None) -> RobotModel:
     """The robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other bases."""
+    from wbmpc.bases.swerve.calibration_log import swerve_robot
     from wbmpc.run_files import read_metrics
-    from wbmpc.studies.pankert2022.calibrate import swerve_robot
 
     metrics = file.with_name("metrics.json")
     try:
@@ -98,7 +98,7 @@ def calibrate(
     contradicts, or does not show at all, are not written.
     """
     from wbmpc.bases.swerve.calibration import WheelRecord, fit_wheels
-    from wbmpc.studies.pankert2022.calibrate import steer_joints
+    from wbmpc.bases.swerve.calibration_log import steer_joints
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)

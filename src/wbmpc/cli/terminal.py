@@ -82,7 +82,7 @@ def console() -> Console:
 
 def experiment_names(incomplete: str) -> list[str]:
     """For the shell's completion."""
-    from wbmpc.studies import REGISTRY
+    from wbmpc.registry import REGISTRY
 
     return [name for name in REGISTRY if name.startswith(incomplete)]
 

@@ -15,7 +15,7 @@ class BaseSlipObserver:
     """Body twist (vx, vy, wz) [m/s, rad/s] that explains the difference of measured poses and commanded wheel twists.
 
     First-order filter with ``time_constant`` [s]; the pose must not come from the wheels alone. The estimate is the
-    parameter ``drift`` of a swerve robot's dynamics: with it in the plan there is no steady offset.
+    parameter ``drift`` of the dynamics of a base on wheels: with it in the plan there is no steady offset.
     """
 
     time_constant: float = 0.5

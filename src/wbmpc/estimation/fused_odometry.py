@@ -5,7 +5,7 @@ moves it (:mod:`wbmpc.estimation.wheel_odometry`), the gyro measures the turn of
 are taken in at the time they belong to. The calibration is part of the state because its errors make the drift: they are
 not noise, they last. The lateness is the turn between the moment at which encoders were read and their message: it ends
 with the next message, and a filter that took it for noise of each interval would add it up. Equations and sources:
-docs/derivations.md, section "Swerve base".
+docs/derivations.md, section 6.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
@@ -25,6 +24,7 @@ from wbmpc.estimation.odometry_filter import BIAS, LATE, WHEELS, LegsShow, Odome
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry, fit_twist
 from wbmpc.estimation.wheel_slip import SlipIntensity
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ UNKNOWN_GAP = 1.0
 
 
 class FusedOdometry:
-    """Planar pose of a swerve base with its covariance.
+    """Planar pose of a base on steered wheels with its covariance.
 
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
@@ -64,7 +64,7 @@ class FusedOdometry:
 
     def __init__(
         self,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         pose0: ArrayLike = (0.0, 0.0, 0.0),
         *,
         calibration: WheelCalibration | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.robots import InertialDescription
+from wbmpc.bases.base import InertialDescription
 
 Array = NDArray[np.float64]
 #: A gyro or an accelerometer whose three numbers were the same to the bit so often in a row, and for so long [s], has stopped:

@@ -19,7 +19,7 @@ from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_COMPLIANCE = 1e-12
+RELATIVE_SOFTNESS = 1e-12
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
 _SINGLE = (
@@ -196,7 +196,7 @@ def emit_riccati_node(s: Sizes) -> str:
             dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),
             product("k_ch", xb, ng, nu, lz, 1, lg, lx, lz, True),
             product("k_s", gb, ng, nu, lg, 1, lg, lg, None, False),
-            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_COMPLIANCE),
+            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_SOFTNESS),
             product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
             dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),

@@ -17,26 +17,12 @@ from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status, Trajectory
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.solver import one_jump
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and
 #: then the plan before is where to start from; after more it is so old that the same refusal comes back.
 STUCK = 4
-
-
-@dataclass(frozen=True)
-class Observation:
-    """State ``x`` (nx) at time ``t`` [s]: for the MPC, the state predicted for the moment its policy comes into force."""
-
-    t: float
-    x: np.ndarray
-
-    def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "t", float(self.t))
-            object.__setattr__(self, "x", np.asarray(self.x, float))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"observation: a time and a vector of numbers are needed ({error})") from error
 
 
 class References:

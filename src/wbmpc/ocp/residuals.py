@@ -16,33 +16,21 @@ import numpy as np
 from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
-from wbmpc.ocp.ball_residuals import (
-    BallSpin,
-    CapturePoint,
-    FrictionCone,
-    JointEffort,
-    PanelContact,
-    PushForce,
-    push_on_surface,
-)
+from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin
+from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench
-from wbmpc.ocp.swerve_residuals import LockedJoints, Rolling, SupportMargin
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
     "AccelerationLimit",
-    "BallSpin",
-    "CapturePoint",
     "Expression",
     "FramePose",
     "FrameTwist",
     "FrameWrench",
     "FrictionCone",
     "Input",
-    "JointEffort",
     "Limits",
     "LockedJoints",
-    "PanelContact",
     "ProblemInput",
     "PushForce",
     "Residual",
@@ -153,7 +141,7 @@ class AccelerationLimit:
     given. A speed u in [l, L] that may change by a per second is after Δt in [u_last − a Δt, u_last + a Δt]: in a receding
     horizon that is the limit itself where it acts next, and a cone that widens with the time from now. A joint at q that can
     stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Steering goes without:
-    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a leg
+    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a joint
     whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
     """
 
@@ -208,11 +196,12 @@ class AccelerationLimit:
         return ca.vertcat(*above, *below)
 
     def _braked(self, s: Symbols, name: str) -> ca.SX | float:
-        """1 for a leg whose brake is closed."""
-        mode, (group, joint) = self.robot.mode, name.split(".", 1)
-        if group != "leg" or "brake" not in mode:
-            return 0.0
-        return 1.0 - s.mode[mode.index(f"brake.{joint}")]
+        """1 for a joint whose brake is closed."""
+        group, joint = name.split(".", 1)
+        for brakes, joints in self.robot.base.brakes.items():
+            if group == joints:
+                return 1.0 - s.mode[self.robot.mode.index(f"{brakes}.{joint}")]
+        return 0.0
 
 
 @dataclass(frozen=True)

@@ -121,10 +121,10 @@ def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
 
     Before joints are locked: a coupling of fingers that are all held does nothing. Raises :class:`InputError` with file and joint.
     """
-    used, ball, path = set(description.joints()), getattr(description.base, "ball", None), description.model
+    used, own, path = set(description.joints()), set(description.base.parts().values()), description.model
     for joint in spec.joints:
         sprung = np.any(joint.stiffness) or np.any(joint.springdamper)
-        if sprung and (joint.name in used or joint.parent.name == ball):
+        if sprung and (joint.name in used or joint.parent.name in own):
             raise InputError(f"{path}: joint '{joint.name}' has a spring ('stiffness'), {_UNKNOWN}")
     for body in spec.bodies:
         if body.plugin.active:
@@ -136,7 +136,7 @@ def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
     model = compiled(spec, path)
     for what, joints in _couplings(model):
         names = [model.joint(j).name for j in joints]
-        on = [n for j, n in zip(joints, names, strict=True) if n in used or _body_of(model, j) == ball]
+        on = [n for j, n in zip(joints, names, strict=True) if n in used or _body_of(model, j) in own]
         if on:
             raise InputError(f"{path}: {what} acts on joint {', '.join(repr(n) for n in on)}, {_UNKNOWN}")
     for element in [*spec.equalities, *spec.tendons]:

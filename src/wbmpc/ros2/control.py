@@ -15,7 +15,6 @@ from wbmpc.bases.swerve.ros import SwervePilot
 from wbmpc.bases.swerve.ros_legs import Legs
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
@@ -35,6 +34,7 @@ from wbmpc.ros2.tuning import parameters_of
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings, SafeStop
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import seconds, upright
 from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand, SwerveCommand, Truth
+from wbmpc.types import Truth
 
 Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
@@ -126,7 +128,7 @@ class SwerveSide(_Side):
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """Position and quaternion of the base."""
-        return upright(truth.pose, self.robot.base.height)
+        return upright(truth.pose, self.robot.base.body_height)
 
 
 class BallSide(_Side):
@@ -137,9 +139,8 @@ class BallSide(_Side):
     def __init__(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> None:
         super().__init__()
         self.robot, self.lift = robot, robot.base.radius
-        self.plant = BallPlant(
-            robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), perturbation, seed
-        )
+        home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+        self.plant = BallPlant(robot.description, home, torque, perturbation, seed)
         self.imu_at = self.plant.sensors.mount
 
     def rest(self) -> dict[str, Array]:

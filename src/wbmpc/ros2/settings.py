@@ -10,14 +10,14 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, refuse_unlearnt
+from wbmpc.bases.ball.settings import BallControllerSettings as RezeroStepsSettings
 from wbmpc.bases.swerve.defaults import SwerveCost
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import full_name
 from wbmpc.settings import MpcSettings, Settings
-from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, refuse_unlearnt
 from wbmpc.yaml_file import load_yaml
 
 #: Groups of drives; each that a robot has gets a controller unless the file says otherwise.

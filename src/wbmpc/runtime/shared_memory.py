@@ -218,8 +218,10 @@ class TimedPolicy(Policy):
         active = v["active"] if v["offset"].size else None
         own = (start, seen, ready, number, message.number)
         violation, moving = float(v["limit_violation"]), v.get("moving")
-        more = {"limits": limits, "active": active, "moving": moving, "limit_violation": violation}
-        return cls(v["times"], v["x"], v["u"], v["gain"], *own, **more)
+        return cls(
+            v["times"], v["x"], v["u"], v["gain"], *own,
+            limits=limits, active=active, moving=moving, limit_violation=violation,
+        )  # fmt: skip
 
 
 class Board:

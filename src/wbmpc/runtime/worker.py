@@ -12,9 +12,10 @@ from multiprocessing.connection import wait
 
 import numpy as np
 
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.runtime.clock import Clock, Loop, Ticker, WallClock, follow
 from wbmpc.runtime.shared_memory import Board, Mailbox, Message
+from wbmpc.types import Observation
 
 #: What the worker counts, and its records [s].
 NUMBERS = (

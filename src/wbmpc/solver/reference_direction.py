@@ -13,7 +13,7 @@ from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import curvature
 from wbmpc.solver.workspace import BoxTable, box_table
 
-RELATIVE_COMPLIANCE = 1e-12
+RELATIVE_SOFTNESS = 1e-12
 
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -44,7 +44,7 @@ def riccati_step(
     if d.size:
         half = np.linalg.solve(lower, d.T)
         schur = half.T @ half
-        root = np.linalg.cholesky(schur + np.diag(RELATIVE_COMPLIANCE * np.diag(schur) + eps))
+        root = np.linalg.cholesky(schur + np.diag(RELATIVE_SOFTNESS * np.diag(schur) + eps))
         multipliers = lambda left: np.linalg.solve(root.T, np.linalg.solve(root, left))
         rows = np.column_stack([c, e])
         nu = multipliers(rows + d @ both)

@@ -191,7 +191,7 @@ class BallEstimator:
             return
         self._stood += interval
         if self._stood >= STANDS:
-            pitch, roll = self._robot.equilibrium(self.arm.angle)[0][3:5]
+            pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
             f.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
 

@@ -17,11 +17,11 @@ from scipy.stats import chi2
 
 from wbmpc import lie
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
+from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
-from wbmpc.robots import InertialDescription
 
 Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, 9.81])

@@ -13,7 +13,10 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallNoise
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -24,8 +27,6 @@ from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import BallSettings
-from wbmpc.studies.minniti2019.task import leaning_of, resting
-from wbmpc.types import BallCommand, BallMeasurement
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
@@ -98,7 +99,9 @@ class BusBallAgent(BallController):
         force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
         if moment.any():
             assert self.measured is not None
-            disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
+            disturbance = disturbance + self.robot.base.numeric.tool_moment(
+                self.measured.state[: self.robot.base.nq], moment
+            )
         return {**super().parameters(), "disturbance": disturbance, "force": force}
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
@@ -117,7 +120,7 @@ def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
     """Rest, for ever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
     looks farthest ahead (the last ones end with the horizon)."""
     planned = policy.state(t)
-    rest, torque = robot.equilibrium(planned[robot.state["arm"]])
+    rest, torque = robot.base.numeric.equilibrium(planned[robot.state["arm"]])
     rest = rest.copy()
     rest[:3] = planned[:3]
     u = np.zeros(policy.u.shape[1])
@@ -192,10 +195,10 @@ class BallPilot:
         self._standing: tuple[float, Array] | None = None
         self._answer = np.zeros(6)
         self.parameters: Callable[[], Array] = lambda: self._model.solver.parameters
-        self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+        self._torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
-        robot.mass_matrix(robot.home[: robot.base.nq])
-        robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
+        robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])
+        robot.base.numeric.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
@@ -256,7 +259,7 @@ class BallPilot:
         if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
             self._standing = m.time, before[1]
             return
-        x = self.robot.equilibrium(m.arm)[0].copy()
+        x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
         self._standing = m.time, x
 
@@ -269,7 +272,7 @@ class BallPilot:
 
     def begin(self, x: Array) -> None:
         """A new run: the robot stands upright and at rest, where it was last."""
-        rest, self._torque = self.robot.equilibrium(x[self.robot.state["arm"]])
+        rest, self._torque = self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]])
         self._place = x[:3].copy()
         start = rest.copy()
         start[:3] = self._place

@@ -63,11 +63,11 @@ def swerve_problem(
     side_softness: float = 0.0,
     *,
     accelerations: bool = False,
-    scrubbing: bool = False,
+    allow_side_slip: bool = False,
 ) -> OptimalControlProblem:
     """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
-    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``scrubbing``: the
+    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``allow_side_slip``: the
     reference "rolling" lets wheels slip sideways while they turn about.
     """
     first = settings.first_interval or None
@@ -84,9 +84,8 @@ def swerve_problem(
     ocp.add(Cost("hand", frame, list(hand), at="path+terminal", terminal_weight=list(cost.terminal * hand)))
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
-    ocp.add(Constraint("rolling", residuals.Rolling(robot, scrubbing), softness=side_softness))
-    if "leg" in robot.input:
-        ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
+    for constraint in robot.base.constraints(robot, side_softness, allow_side_slip=allow_side_slip):
+        ocp.add(constraint)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     limits = robot.limits
     free_state = residuals.State(robot, reference=None)
@@ -109,10 +108,10 @@ def swerve_mpc(
     guess: Guess | None = None,
     side_softness: float = ROLLING_SOFTNESS,
     *,
-    scrubbing: bool = False,
+    allow_side_slip: bool = False,
 ) -> MPC:
     """The MPC of that problem with its real-time settings."""
-    ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, scrubbing=scrubbing)
+    ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
     return MPC(ocp, settings.solver(), settings.rate, guess=guess)
 
 

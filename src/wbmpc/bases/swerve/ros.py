@@ -17,9 +17,10 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.controller import SwerveController, Tick
 from wbmpc.bases.swerve.defaults import swerve_mpc
-from wbmpc.bases.swerve.model import rolling_inverse_kinematics
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
 from wbmpc.ros2.convert import nearest_turn
@@ -27,7 +28,6 @@ from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS, RosSettings
 from wbmpc.solver import Trajectory
-from wbmpc.types import SwerveCommand, SwerveMeasurement
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
@@ -261,7 +261,7 @@ class SwervePilot:
         x, y, yaw = seen[1][self.robot.state["base"]]
         v = odometry.twist
         return Estimate(
-            np.array([x, y, self.robot.base.height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
+            np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
             np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), _spatial(odometry.covariance), _spatial(odometry.twist_covariance),
         )  # fmt: skip
 

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.swerve.model import SwerveGeometry, rolling_inverse_kinematics
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.solver import Trajectory
 
 #: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
@@ -67,7 +67,7 @@ class SteeringPlan:
 
 
 def plan_steering(
-    geometry: SwerveGeometry,
+    geometry: ModuleGeometry,
     leg: np.ndarray,
     steer: np.ndarray,
     times: np.ndarray,
@@ -159,7 +159,7 @@ def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
 
 
 def wheel_directions(
-    geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
+    geometry: ModuleGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
     already has the direction that comes next (or keeps its last)."""

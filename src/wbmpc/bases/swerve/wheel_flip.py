@@ -2,7 +2,7 @@
 
 A wheel at the end of its steering range has to go half a turn back and roll on the other way round. While it turns it cannot roll
 where the base goes. Either the base stops (:mod:`wbmpc.bases.swerve.steering_planner`), which costs the way of a turn, or the wheel slips sideways
-and the others carry the base on. Here the row of its side slip is lifted for the turn (``scrubbing`` of
+and the others carry the base on. Here the row of its side slip is lifted for the turn (``allow_side_slip`` of
 :class:`wbmpc.ocp.residuals.Rolling`), and the turn is written into the plan, seconds ahead, where the wheel slips least: at
 best while the base rests. The base's own plan stays as it is, so that the solver takes what is written at once.
 """
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import (
     LOOK,
     NODES,
@@ -27,6 +26,7 @@ from wbmpc.bases.swerve.steering_planner import (
     wheel_directions,
 )
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.ocp import Reference
 from wbmpc.solver import Trajectory
 
@@ -141,7 +141,7 @@ def fast_enough(robot: RobotModel) -> bool:
 class WheelFlipGuess(SteeringGuess):
     """A :class:`SteeringGuess` under which the base does not stop for wheels on its way.
 
-    The problem's rolling rows are ``scrubbing`` ones of the name "rolling", whose reference this sets. ``turns``: those to come and
+    The problem's rolling rows are ones with ``allow_side_slip`` of the name "rolling", whose reference this sets. ``turns``: those to come and
     under way.
     """
 

@@ -8,10 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
+from wbmpc.bases.ball.residuals import JointEffort
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
+from wbmpc.studies.minniti2019.door_residuals import PanelContact
 
 PUSHING = ("held", "moving")
 
@@ -62,7 +64,7 @@ def door_problem(
     ocp = OptimalControlProblem(dynamics, settings.horizon, settings.intervals, first_interval=first)
     _costs(ocp, robot, cost, push)
     if scheme.row:
-        ocp.add(Constraint("door", residuals.PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
+        ocp.add(Constraint("door", PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
         rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
         fast = sets.Box(-scheme.door_rate, scheme.door_rate)
         hard = settings.limits == "hard"
@@ -103,6 +105,6 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
         weight[n["base_velocity"]] = [speed, speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
         add(name, residuals.State(robot), weight, modes=modes)
     ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), {"wheel": cost.torque.wheel, "arm": 0.0}))
-    ocp.add(Cost("effort", residuals.JointEffort(robot), cost.torque.arm))
+    ocp.add(Cost("effort", JointEffort(robot), cost.torque.arm))
     force = {"push": push.force, "across": push.tangential, "up": push.tangential}
     ocp.add(Cost("force", residuals.PushForce(robot), force, modes=PUSHING))

@@ -1,0 +1,55 @@
+"""What hard limits cost: one iteration with them and without any limits, on the problems of ``wbmpc bench``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
+from wbmpc.solver import SQP, InteriorPoint, Solver
+
+
+def _milliseconds(solver: Solver, x0: np.ndarray, passes: int = 200) -> float:
+    """Least of eight medians of an iteration's time."""
+    solver.solve(x0)
+    medians = []
+    for _ in range(8):
+        times = []
+        for _ in range(passes // 8):
+            start = time.process_time()
+            solver.run(x0)
+            times.append(time.process_time() - start)
+        medians.append(float(np.median(times)))
+    return 1e3 * min(medians)
+
+
+def _without_limits(problem: Problem, settings: SQP) -> Solver:
+    """The same problem and references with its inequalities taken out."""
+    given = problem.solver
+    for term in given.ocp.inequalities:
+        del given.ocp.terms[term.name]
+    solver = Solver(given.ocp, settings)
+    solver.references, solver.schedule = given.references, given.schedule
+    start = given.trajectory(copy=False)
+    solver.warm_start(start.x, start.u)
+    return solver
+
+
+def iteration_times() -> dict[str, dict[str, float]]:
+    """Of both robots: an iteration [ms] with hard limits, without limits, and the ratio."""
+    settings = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
+    settings = replace(settings, min_step=0.9)  # one trial point in both
+    problems: dict[str, Callable[[SQP], Problem]] = {
+        "swerve base with arm, 100 intervals": lambda s: swerve_bench(100, s),
+        "ball robot with arm, 65 intervals": lambda s: rezero_bench(65, s),
+    }
+    out = {}
+    for name, make in problems.items():
+        problem = make(settings)
+        hard = _milliseconds(problem.solver, problem.x0)
+        free = _milliseconds(_without_limits(make(settings), settings), problem.x0)
+        out[name] = {"hard_ms": hard, "unlimited_ms": free, "ratio": hard / free}
+    return out

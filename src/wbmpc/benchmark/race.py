@@ -1,0 +1,125 @@
+"""The whole race in one run on one core: who, on what, and how far from the goals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from wbmpc.benchmark.limits import iteration_times
+from wbmpc.benchmark.machine_speed import matrix_product_speed, peak_gflops
+from wbmpc.benchmark.ours import ours, several_iterations
+from wbmpc.benchmark.peers import PEERS, peer, prepare
+from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
+from wbmpc.benchmark.program import compiler
+from wbmpc.benchmark.residual import Measure, to_equal_residual
+from wbmpc.benchmark.sizes import size_race
+from wbmpc.report import versions
+
+#: Both robots; with open brakes the swerve robot's rows do not depend on each other, which Fatrop asks for.
+ROBOTS: tuple[Callable[..., Problem], ...] = (swerve_bench, partial(swerve_bench, brakes="open"), rezero_bench)
+#: Least factor by which we want to be faster than the fastest full solver, and than the fastest QP solver; most that hard
+#: limits may cost; most against C.
+FULL, QUADRATIC, HARD, C = 5.0, 2.0, 1.3, 1.2
+Progress = Callable[[float, str], None]
+
+
+@contextmanager
+def one_core() -> Iterator[int | None]:
+    """Run on one processor core, children too, where the system allows it; yields its number."""
+    try:
+        before = os.sched_getaffinity(0)
+        core = max(before)
+        os.sched_setaffinity(0, {core})
+    except (AttributeError, OSError):
+        yield None
+        return
+    try:
+        yield core
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
+    """One problem by all full solvers: milliseconds per iteration and to convergence, largest difference from ours."""
+    t = problem.solver.problem
+    size = {
+        "nx": t.nx,
+        "nu": t.nu,
+        "rows": t.equality.shape[0],
+        "limits": len(t.path.rows),
+        "intervals": t.ocp.intervals,
+    }
+    common = {"problem": problem.name, **size}
+    x, u, figures = ours(problem, repeat)
+    rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]
+    note(f"{problem.name}: compiling for the peers")
+    prepared = prepare(problem)
+    measure = Measure(prepared.program)
+    attempt = lambda iterations: several_iterations(problem, iterations)
+    rows[0]["residual"] = measure(x, u, problem.x0).figure
+    rows[0] |= to_equal_residual(attempt, figures["iterations"], lambda x, u: measure(x, u, problem.x0))
+    for name in PEERS:
+        note(f"{problem.name}: {name}")
+        rows.append({**common, "solver": name, **peer(name, prepared, problem, x, u, measure)})
+    return rows
+
+
+def _fastest(rows: list[dict[str, Any]], key: str) -> dict[str, Any] | None:
+    """The fastest peer: it has a time, and a right answer where that was looked at."""
+    peers = [r for r in rows if not r["solver"].startswith("wbmpc") and r.get(key)]
+    return min(peers, key=lambda r: r[key], default=None)
+
+
+def _against(rows: list[dict[str, Any]], key: str, goal: float) -> list[dict[str, Any]]:
+    """How many times faster than the fastest peer, per problem."""
+    out = []
+    for name in dict.fromkeys(r["problem"] for r in rows):
+        group = [r for r in rows if r["problem"] == name]
+        own, best = next(r for r in group if r["solver"].startswith("wbmpc")), _fastest(group, key)
+        value = best[key] / own[key] if best else None
+        what = f"{name}: times faster than {best['solver'] if best else 'peers'}"
+        out.append({"what": what, "value": value, "goal": goal, "met": None if value is None else value >= goal})
+    return out
+
+
+def goals(figures: dict[str, Any]) -> list[dict[str, Any]]:
+    """What was wanted, what is, and whether that is enough (None: not measured)."""
+    out = _against(figures["rows"], "iteration_ms", FULL)
+    out += _against(figures.get("quadratic", []), "step_ms", QUADRATIC)
+    for r in figures["sizes"]:
+        what = f"{r['problem']}: times faster than OCS2's constant"
+        out.append({"what": what, "value": r["ratio"], "goal": r["goal"], "met": r["ratio"] >= r["goal"]})
+    at_most = [(f"{n}: hard-limited over unlimited", v["ratio"], HARD) for n, v in figures["limits"].items()]
+    at_most += [(f"{r['problem']}: over C", r.get("ratio"), C) for r in figures.get("yardstick", [])]
+    for what, value, goal in at_most:
+        out.append({"what": what, "value": value, "goal": goal, "met": None if value is None else value <= goal})
+    return out
+
+
+def run_benchmark(repeat: int = 200, progress: Progress | None = None) -> dict[str, Any]:
+    """The solver against IPOPT and Fatrop on both robots, its time beside OCS2's on problems of the same sizes, and what hard
+    limits cost: all figures as one object. ``repeat``: timed iterations per problem."""
+    done = 0
+
+    def note(text: str) -> None:
+        if progress is not None:
+            progress(done / 3, text)
+
+    figures: dict[str, Any] = {"versions": versions(), "compiler": compiler()}
+    with one_core() as core:
+        figures["core"] = core
+        figures["reference_kernel_gflops"], figures["peak_gflops"] = matrix_product_speed(), peak_gflops()
+        figures["rows"] = []
+        for make in ROBOTS:
+            for limits in ("soft", "hard"):
+                figures["rows"] += robot_race(make(limits=limits), repeat, note)
+        done = 1
+        figures["sizes"] = size_race(repeat, note)
+        done = 2
+        note("hard limits")
+        figures["limits"] = iteration_times()
+    figures["goals"] = goals(figures)
+    return figures
