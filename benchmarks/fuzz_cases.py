@@ -19,10 +19,11 @@ import yaml
 
 from wbmpc.configuration import keys
 from wbmpc.errors import InputError
+from wbmpc.experiment import Experiment
 from wbmpc.recording.messages import DEFINITIONS, decode, encode
 from wbmpc.recording.writer import McapFile, stamp
+from wbmpc.registry import REGISTRY
 from wbmpc.robots.description import DATA
-from wbmpc.studies import REGISTRY, Experiment
 
 VALID, INVALID, OPEN = "valid", "invalid", "open"
 

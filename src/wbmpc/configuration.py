@@ -13,6 +13,33 @@ from wbmpc.errors import InputError, did_you_mean
 from wbmpc.yaml_file import parse_yaml
 
 
+class OnlyWith:
+    """Beside a setting's type: which choices of other settings read it, one of them is enough. Changed without any of them, the
+    setting is an error (:func:`reject_unread`)::
+
+        amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = 0.5
+    """
+
+    def __init__(self, **choices: Any) -> None:
+        self.choices = {name: value if isinstance(value, tuple) else (value,) for name, value in choices.items()}
+
+    def reads(self, settings: BaseModel) -> bool:
+        """Whether one of the choices is made."""
+        return any(getattr(settings, name) in values for name, values in self.choices.items())
+
+    def __str__(self) -> str:
+        text = lambda value: str(value).lower() if isinstance(value, bool) else str(value)
+        return " or ".join(f"{name}={text(value)}" for name, values in self.choices.items() for value in values)
+
+
+def reject_unread(settings: BaseModel) -> None:
+    """Raise :class:`ValueError` for the first setting that is not its default and that nothing reads, see :class:`OnlyWith`."""
+    for name, info in type(settings).model_fields.items():
+        for rule in (m for m in info.metadata if isinstance(m, OnlyWith)):
+            if getattr(settings, name) != info.default and not rule.reads(settings):
+                raise ValueError(f"{name}: nothing uses it without {rule}")
+
+
 def _model_of(annotation: Any) -> type[BaseModel] | None:
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from wbmpc.configuration import reject_unread
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
@@ -14,16 +15,15 @@ Weight = Annotated[float, Field(ge=0)]
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values are frozen."""
+    """Base of all settings: unknown keys are errors, values are frozen; so are keys that nothing reads
+    (:class:`wbmpc.configuration.OnlyWith`)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def refuse_unread(self, where: str, *names: str) -> None:
-        """Raise :class:`ValueError` for the first of the settings of these names that is not its default: nothing uses it
-        ``where`` (such as "with legs=targets")."""
-        for name in names:
-            if getattr(self, name) != type(self).model_fields[name].default:
-                raise ValueError(f"{name}: nothing uses it {where}")
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        reject_unread(self)
+        return self
 
 
 class MpcSettings(Settings):

@@ -20,7 +20,6 @@ from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.base_slip import BaseSlipObserver
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
@@ -267,7 +266,6 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
         (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
         (lambda: ContactMonitor(on=np.inf), "contact: 'on' must be finite"),
-        (lambda: BaseSlipObserver(np.inf), "drift observer: 'time_constant' must be finite"),
         (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
         (
             lambda: BallFilter(BallGeometry(0.1, np.eye(3), ZERO), [0, NAN], np.eye(3), BallNoise()),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from wbmpc.configuration import OnlyWith, reject_unread
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -88,8 +89,8 @@ class Perturbation(BaseModel):
     load: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
     brake_fault: Literal["none", "open", "closed"] = "none"
-    brake_fault_leg: int = Field(default=0, ge=0)
-    brake_fault_time: float = Field(default=0.0, ge=0)
+    brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0)
+    brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0)
     cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
@@ -106,10 +107,7 @@ class Perturbation(BaseModel):
 
     @model_validator(mode="after")
     def _fault_of_a_brake(self) -> Self:
-        if self.brake_fault == "none":
-            for name in ("brake_fault_leg", "brake_fault_time"):
-                if getattr(self, name):
-                    raise ValueError(f"{name}: nothing uses it without brake_fault=open or brake_fault=closed")
+        reject_unread(self)
         return self
 
     @model_validator(mode="after")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -46,16 +47,9 @@ class SwervePlasterSettings(ExperimentSettings):
     sensors: bool = True
     terrain: bool = True
     calibration: str = "drive"
-    localisation: LocalisationSettings = LocalisationSettings()
+    localisation: Annotated[LocalisationSettings, OnlyWith(sensors=True, calibration="drive")] = LocalisationSettings()
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
-
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        """A localisation that neither the passes nor a reference drive have is refused."""
-        if not self.sensors and self.calibration != "drive":
-            self.refuse_unread("without sensors or calibration=drive", "localisation")
-        return self
 
 
 @dataclass(frozen=True)

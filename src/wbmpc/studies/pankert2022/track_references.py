@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.bases.swerve.defaults import HandCost, SwerveCost
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -27,8 +28,7 @@ HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
 
 class SwerveTrackSettings(ExperimentSettings):
     """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
-    ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude, which
-    is refused; ``localisation`` is refused where neither a reference drive nor the run has it); ``speed`` along it [m/s]
+    ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
     (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
     standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
     ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
@@ -40,24 +40,17 @@ class SwerveTrackSettings(ExperimentSettings):
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, ge=0.01, le=0.8)
-    amplitude: float = Field(0.498, gt=0, le=0.6)
+    amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = Field(0.498, gt=0, le=0.6)
     use_gyro: bool = True
     calibration: str = "drive"
     global_poses: bool = False
-    localisation: LocalisationSettings = LocalisationSettings()
+    localisation: Annotated[LocalisationSettings, OnlyWith(global_poses=True, calibration="drive")] = (
+        LocalisationSettings()
+    )
     friction: bool = True
     smoothing: float = Field(0.025, ge=0, le=1)
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
-
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        """What the chosen variant, or a run without global poses, does not read is refused."""
-        if self.variant == "peaks":
-            self.refuse_unread("with variant=peaks", "amplitude")
-        if not self.global_poses and self.calibration != "drive":
-            self.refuse_unread("without global_poses or calibration=drive", "localisation")
-        return self
 
 
 class TrackReferences:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
+from wbmpc.configuration import OnlyWith
 from wbmpc.settings import ExperimentSettings, Weight
 
 #: Where the legs begin if nothing else is said.
@@ -25,17 +26,10 @@ class SwerveUnifiedSettings(ExperimentSettings):
     robot: str = "swerve-ur10"
     legs: Literal["targets", "support"] = "targets"
     leg_start: Configuration = AT_HOME
-    leg_goal: Configuration = "A"
-    support: Weight = 0.05
-    reserve: float = Field(0.05, gt=0, le=0.5)
+    leg_goal: Annotated[Configuration, OnlyWith(legs="targets")] = "A"
+    support: Annotated[Weight, OnlyWith(legs="support")] = 0.05
+    reserve: Annotated[float, OnlyWith(legs="support")] = Field(0.05, gt=0, le=0.5)
     use_gyro: bool = True
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
-
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        """What the chosen way of the legs does not read is refused."""
-        unread = ("leg_goal",) if self.legs == "support" else ("support", "reserve")
-        self.refuse_unread(f"with legs={self.legs}", *unread)
-        return self

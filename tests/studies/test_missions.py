@@ -144,7 +144,7 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
 )
 def test_what_the_way_of_the_legs_does_not_read_is_refused(legs: str, given: str) -> None:
     settings, other = REGISTRY["swerve-unified"].config_type, {"support": "targets", "targets": "support"}[legs]
-    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it with legs={legs}"):
+    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs={other}"):
         configure(settings, [f"legs={legs}", given], "swerve-unified")
     configure(settings, [f"legs={other}", given], "swerve-unified")
 
@@ -155,12 +155,20 @@ FILE = "calibration=wheels.yaml"
 @pytest.mark.parametrize(
     ("experiment", "given", "words"),
     [
-        ("swerve-track", ["variant=peaks", "amplitude=0.1"], "amplitude: nothing uses it with variant=peaks"),
-        ("swerve-track", [FILE, "localisation.position=0.5"], "localisation: nothing uses it without global_poses"),
+        (
+            "swerve-track",
+            ["variant=peaks", "amplitude=0.1"],
+            "amplitude: nothing uses it without variant=horizontal or variant=vertical",
+        ),
+        (
+            "swerve-track",
+            [FILE, "localisation.position=0.5"],
+            "localisation: nothing uses it without global_poses=true or calibration=drive",
+        ),
         (
             "swerve-plaster",
             [FILE, "sensors=false", "localisation.rate=5"],
-            "localisation: nothing uses it without sensors",
+            "localisation: nothing uses it without sensors=true or calibration=drive",
         ),
         ("swerve-fixed", ["motions=[]", "random=0"], "motions: none is left, and random is 0"),
         ("swerve-fixed", ["random=10", "motions=[forward,turning,forward]"], "motions: 'forward' stands there twice"),
