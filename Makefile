@@ -6,7 +6,7 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness random grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
+.PHONY: demo test docs bench race realtime bus soak study reproduce readme lateness random grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
@@ -18,6 +18,11 @@ test: $(VENV)/.tested
 	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(PYTEST_ARGS) || status=$$?; \
 	$(ENVIRONMENT) $(BIN)/python -m pytest -m wallclock $(PYTEST_ARGS) || { late=$$?; [ $$late = 5 ] || status=$$late; }; \
 	[ $$status = 5 ] || exit $$status
+
+# docs/_build/html: tutorials are executed, warnings are errors; opens from file://
+docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	$(ENVIRONMENT) nice $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html $(DOCS_ARGS)
 
 # against other solvers, then the soak
 bench: $(VENV)/.installed
@@ -49,12 +54,13 @@ reproduce: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(REPRODUCE_ARGS)
 
-# README's figures (between their marks) and clip from a site of reproduced runs, which is completed first;
+# figures of README and docs/results (between their marks) and the clip from a site of reproduced runs, which is completed first;
 # README_ARGS="--only swerve-track --only rezero-steps"
 readme: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[video]"
 	$(ENVIRONMENT) $(BIN)/wbmpc reproduce $(README_ARGS)
 	$(BIN)/python scripts/readme.py
+	$(BIN)/python scripts/figures.py
 
 # how late the 400 Hz loop is with and without a browser on its view
 lateness: $(VENV)/.installed

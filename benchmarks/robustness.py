@@ -345,9 +345,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
-    parser.add_argument(
-        "--publish", nargs="*", default=[], choices=["goals", "loads"], help="tables that go into docs"
-    )
+    parser.add_argument("--publish", nargs="*", default=[], choices=["goals", "loads"], help="tables that go into docs")
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -363,7 +361,9 @@ def main() -> None:
         print(f"{job.directory}: {reason}")
     robot = "ball" if given.only[0].startswith("rezero") else "swerve"
     if "goals" in given.publish:
-        publish(DOCS / "results" / f"{robot}.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `")
+        publish(
+            DOCS / "results" / f"{robot}.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `"
+        )
     if "loads" in given.publish:
         publish(DOCS / "results" / f"{robot}.md", f"{robot} loads", loads(cells(found)), "### ")
     for name in ("goals.md", "table.md"):

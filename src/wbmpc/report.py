@@ -148,7 +148,9 @@ def commit() -> str:
             for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "."))
         )
         tracked = subprocess.run(
-            ["git", "-C", str(source), "ls-files", "--error-unmatch", Path(__file__).name], capture_output=True, timeout=10
+            ["git", "-C", str(source), "ls-files", "--error-unmatch", Path(__file__).name],
+            capture_output=True,
+            timeout=10,
         )
     except (OSError, subprocess.SubprocessError):
         return ""

@@ -222,7 +222,7 @@ class _WallSensor:
 
 
 def run(settings: SwervePlasterSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """All passes; docs/experiments-swerve.md says what each metric means."""
+    """All passes; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     references = _References(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)

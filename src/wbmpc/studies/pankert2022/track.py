@@ -141,7 +141,7 @@ HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
 
 
 def run(settings: SwerveTrackSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """One run; docs/experiments-swerve.md says what each metric means."""
+    """One run; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     references = _References(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
