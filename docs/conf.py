@@ -26,7 +26,8 @@ copyright = "the wbmpc authors, BSD-3-Clause"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "generated_pages"]
 root_doc = "index"
 exclude_patterns = ["_build", "reference/_*.md"]
-suppress_warnings = ["myst.header"]
+# ref.python: a type in a signature may be re-exported by another module
+suppress_warnings = ["myst.header", "ref.python"]
 
 html_theme = "furo"
 html_title = "wbmpc"

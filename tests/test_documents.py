@@ -29,7 +29,7 @@ PRIVATE = {
 GENERATED = re.compile(r"<!-- (?P<mark>[a-z ]+) -->\n.*?<!-- end of (?P=mark) -->", re.DOTALL)
 LINK = re.compile(r"(!?)\[[^\]]*\]\(<?([^)\s>]*)>?\)")
 #: Pages that the build writes.
-WRITTEN = re.compile(r"docs/reference/_(api/|settings|cli)")
+WRITTEN = re.compile(r"docs/reference/_(api/|settings|cli|changelog)")
 
 
 def pages() -> list[Path]:

@@ -44,6 +44,7 @@ def write(reference: Path) -> None:
         _put(api / f"{package}.md", package_page(f"wbmpc.{package}", ONLY.get(package)))
     _put(api / "modules.md", "# Modules\n\n" + "\n".join(_automodule(f"wbmpc.{name}", "##") for name in MODULES))
     _put(reference / "_cli.md", command_line())
+    _put(reference / "_changelog.md", changelog(reference.parents[1] / "CHANGELOG.md"))
 
 
 def _put(path: Path, text: str) -> None:
@@ -52,10 +53,12 @@ def _put(path: Path, text: str) -> None:
 
 
 def _escaped(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """``|`` and a lone ``*`` outside of literals are text: "|u|² ≤ r²" is no substitution."""
+    """``|`` outside of literals is text: "|u|² ≤ r²" is no substitution."""
     for i, line in enumerate(lines):
         parts = re.split(r"(``[^`]*``|`[^`]*`)", line)
-        lines[i] = "".join(p if p.startswith("`") else re.sub(r"\|", r"\\|", p) for p in parts)
+        text = "".join(p if p.startswith("`") else re.sub(r"\|", r"\\|", p) for p in parts)
+        # ``spread``² : a literal must end before a space or punctuation
+        lines[i] = re.sub(r"(``[^`]+``)(?=[^\s`\-.,:;!?'\")\]}>/\\])", r"\1\\ ", text)
 
 
 def public_names() -> str:
@@ -178,6 +181,11 @@ def _default(value: Any) -> str:
         return "required"
     shown = str(value)
     return f"`{shown}`" if len(shown) <= 60 and shown else "empty" if not shown else "see the model"
+
+
+def changelog(path: Path) -> str:
+    """The changelog with links into this repository as text: pages of past versions may be gone."""
+    return re.sub(r"\[([^\]]*)\]\((?![a-z]+:)[^)]*\)", r"\1", path.read_text())
 
 
 def command_line() -> str:
