@@ -25,7 +25,7 @@ PAPER = {
     "rezero-door": "works; the force is missed",
     "rezero-frequency": "“improves”",
 }
-HEAD = ("experiment", "metric", "goal", "paper", "ours: median (95 %, worst)", "seeds", "reached")
+HEAD = ("experiment", "metric", "goal", "paper", "median (95 %, worst)", "commit", "seeds", "reached")
 
 
 def order_statistics(values: Iterable[float | None]) -> tuple[float, float, float, float, float]:
@@ -62,9 +62,15 @@ def goal_rows(
         rows.append({
             "experiment": name, "metric": metric, "unit": having[0]["metrics"][metric]["unit"], "goal": goal,
             "least": least, "paper": target.get("paper"), "median": median, "p95": bad, "worst": worst,
-            "seeds": [r["seed"] for r in runs], "reached": None if goal is None and least is None else bool(reached),
+            "commit": commits(runs), "seeds": [r["seed"] for r in runs], "reached": None if goal is None and least is None else bool(reached),
         })  # fmt: skip
     return rows
+
+
+def commits(runs: Iterable[Mapping[str, Any]]) -> str:
+    """The commits that runs (contents of metrics.json) are of, as they recorded them."""
+    found = dict.fromkeys(r.get("versions", {}).get("commit") or "unknown" for r in runs)
+    return ", ".join(found)
 
 
 def number(value: float, factor: float = 1.0) -> str:
@@ -87,7 +93,8 @@ def goals_markdown(rows: list[dict[str, Any]]) -> str:
         ours = "{} ({}, {})".format(*(number(row[k], factor) for k in ("median", "p95", "worst")))
         reached = {True: "yes", False: "**no**", None: ""}[row["reached"]]
         metric = f"`{row['metric']}`" + ("" if unit == "1" else f" [{unit}]")
-        fields = [f"`{named}`" if first else "", metric, goal, paper, ours, str(len(row["seeds"])), reached]
+        commit = row.get("commit", "unknown") if first else ""
+        fields = [f"`{named}`" if first else "", metric, goal, paper, ours, commit, str(len(row["seeds"])), reached]
         lines.append("| " + " | ".join(fields) + " |")
     return "\n".join(lines) + "\n"
 

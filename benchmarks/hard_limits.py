@@ -2,7 +2,7 @@
 
 Usage: python benchmarks/hard_limits.py [--seeds 200-219] [--few 10] [--scenarios NAME …] [--variants NAME …] [--out DIR]
 Runs that DIR/runs.jsonl already has of this source are not done again, so that an interrupted study goes on where it was.
-Seeds 0 to 9 were used for tuning; 200 to 219 are for reporting. docs/hard-limits.md explains the figures.
+Seeds 0 to 9 were used for tuning; 200 to 219 are for reporting. docs/results/limits-and-race.md explains the figures.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def cell(runs: list[dict[str, float]], figure: str) -> str:
 
 
 def markdown(found: Runs) -> str:
-    """The same table for docs/hard-limits.md."""
+    """The same table in Markdown."""
     units = [f"{h} [{u}]" if u else h for h, u, _, _ in FIGURES.values()]
     lines = ["| scenario | variant | seeds | " + " | ".join(units) + " |", "| --- " * (3 + len(units)) + "|"]
     for scenario, variants in found.items():

@@ -1,12 +1,11 @@
-"""Experiments over seeds and under burdens that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
+"""Experiments over seeds and under loads that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
 Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
-       [--publish goals burdens]
+       [--publish goals loads]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md, goals.md (experiments and their variants against their goals) and
-robustness.png; docs/robustness.md explains the figures. Left out, --only is all swerve experiments; conditions of other robots
-and variants of other experiments are passed over. --publish puts the table of goals into docs/experiments.md and that of the
-burdens into docs/robustness.md, between marks with the robot's name.
+robustness.png. Left out, --only is all swerve experiments; conditions of other robots and variants of other experiments are passed
+over. --publish puts the tables of goals and of loads, with the commits that the runs are of, into docs/results/swerve.md or ball.md.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from goals import goal_rows, goals_markdown, number, order_statistics, publish
+from goals import commits, goal_rows, goals_markdown, number, order_statistics, publish
 
 from wbmpc.configuration import configure
 from wbmpc.registry import REGISTRY
@@ -216,7 +215,7 @@ def _order(item: tuple[tuple[str, str], Any]) -> tuple[str, int]:
     return name, list(CONDITIONS).index(condition)
 
 
-def burdens(found: list[Cell]) -> str:
+def loads(found: list[Cell]) -> str:
     """A table for each experiment that ran under more than one condition: conditions down, figures across."""
     parts = []
     for name, shown in SHOWN.items():
@@ -229,15 +228,16 @@ def burdens(found: list[Cell]) -> str:
             s = cell.statistics()
             figures = [_figure(s[m], f) if m in s else "–" for m, f, _ in shown]
             lines.append(_row([cell.condition, str(len(cell.runs)), str(cell.completed), *figures]))
-        parts.append(f"### `{name}`\n" + "\n".join(lines))
+        of = commits(run for cell in mine for run in cell.runs)
+        parts.append(f"### `{name}`\nCommit {of}.\n\n" + "\n".join(lines))
     return "\n\n".join(parts) + "\n"
 
 
 def markdown(found: list[Cell]) -> str:
-    """The tables of :func:`burdens`; then all figures under the protocol."""
+    """The tables of :func:`loads`; then all figures under the protocol."""
     protocol = [c for c in found if c.condition == "protocol"]
     parts = [f"#### `{c.experiment}`, protocol, {len(c.runs)} seeds\n" + _protocol(c) for c in protocol]
-    return "\n\n".join([burdens(found), *parts]) + "\n"
+    return "\n\n".join([loads(found), *parts]) + "\n"
 
 
 def _row(fields: Iterable[str]) -> str:
@@ -345,9 +345,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
-    parser.add_argument(
-        "--publish", nargs="*", default=[], choices=["goals", "burdens"], help="tables that go into docs"
-    )
+    parser.add_argument("--publish", nargs="*", default=[], choices=["goals", "loads"], help="tables that go into docs")
     given = parser.parse_args()
     found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
 
@@ -363,9 +361,11 @@ def main() -> None:
         print(f"{job.directory}: {reason}")
     robot = "ball" if given.only[0].startswith("rezero") else "swerve"
     if "goals" in given.publish:
-        publish(DOCS / "experiments.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `")
-    if "burdens" in given.publish:
-        publish(DOCS / "robustness.md", f"{robot} burdens", burdens(cells(found)), "### ")
+        publish(
+            DOCS / "results" / f"{robot}.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `"
+        )
+    if "loads" in given.publish:
+        publish(DOCS / "results" / f"{robot}.md", f"{robot} loads", loads(cells(found)), "### ")
     for name in ("goals.md", "table.md"):
         print((given.out / name).read_text())
 

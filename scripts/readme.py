@@ -6,8 +6,8 @@ A mark is a comment that nobody sees, before the figure and after it:
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
 ``count`` (in how many runs a metric is not 0). Figures come from sites of `wbmpc reproduce` (--site, may be repeated; a later
-one wins) and from tables of `make study` (--study FILE, made with --json). Marks without figures keep what they have; which ones
-is told.
+one wins) and from tables of `make study` (--study FILE, made with --json). The mark ``commit`` takes the commits that the runs of
+the sites are of. Marks without figures keep what they have; ``kept`` of the output lists them.
 """
 
 from __future__ import annotations
@@ -39,6 +39,12 @@ def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
     return found
 
 
+def commits_of(sites: list[Path]) -> str:
+    """The commits that the runs of sites recorded; ``""`` without runs."""
+    files = [json.loads((job.directory / "metrics.json").read_text()) for site in sites for job in finished(site)]
+    return ", ".join(sorted({f.get("versions", {}).get("commit") or "unknown" for f in files}))
+
+
 def short(value: float) -> str:
     """Two digits."""
     return "not a number" if value != value else f"{value:.0f}" if abs(value) >= 9.95 else f"{value:#.2g}".rstrip(".")
@@ -60,12 +66,12 @@ def text(what: str, found: dict[str, dict[str, dict[str, Any]]]) -> str | None:
     return {"": f"{median}{shown} ({worst})", "median": f"{median}{shown}", "worst": f"{worst}{shown}"}["".join(how)]
 
 
-def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]]) -> tuple[str, list[str]]:
+def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]], commit: str = "") -> tuple[str, list[str]]:
     """The README with figures between its marks, and the marks for which there are none."""
     left: list[str] = []
 
     def put(match: re.Match[str]) -> str:
-        new = text(match["what"], found)
+        new = (commit or None) if match["what"] == "commit" else text(match["what"], found)
         if new is None:
             left.append(match["what"])
             return match[0]
@@ -99,7 +105,7 @@ def main() -> None:
         found = {**found, **json.loads(study.read_text())}
     if not found:
         raise SystemExit(f"readme: {', '.join(map(str, sites))} holds no finished runs: wbmpc reproduce")
-    filled, left = fill(given.readme.read_text(), found)
+    filled, left = fill(given.readme.read_text(), found, commits_of(sites))
     given.readme.write_text(filled)
     clip(sites, given.clip)
     print(json.dumps({"readme": str(given.readme), "experiments": sorted(found), "kept": left}))

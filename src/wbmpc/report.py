@@ -6,9 +6,11 @@ import html
 import json
 import math
 import platform
+import subprocess
 import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -120,6 +122,7 @@ def versions() -> dict[str, str]:
     """What ran: versions of this library and of what it stands on, and the processor."""
     out = {
         "wbmpc": __version__,
+        "commit": commit(),
         "python": platform.python_version(),
         "machine": platform.machine(),
         "cpu": _processor(),
@@ -130,6 +133,30 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             out[name] = "unknown"
     return out
+
+
+@cache
+def commit() -> str:
+    """The commit of this checkout, short, with ``+`` behind it if files differ from it; ``""`` for an installed package.
+
+    It is looked up once per process: documents name the commit that a figure is of.
+    """
+    source = Path(__file__).parent
+    try:
+        revision, changed = (
+            subprocess.run(
+                ["git", "-C", str(source), *words], capture_output=True, text=True, check=True, timeout=10
+            ).stdout.strip()
+            for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "."))
+        )
+        tracked = subprocess.run(
+            ["git", "-C", str(source), "ls-files", "--error-unmatch", Path(__file__).name],
+            capture_output=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return "" if tracked.returncode else revision + "+" * bool(changed)
 
 
 def _processor() -> str:

@@ -152,9 +152,10 @@ def test_what_is_published_leaves_other_experiments_as_they_are(tmp_path: Path) 
 
 def test_docs_have_their_marks() -> None:
     for name, mark in (
-        ("experiments.md", "swerve goals"),
-        ("experiments.md", "ball goals"),
-        ("robustness.md", "swerve burdens"),
+        ("swerve.md", "swerve goals"),
+        ("ball.md", "ball goals"),
+        ("swerve.md", "swerve loads"),
+        ("ball.md", "ball loads"),
     ):
-        text = (robustness.DOCS / name).read_text()
+        text = (robustness.DOCS / "results" / name).read_text()
         assert text.index(f"<!-- {mark} -->") < text.index(f"<!-- end of {mark} -->")

@@ -340,7 +340,7 @@ def test_bad_readings_are_refused() -> None:
 
 @pytest.mark.parametrize(("gyro", "accel"), [(0.0, 0.0), (0.3, 0.0), (0.0, 40.0), (3.0, 0.0), (0.0, 100.0)])
 def test_a_motion_that_changes_is_known_less_well(gyro: float, accel: float) -> None:
-    """Noise of turning and push by the formulas of docs/derivations.md: c h Δ beside σ √h, of two messages that differ by Δ; not of
+    """Noise of turning and push by the formulas of docs/explanation/ball-robot.md: c h Δ beside σ √h, of two messages that differ by Δ; not of
     one that jumps (1 rad/s, 90 m/s²): such a one is judged, not believed a little less."""
     s = BallNoise()
     f = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), s)

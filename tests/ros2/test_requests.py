@@ -79,8 +79,8 @@ def test_whatever_a_goal_does_what_runs_goes_on(
 
 
 def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
-    """The first Python block of docs/ros2.md, as a process."""
-    block = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs/ros2.md").read_text(), re.S)[0]
+    """The first Python block of docs/how-to/ros2.md, as a process."""
+    block = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs/how-to/ros2.md").read_text(), re.S)[0]
     p = pair()
     p.ready()
     given = {**os.environ, **ENVIRONMENT}

@@ -15,7 +15,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ros2.settings import RosSettings, load_settings
 
 ROBOT = load_robot("swerve-ur10")
-DOCS = Path(__file__).parents[2] / "docs" / "ros2.md"
+DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "ros2.md"
 
 
 def write(folder: Path, text: str) -> Path:
@@ -113,7 +113,7 @@ def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
 
 
 def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
-    """The first YAML block of docs/ros2.md that has the key 'topics'."""
+    """The first YAML block of docs/how-to/ros2.md that has the key 'topics'."""
     blocks = re.findall(r"```yaml\n(.*?)```", DOCS.read_text(), re.S)
     block = next(b for b in blocks if "topics:" in b)
     settings = load_settings(write(tmp_path, block), ROBOT)
@@ -121,7 +121,7 @@ def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
 
 
 def test_the_documentations_controllers_are_the_robots() -> None:
-    """controllers.yaml of docs/ros2.md against the robot's own drives, and against the parameters and interfaces that
+    """controllers.yaml of docs/how-to/ros2.md against the robot's own drives, and against the parameters and interfaces that
     ros2_controllers' definitions have; every controller finds its interface in the URDF's tags."""
     text = DOCS.read_text()
     block = next(b for b in re.findall(r"```yaml\n(.*?)```", text, re.S) if "controller_manager:" in b)

@@ -126,7 +126,7 @@ def test_a_row_that_is_small_here_and_large_there_is_doubted() -> None:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 @pytest.mark.parametrize("softness", [1e-6, 1e-2])
 def test_a_soft_equality_converges_to_its_own_optimum(backend: str, softness: float) -> None:
-    """r = u + 1/2 with softness c: the same as a cost of (1/c) r² / 2 per interval (docs/derivations.md, section 2)."""
+    """r = u + 1/2 with softness c: the same as a cost of (1/c) r² / 2 per interval (docs/explanation/solver.md)."""
     soft = solve(cart(row("soft", lambda s: s.u + 0.5, ZERO, softness=softness)), SQP(backend=backend))  # type: ignore[arg-type]
     want = solve(cart(cost("soft", lambda s: s.u + 0.5, 20.0 / softness)), SQP())
     assert soft.status is want.status is Status.CONVERGED and soft.detail == ""

@@ -14,7 +14,7 @@ from wbmpc.recording.messages import Field, encode
 
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
 _RESULT = "bool success\nstring message\n"
-#: Services have no definitions in rosbags. SetLegs is of the package that docs/ros2.md shows.
+#: Services have no definitions in rosbags. SetLegs is of the package that docs/how-to/ros2.md shows.
 SERVICES = {
     "wbmpc_msgs/srv/SetLegs": ("string configuration\nstring[] leg\nfloat64[] angle\nbool[] brake_open\n", _RESULT),
     "std_srvs/srv/Trigger": (_EMPTY, _RESULT),

@@ -11,7 +11,7 @@ The rows of a node come in vectors of eight (:mod:`wbmpc.solver.inequality_algeb
 ones, then rows that do nothing, up to a multiple of eight. Without L1 slack ("open", infinite ν): s = 0, and y counts as 1
 wherever it only scales.
 
-Sources: Nocedal and Wright 2006, sections 19.2 and 17.4; derivation in docs/derivations.md.
+Sources: Nocedal and Wright 2006, sections 19.2 and 17.4; derivation in docs/explanation/inequalities.md.
 """
 
 from __future__ import annotations

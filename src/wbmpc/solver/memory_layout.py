@@ -1,6 +1,6 @@
 """Where things are in the table ``o`` of :mod:`wbmpc.solver.workspace`: constants for the compiled code.
 
-The letters are those of docs/derivations.md. Every compiled function works on the memory ``m`` (doubles) and the table ``o``
+The letters are those of docs/explanation/solver.md. Every compiled function works on the memory ``m`` (doubles) and the table ``o``
 (integers) and allocates nothing; arguments named after a block or an array are offsets into the memory.
 """
 

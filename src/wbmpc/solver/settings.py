@@ -45,11 +45,11 @@ class InteriorPoint:
     it at ``barrier`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
     per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
     and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
-    0.9 of the longest that is tried (docs/derivations.md, section 3).
+    0.9 of the longest that is tried (docs/explanation/solver.md).
     ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
     motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of a balancing robot
     began metres off, and a push of 120 N s felled it instead of 260.
-    ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/hard-limits.md).
+    ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/results/limits-and-race.md).
     """
 
     mode: Literal["converge", "real_time"] = "converge"

@@ -2,7 +2,7 @@
 
 Source: Bloesch, Burri, Sommer, Siegwart, Hutter: "The Two-State Implicit Filter", RA-L 2018: no prediction, only residuals
 between two consecutive states; the older one is marginalised. Here the residuals are inertial increments (strapdown), rolling
-of the ball without slip, wheel encoders, and the floor's height. docs/derivations.md has the equations.
+of the ball without slip, wheel encoders, and the floor's height. docs/explanation/ball-robot.md has the equations.
 """
 
 from __future__ import annotations

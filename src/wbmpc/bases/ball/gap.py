@@ -1,7 +1,7 @@
 """A gap in time of the ball filter: what the wheels say about it, and how little is known afterwards.
 
 Three wheels that do not slip turn with the ball relative to the base: two parts of that are the ball's way over the floor, the
-third is the base's turning about the vertical, if the base leans as little as a robot that stands. See docs/derivations.md for the
+third is the base's turning about the vertical, if the base leans as little as a robot that stands. See docs/explanation/ball-robot.md for the
 same relation in the filter's rolling rows.
 """
 

@@ -82,7 +82,7 @@ class _WallSensor:
 
 
 def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
-    """All passes; docs/experiments-swerve.md says what each metric means."""
+    """All passes; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     references = wall.WallReferences(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)

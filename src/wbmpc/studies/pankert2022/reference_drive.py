@@ -75,7 +75,7 @@ def _strokes(geometry: ModuleGeometry, leg: np.ndarray, s: SwerveCalibrateSettin
     """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed.
 
     With closed brakes no drive with these leg angles shows more of the zeros than their sum and their sums weighed with the
-    wheels' places (docs/derivations.md): more directions would only repeat it.
+    wheels' places (docs/explanation/swerve.md): more directions would only repeat it.
     """
     out = [(np.array([x, y, 0.0]) * s.speed, s.stroke / s.speed) for x, y in STRAIGHT]
     axes = geometry.steer_axes(leg)

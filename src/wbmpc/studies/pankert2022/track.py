@@ -35,7 +35,7 @@ IDEALISATIONS = [
 
 
 def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
-    """One run; docs/experiments-swerve.md says what each metric means."""
+    """One run; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     references = TrackReferences(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)

@@ -89,7 +89,7 @@ def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSetting
 
 
 def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
-    """One run; docs/experiments-swerve.md says what each metric means."""
+    """One run; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")

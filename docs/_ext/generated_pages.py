@@ -1,0 +1,201 @@
+"""Pages that the build writes into docs/reference: the API by sub-package, tables of settings, the command line.
+
+They are made of the package as it is imported: nothing in them is written by hand, and git does not keep them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+from sphinx.application import Sphinx
+
+#: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
+PACKAGES = (
+    "model", "bases", "ocp", "solver", "mpc", "runtime", "estimation", "control", "simulation", "robots", "recording",
+    "stability", "ros2",
+)  # fmt: skip
+ONLY = {"solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
+#: Modules beside the packages.
+MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the pages before anything is read; docstrings' ``|`` are no substitutions."""
+    app.connect("builder-inited", lambda app: write(Path(app.srcdir) / "reference"))
+    app.connect("autodoc-process-docstring", _escaped)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write(reference: Path) -> None:
+    """All pages; a page that has not changed is left alone, so that it is not read again."""
+    _put(reference / "_settings.md", settings_tables())
+    api = reference / "_api"
+    api.mkdir(exist_ok=True)
+    _put(api / "names.md", "# `wbmpc`: public names\n\n" + public_names())
+    for package in PACKAGES:
+        _put(api / f"{package}.md", package_page(f"wbmpc.{package}", ONLY.get(package)))
+    _put(api / "modules.md", "# Modules\n\n" + "\n".join(_automodule(f"wbmpc.{name}", "##") for name in MODULES))
+    _put(reference / "_cli.md", command_line())
+    _put(reference / "_changelog.md", changelog(reference.parents[1] / "CHANGELOG.md"))
+
+
+def _put(path: Path, text: str) -> None:
+    if not path.exists() or path.read_text() != text:
+        path.write_text(text)
+
+
+def _escaped(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """``|`` outside of literals is text: "|u|² ≤ r²" is no substitution."""
+    for i, line in enumerate(lines):
+        parts = re.split(r"(``[^`]*``|`[^`]*`)", line)
+        text = "".join(p if p.startswith("`") else re.sub(r"\|", r"\\|", p) for p in parts)
+        # ``spread``² : a literal must end before a space or punctuation
+        lines[i] = re.sub(r"(``[^`]+``)(?=[^\s`\-.,:;!?'\")\]}>/\\])", r"\1\\ ", text)
+
+
+def public_names() -> str:
+    """``wbmpc.NAME`` with the first sentence of its docstring."""
+    import wbmpc
+
+    rows = []
+    for name in sorted(n for n in wbmpc.__all__ if not n.startswith("_")):
+        thing = getattr(wbmpc, name)
+        module = getattr(thing, "__module__", thing.__name__ if hasattr(thing, "__name__") else "")
+        rows.append(f"| `wb.{name}` | `{module}` | {_first(thing.__doc__ or '')} |")
+    return "| name | defined in | |\n| --- | --- | --- |\n" + "\n".join(rows) + "\n"
+
+
+def _first(text: str) -> str:
+    """First sentence, as text for a Markdown cell."""
+    text = " ".join(text.split())
+    text = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text).replace("``", "`")
+    return re.split(r"(?<=[.:])\s", text, maxsplit=1)[0].rstrip(":").replace("|", "\\|")
+
+
+def package_page(package: str, only: tuple[str, ...] | None) -> str:
+    """One page: the package's docstring and every public module of it."""
+    body = "\n".join(_automodule(name, "##") for name in modules(package, only))
+    return f"# `{package}`\n\n{_prose(importlib.import_module(package).__doc__ or '')}\n\n{body}"
+
+
+def modules(package: str, only: tuple[str, ...] | None) -> Iterator[str]:
+    """Public modules of a package and of packages inside it."""
+    for found in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        leaf = found.name.rpartition(".")[2]
+        if not found.ispkg and not leaf.startswith("_") and (only is None or leaf in only):
+            yield found.name
+
+
+def _prose(text: str) -> str:
+    return "```{eval-rst}\n" + text.strip() + "\n```"
+
+
+def _automodule(name: str, level: str) -> str:
+    return f"{level} `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
+
+
+def settings_tables() -> str:
+    """A table for each settings model: what experiments share first, then each experiment, the runner, ROS 2, a robot's file."""
+    experiments = _experiments()
+    from wbmpc.robots.description import RobotDescription
+    from wbmpc.ros2.settings import RosSettings
+    from wbmpc.settings import ControlSettings, MpcSettings
+    from wbmpc.simulation.perturbation import Perturbation
+
+    shared = (("`mpc.…` of experiments", MpcSettings), ("`control.…` of experiments", ControlSettings),
+              ("`plant.…` of experiments: the perturbation", Perturbation))  # fmt: skip
+    parts = [_section(title, model) for title, model in shared]
+    for name, experiment in experiments.items():
+        parts.append(_section(f"`{name}`", experiment.config_type, skip=("mpc", "control", "plant")))
+    parts += [_section("A ROS 2 node's file", RosSettings), _section("A robot's file", RobotDescription)]
+    return "\n".join(parts)
+
+
+def _experiments() -> dict[str, Any]:
+    try:
+        registry = importlib.import_module("wbmpc.registry")
+    except ModuleNotFoundError:
+        registry = importlib.import_module("wbmpc.studies")
+    return dict(registry.REGISTRY)
+
+
+def _section(title: str, model: type[BaseModel], skip: tuple[str, ...] = ()) -> str:
+    rows = "\n".join(f"| `{key}` | {kind} | {default} |" for key, kind, default in _rows(model, "", skip))
+    prose = _prose((model.__doc__ or "").replace("|", "\\|"))
+    return f"## {title}\n\n{prose}\n\n| key | type and range | default |\n| --- | --- | --- |\n{rows}\n"
+
+
+def _rows(model: type[BaseModel], prefix: str, skip: tuple[str, ...] = ()) -> Iterator[tuple[str, str, str]]:
+    for name, info in model.model_fields.items():
+        if name in skip:
+            continue
+        inner = _inner(info.annotation)
+        if inner is not None and isinstance(info.get_default(call_default_factory=True), BaseModel):
+            yield from _rows(type(info.get_default(call_default_factory=True)), f"{prefix}{name}.")
+        else:
+            bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
+            kind = _kind(info.annotation) + (f", {bounds}" if bounds else "")
+            yield prefix + name, kind, _default(info.get_default(call_default_factory=True))
+
+
+def _inner(annotation: Any) -> type[BaseModel] | None:
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
+
+
+def _kind(annotation: Any) -> str:
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        bounds = ", ".join(filter(None, (_bound(m) for m in inner[1:])))
+        return _kind(inner[0]) + (f", {bounds}" if bounds else "")
+    if origin is Literal:
+        return ", ".join(f"`{v}`" for v in inner)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_kind(a) for a in inner))
+    if origin is not None:
+        return f"{origin.__name__} of " + ", ".join(dict.fromkeys(_kind(a) for a in inner if a is not Ellipsis))
+    return {"NoneType": "none", "str": "text", "float": "number", "int": "integer", "bool": "true, false"}.get(
+        getattr(annotation, "__name__", ""), getattr(annotation, "__name__", "any")
+    )
+
+
+def _bound(meta: Any) -> str:
+    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+    found = [f"{sign} {getattr(meta, key):g}" for key, sign in signs.items() if getattr(meta, key, None) is not None]
+    inner = [_bound(m) for m in getattr(meta, "metadata", ())]
+    return ", ".join(filter(None, found + inner))
+
+
+def _default(value: Any) -> str:
+    if value is PydanticUndefined:
+        return "required"
+    shown = str(value)
+    return f"`{shown}`" if len(shown) <= 60 and shown else "empty" if not shown else "see the model"
+
+
+def changelog(path: Path) -> str:
+    """The changelog with links into this repository as text: pages of past versions may be gone."""
+    return re.sub(r"\[([^\]]*)\]\((?![a-z]+:)[^)]*\)", r"\1", path.read_text())
+
+
+def command_line() -> str:
+    """Every command with its options, by Typer."""
+    import typer
+    from typer.cli import get_docs_for_click
+
+    from wbmpc.cli import app
+
+    command = typer.main.get_command(app)
+    text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="wbmpc")
+    # the page has its own title
+    return re.sub(r"(?m)^(#+ )", r"#\1", text.partition("\n")[2])

@@ -1,0 +1,109 @@
+"""The documents that are written by hand: README.md and docs/. Truth: the files that links and images name, the list of words below."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+#: Words by hand in README and docs, tables and code blocks included.
+MOST_WORDS = 25_000
+#: Words that only this project's authors would understand, and what the field says.
+PRIVATE = {
+    r"\btold\b": "reported",
+    r"\btells\b": "reports, shows",
+    r"\brefuse[sd]?\b": "rejects, rejected",
+    r"\bsentences?\b": "message",
+    r"\brivals?\b": "baseline",
+    r"\bburdens?\b": "load",
+    r"\bwish(es)?\b": "soft constraint",
+    r"\bzoo\b": "test problems",
+    r"\bverdicts?\b": "diagnostics",
+    r"\bearlier version": "nothing: documents have no history",
+    r"\bversion before": "nothing: documents have no history",
+    r"\bno longer\b": "nothing: documents have no history",
+    r"\bnotebook\.md\b": "nothing",
+}
+GENERATED = re.compile(r"<!-- (?P<mark>[a-z ]+) -->\n.*?<!-- end of (?P=mark) -->", re.DOTALL)
+LINK = re.compile(r"(!?)\[[^\]]*\]\(<?([^)\s>]*)>?\)")
+#: Pages that the build writes.
+WRITTEN = re.compile(r"docs/reference/_(api/|settings|cli|changelog)")
+
+
+def pages() -> list[Path]:
+    """Markdown by hand: what the build writes and its output are left out."""
+    found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    names = [p.relative_to(ROOT).as_posix() for p in found]
+    return [p for p, n in zip(found, names) if not n.startswith("docs/_build") and not WRITTEN.match(n)]
+
+
+def by_hand(page: Path) -> str:
+    return GENERATED.sub("", page.read_text())
+
+
+def prose(page: Path) -> str:
+    """Without fenced blocks, literals and addresses of links: names of files and options are no prose."""
+    text = re.sub(r"(?ms)^(```|:::).*?^\1", "", by_hand(page))
+    return re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`\n]*`", "", text))
+
+
+def slug(heading: str) -> str:
+    """The anchor of a heading, as GitHub and the site make it."""
+    return re.sub(r"[^\w\- ]", "", heading.replace("`", "").strip().lower()).replace(" ", "-")
+
+
+def anchors(page: Path) -> set[str]:
+    text = re.sub(r"(?ms)^```.*?^```", "", page.read_text())
+    return {slug(h) for h in re.findall(r"(?m)^#+ (.*)$", text)}
+
+
+IDS = [p.relative_to(ROOT).as_posix() for p in pages()]
+
+
+def test_the_documents_are_short() -> None:
+    words = {p.relative_to(ROOT).as_posix(): len(by_hand(p).split()) for p in pages()}
+    longest = sorted(words, key=words.__getitem__)[-5:]
+    assert sum(words.values()) <= MOST_WORDS, {n: words[n] for n in longest}
+
+
+@pytest.mark.parametrize("page", pages(), ids=IDS)
+def test_words_are_the_fields(page: Path) -> None:
+    if page.name == "architecture.md":
+        pytest.skip("written anew when the packages have their final names")
+    found = {w: [m[0] for m in re.finditer(w, prose(page), re.IGNORECASE)] for w in PRIVATE}
+    assert not any(found.values()), {m[0]: PRIVATE[w] for w, m in found.items() if m}
+
+
+@pytest.mark.parametrize("page", pages(), ids=IDS)
+def test_links_and_images_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"(?ms)^```.*?^```", "", page.read_text())
+    for image, target in LINK.findall(text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        generated = file.is_relative_to(ROOT) and WRITTEN.match(file.relative_to(ROOT).as_posix())
+        # settings.md gets its headings from a page that the build writes
+        assert file.exists() or generated, f"{page.name}: '{target}' does not exist"
+        if anchor and not image and file.suffix == ".md" and "{include}" not in file.read_text():
+            assert anchor in anchors(file), f"{page.name}: {name or page.name} has no heading '#{anchor}'"
+
+
+def test_every_image_is_shown_somewhere() -> None:
+    """A picture that no document shows is dead weight of the repository."""
+    text = "".join(p.read_text() for p in pages())
+    unused = [p.name for p in (ROOT / "docs" / "images").iterdir() if f"images/{p.name}" not in text]
+    assert not unused
+
+
+def test_every_page_is_in_a_table_of_contents() -> None:
+    """Sphinx warns of others, but only where it is installed."""
+    listed = {(ROOT / "docs" / "index.md").resolve()}
+    for page in pages():
+        for block in re.findall(r"(?ms)^```\{toctree\}\n(.*?)^```", page.read_text()):
+            listed |= {
+                (page.parent / f"{line.strip()}.md").resolve() for line in block.splitlines() if line and line[0] != ":"
+            }
+    assert {p for p in pages() if p.name != "README.md"} <= listed
