@@ -6,9 +6,10 @@ They are made of the package as it is imported: nothing in them is written by ha
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -95,7 +96,7 @@ def modules(package: str, only: tuple[str, ...] | None) -> Iterator[str]:
 
 
 def _prose(text: str) -> str:
-    return "```{eval-rst}\n" + text.strip() + "\n```"
+    return "```{eval-rst}\n" + inspect.cleandoc(text) + "\n```"
 
 
 def _automodule(name: str, level: str) -> str:
@@ -113,8 +114,10 @@ def settings_tables() -> str:
     shared = (("`mpc.…` of experiments", MpcSettings), ("`control.…` of experiments", ControlSettings),
               ("`plant.…` of experiments: the perturbation", Perturbation))  # fmt: skip
     parts = [_section(title, model) for title, model in shared]
+    sections = (("mpc.", MpcSettings), ("control.", ControlSettings), ("plant.", Perturbation))
+    usual = {row for prefix, model in sections for row in _rows(model, prefix)}
     for name, experiment in experiments.items():
-        parts.append(_section(f"`{name}`", experiment.config_type, skip=("mpc", "control", "plant")))
+        parts.append(_section(f"`{name}`", experiment.config_type, usual))
     parts += [_section("A ROS 2 node's file", RosSettings), _section("A robot's file", RobotDescription)]
     return "\n".join(parts)
 
@@ -127,30 +130,22 @@ def _experiments() -> dict[str, Any]:
     return dict(registry.REGISTRY)
 
 
-def _section(title: str, model: type[BaseModel], skip: tuple[str, ...] = ()) -> str:
-    rows = "\n".join(f"| `{key}` | {kind} | {default} |" for key, kind, default in _rows(model, "", skip))
+def _section(title: str, model: type[BaseModel], usual: Container[tuple[str, str, str]] = ()) -> str:
+    """A model's table, without the rows that are as ``usual``."""
+    rows = "\n".join("| `{}` | {} | {} |".format(*row) for row in _rows(model) if row not in usual)
     prose = _prose((model.__doc__ or "").replace("|", "\\|"))
     return f"## {title}\n\n{prose}\n\n| key | type and range | default |\n| --- | --- | --- |\n{rows}\n"
 
 
-def _rows(model: type[BaseModel], prefix: str, skip: tuple[str, ...] = ()) -> Iterator[tuple[str, str, str]]:
+def _rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = None) -> Iterator[tuple[str, str, str]]:
+    """Key, type and default of every field; ``values``: an instance whose values are the defaults."""
     for name, info in model.model_fields.items():
-        if name in skip:
-            continue
-        inner = _inner(info.annotation)
-        if inner is not None and isinstance(info.get_default(call_default_factory=True), BaseModel):
-            yield from _rows(type(info.get_default(call_default_factory=True)), f"{prefix}{name}.")
+        value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
+        if isinstance(value, BaseModel):
+            yield from _rows(type(value), f"{prefix}{name}.", value)
         else:
             bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
-            kind = _kind(info.annotation) + (f", {bounds}" if bounds else "")
-            yield prefix + name, kind, _default(info.get_default(call_default_factory=True))
-
-
-def _inner(annotation: Any) -> type[BaseModel] | None:
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
+            yield prefix + name, _kind(info.annotation) + (f", {bounds}" if bounds else ""), _default(value)
 
 
 def _kind(annotation: Any) -> str:

@@ -16,7 +16,7 @@ import ipopt
 
 from toys import rezero_solver, robot
 from wbmpc.benchmark.test_problems import MAKERS
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
 
@@ -31,7 +31,7 @@ SOLVERS = {
 }
 
 
-def hardened(problem: TestProblem) -> TestProblem:
+def hardened(problem: SampleProblem) -> SampleProblem:
     """All inequalities hard."""
     for name, term in problem.ocp.terms.items():
         if isinstance(term, Constraint) and not term.equality:
@@ -39,7 +39,7 @@ def hardened(problem: TestProblem) -> TestProblem:
     return problem
 
 
-def rezero_with_a_force() -> TestProblem:
+def rezero_with_a_force() -> SampleProblem:
     """The ball robot pushes with 5 N while its hand stays."""
     base = rezero_solver(10)
     model = robot("rezero", contact="force")
@@ -53,7 +53,7 @@ def rezero_with_a_force() -> TestProblem:
         **base.references, "body": Reference.constant(home),
         "torque": Reference.constant(u + np.concatenate([0 * torque, [5.0, 0.0, 0.0]])),
     }  # fmt: skip
-    return TestProblem(
+    return SampleProblem(
         "ball robot with a force", rezero_problem(model, settings, RezeroCost()), home, home, u, references
     )
 
@@ -111,7 +111,7 @@ def test_optimum(name: str, solver: str) -> None:
     check_certificate(made, found.x, found.u, problem)
 
 
-def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: TestProblem) -> None:
+def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: SampleProblem) -> None:
     """Gaps, start and hard limits, evaluated anew."""
     np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
     for k, h in enumerate(np.diff(made.trajectory().grid)):

@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.paths import SinePath
@@ -84,7 +84,7 @@ def rezero_bench(
     return Problem(f"ball robot with arm, {limits} limits, N = {intervals}", solver, home, u0)
 
 
-def zoo_bench(problem: TestProblem, settings: SQP | None = None) -> Problem:
+def zoo_bench(problem: SampleProblem, settings: SQP | None = None) -> Problem:
     """A problem of the zoo; its guess is the start, held, with the guess's first input."""
     solver = problem.solver(settings or SQP(iterations=300))
     return Problem(problem.name, solver, problem.x0, np.atleast_2d(problem.u)[0])

@@ -1,6 +1,6 @@
 """Problems that tests and benchmarks share: small ones with known answers, and those of other toolboxes' examples.
 
-``MAKERS`` names them; every maker returns a :class:`TestProblem`.
+``MAKERS`` names them; every maker returns a :class:`SampleProblem`.
 """
 
 from collections.abc import Callable
@@ -8,12 +8,12 @@ from functools import partial
 
 from wbmpc.benchmark.test_problems.ballbot import ballbot
 from wbmpc.benchmark.test_problems.differential import differential_manipulator
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 from wbmpc.benchmark.test_problems.swerve import swerve
 from wbmpc.benchmark.test_problems.torque_arm import torque_arm
 
-MAKERS: dict[str, Callable[..., TestProblem]] = {
+MAKERS: dict[str, Callable[..., SampleProblem]] = {
     "double-integrator": double_integrator,
     "cartpole": cartpole,
     "ballbot": ballbot,
@@ -26,7 +26,7 @@ MAKERS: dict[str, Callable[..., TestProblem]] = {
 
 __all__ = [
     "MAKERS",
-    "TestProblem",
+    "SampleProblem",
     "ballbot",
     "cartpole",
     "differential_manipulator",

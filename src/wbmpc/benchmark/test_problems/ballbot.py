@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.kinematics import constant, rotation_about
 from wbmpc.model.tree import Link
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
@@ -59,10 +59,10 @@ def ballbot_dynamics() -> Multibody:
     return Multibody(_links(), {"pose": _POSE, "rate": _POSE}, wheels, lambda q, u: actuation(q) @ u)
 
 
-def ballbot(intervals: int = 101, goal: tuple[float, float, float] = (1.0, 0.5, 0.5)) -> TestProblem:
+def ballbot(intervals: int = 101, goal: tuple[float, float, float] = (1.0, 0.5, 0.5)) -> SampleProblem:
     """From rest at the origin to rest at ``goal`` (x [m], y [m], yaw [rad]), 2 s."""
     ocp = OptimalControlProblem(ballbot_dynamics(), 2.0, intervals)
     ocp.add(Cost("state", residuals.Expression(10, lambda s: s.x - s.reference, 10), _WEIGHTS))
     ocp.add(Cost("input", residuals.Expression(3, lambda s: s.u), 2.0))
     references = {"state": Reference.constant([*goal, *np.zeros(7)])}
-    return TestProblem("OCS2's ballbot", ocp, np.zeros(10), np.zeros(10), np.zeros(3), references)
+    return SampleProblem("OCS2's ballbot", ocp, np.zeros(10), np.zeros(10), np.zeros(3), references)

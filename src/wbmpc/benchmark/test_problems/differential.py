@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import RobotModel, load_robot
@@ -68,7 +68,7 @@ def _unicycle(x: ca.SX, u: ca.SX) -> ca.SX:
     return ca.vertcat(ca.cos(x[2]) * u[0], ca.sin(x[2]) * u[0], u[1:])
 
 
-def differential_manipulator(intervals: int = 21, step: tuple[float, float, float] = (0.2, 0.1, -0.1)) -> TestProblem:
+def differential_manipulator(intervals: int = 21, step: tuple[float, float, float] = (0.2, 0.1, -0.1)) -> SampleProblem:
     """The hand is to move by ``step`` [m] and keep its orientation, 1 s. State 9, inputs v, ω and six joint speeds."""
     joints = list(_arm().description.arm.joints)
     dynamics = Ode({"base": ["x", "y", "yaw"], "arm": joints}, {"base": ["v", "w"], "arm": joints}, _unicycle)
@@ -85,4 +85,4 @@ def differential_manipulator(intervals: int = 21, step: tuple[float, float, floa
     pose = hand_pose(x)
     position, quaternion = (np.array(v).ravel() for v in ca.Function("p", [x], [pose.position, pose.quaternion])(x0))
     references = {"hand": Reference.poses([0.0], [position + np.array(step)], quaternion)}
-    return TestProblem("differential-drive manipulator", ocp, x0, x0, np.zeros(8), references)
+    return SampleProblem("differential-drive manipulator", ocp, x0, x0, np.zeros(8), references)

@@ -13,7 +13,7 @@ from wbmpc.solver import SQP, Solver
 
 
 @dataclass(frozen=True)
-class TestProblem:
+class SampleProblem:
     """A problem with all that a solver needs: start ``x0`` (nx), guess ``x`` (nx or N + 1, nx) and ``u`` (nu or N, nu)."""
 
     name: str

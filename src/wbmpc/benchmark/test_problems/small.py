@@ -5,14 +5,14 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 
 
 def double_integrator(
     intervals: int = 30, limit: float = 1.0, hard: bool = False, penalty: RelaxedBarrier | None = None
-) -> TestProblem:
+) -> SampleProblem:
     """p̈ = u, |u| ≤ ``limit`` [m/s²], from rest 2 m beside the goal, 3 s; the limit is active at the start.
 
     ``hard``: the limit as a hard inequality, else a relaxed barrier (``penalty``).
@@ -26,7 +26,7 @@ def double_integrator(
     ocp.add(
         Constraint("limit", residuals.Expression(1, lambda s: s.u), sets.Box(-limit, limit), penalty=penalty, hard=hard)
     )
-    return TestProblem("double integrator", ocp, np.array([2.0, 0.0]), np.array([2.0, 0.0]), np.zeros(1))
+    return SampleProblem("double integrator", ocp, np.array([2.0, 0.0]), np.array([2.0, 0.0]), np.zeros(1))
 
 
 #: Cart [kg], pole's point mass [kg], length [m], gravity [m/s²].
@@ -42,7 +42,7 @@ def _cartpole(x: ca.SX, u: ca.SX) -> ca.SX:
     return ca.vertcat(x[2], x[3], cart, pole / (_LENGTH * inertia))
 
 
-def cartpole(intervals: int = 60, force: float = 25.0, hard: bool = False) -> TestProblem:
+def cartpole(intervals: int = 60, force: float = 25.0, hard: bool = False) -> SampleProblem:
     """Swing-up of a pole on a cart in 2 s, |force| ≤ ``force`` [N]; guess: the angle turns evenly from 0 to π."""
     dynamics = Ode({"x": ["cart", "angle", "cart_rate", "angle_rate"]}, {"u": ["force"]}, _cartpole)
     ocp = OptimalControlProblem(dynamics, 2.0, intervals, integrator="rk4")
@@ -55,4 +55,4 @@ def cartpole(intervals: int = 60, force: float = 25.0, hard: bool = False) -> Te
         Constraint("limit", residuals.Expression(1, lambda s: s.u), sets.Box(-force, force), penalty=penalty, hard=hard)
     )
     guess = np.linspace(0.0, 1.0, intervals + 1)[:, None] * goal
-    return TestProblem("cart-pole swing-up", ocp, np.zeros(4), guess, np.zeros((intervals, 1)))
+    return SampleProblem("cart-pole swing-up", ocp, np.zeros(4), guess, np.zeros((intervals, 1)))

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import (
@@ -86,7 +86,7 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
     ocp.add(Constraint("speeds", speed, speeds, penalty=barrier))
 
 
-def swerve(arm: bool = True, intervals: int = 101, horizon: float = 10.0, brakes: Brakes = "closed") -> TestProblem:
+def swerve(arm: bool = True, intervals: int = 101, horizon: float = 10.0, brakes: Brakes = "closed") -> SampleProblem:
     """The body drives 0.2 m/s ahead from rest, the hand (with ``arm``) keeps its place on the body.
 
     ``brakes``: those of all legs, over the whole horizon, or opened from 2 s to 5 s ("events").
@@ -116,4 +116,4 @@ def swerve(arm: bool = True, intervals: int = 101, horizon: float = 10.0, brakes
         "events": ModeSchedule((closed, free, closed), (2.0, 5.0)),
     }[brakes]
     name = f"swerve base{' with arm' if arm else ''}, brakes {'with events' if brakes == 'events' else brakes}"
-    return TestProblem(name, ocp, home[:size], home[:size], np.zeros(dynamics.input.size), references, schedule)
+    return SampleProblem(name, ocp, home[:size], home[:size], np.zeros(dynamics.input.size), references, schedule)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.problem import TestProblem
+from wbmpc.benchmark.test_problems.problem import SampleProblem
 from wbmpc.model.kinematics import constant
 from wbmpc.model.tree import Frame, Link
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
@@ -31,7 +31,7 @@ def torque_arm_links(joints: int) -> list[Link]:
     return links
 
 
-def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> TestProblem:
+def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> SampleProblem:
     """The hand is to go 0.3 m to the side from a bent posture at rest. State: angles and rates, input: torques [N m]."""
     names = [f"joint_{k}" for k in range(joints)]
     groups = ({"q": names, "v": names}, {"torque": names})
@@ -51,7 +51,7 @@ def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> Te
         "hand": Reference.constant(position + np.array([0.0, 0.3, 0.0])),
         "state": Reference.constant(rest),
     }
-    return TestProblem(f"torque arm, {joints} joints", ocp, rest, rest, torque, references)
+    return SampleProblem(f"torque arm, {joints} joints", ocp, rest, rest, torque, references)
 
 
 def holding_torque(dynamics: Multibody, x: ca.SX) -> ca.SX:
