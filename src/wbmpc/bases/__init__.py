@@ -13,7 +13,7 @@ from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from wbmpc.bases.base import BaseType
+from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name
 
 GROUP = "wbmpc.bases"
@@ -39,7 +39,8 @@ def available_base_types() -> list[str]:
 
 @cache
 def base_type(name: str) -> BaseType:
-    """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported."""
+    """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported
+    or is not complete."""
     locations = _locations()
     if name not in locations:
         raise unknown_name("base type", name, sorted(locations))
@@ -48,4 +49,9 @@ def base_type(name: str) -> BaseType:
         made: BaseType = getattr(import_module(module), attribute)()
     except (ImportError, AttributeError) as error:
         raise InputError(f"base type '{name}': its plug-in {locations[name]} cannot be imported: {error}") from error
+    missing = [part for part in ("Description", *PARTS) if not hasattr(made, part)]
+    if missing:
+        raise InputError(
+            f"base type '{name}': its plug-in {locations[name]} has no '{missing[0]}'; derive it from wbmpc.bases.base.BaseType"
+        )
     return made
