@@ -289,7 +289,7 @@ def lacks(description: RobotDescription, part: str) -> NoReturn:
             plugin = type(base_type(name))
         except InputError:  # a package that cannot be imported
             continue
-        if getattr(plugin, part) is not getattr(BaseType, part):
+        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
             offered.append(name)
     raise InputError(
         f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "

@@ -58,6 +58,7 @@ class BallBaseType(BaseType):
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads encoders and the inertial unit and publishes torques."""
+        from wbmpc.bases.ball.ros import BallPilot
 
         return BallPilot(robot, settings, period)
 

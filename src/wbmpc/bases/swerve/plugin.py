@@ -55,6 +55,7 @@ class SwerveBaseType(BaseType):
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads joint states and publishes speeds."""
+        from wbmpc.bases.swerve.ros import SwervePilot
 
         return SwervePilot(robot, settings, period)
 
