@@ -18,13 +18,14 @@ import numpy as np
 from ros2_processes import Bus, Recorder, matched, open_bus
 from ros2_stream import balance, drive, stream, without_bus
 
+from wbmpc.bases.ball.ros_settings import BallRosSettings
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.paths import SinePath
 from wbmpc.registry import REGISTRY
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.convert import header, path, upright
-from wbmpc.ros2.settings import BallSettings, RosSettings
 from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
@@ -154,7 +155,7 @@ def swerve(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(62, given.seed, lockstep=False, fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, drive(bus, given.seconds), given.fifo)
             figures["controller in real time"] = bus.figures
-        figures["without a bus"] = without_bus("swerve", RosSettings().mpc.rate, given.seconds, given.fifo)
+        figures["without a bus"] = without_bus("swerve", SwerveRosSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 
@@ -170,7 +171,7 @@ def ball(given: argparse.Namespace) -> dict[str, Any]:
         with open_bus(64, given.seed, lockstep=False, robot="rezero", fifo=given.fifo) as bus:
             figures["stream"] = stream(bus, given.seconds, balance(bus), given.fifo)
             figures["controller in real time"] = bus.figures
-        figures["without a bus"] = without_bus("rezero", BallSettings().mpc.rate, given.seconds, given.fifo)
+        figures["without a bus"] = without_bus("rezero", BallRosSettings().mpc.rate, given.seconds, given.fifo)
     return figures
 
 

@@ -20,12 +20,6 @@ ROOMS = (
     "model", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation", "control", "stability", "recording", "view",
     "ros2", "cli", "robots", "types.py", "compare.py",
 )  # fmt: skip
-#: Modules that still name one. Entries may only be taken out.
-STILL = {
-    "cli/__init__.py", "cli/calibration.py", "compare.py", "recording/observer.py", "ros2/base_adapter.py", "ros2/check.py",
-    "ros2/control.py", "ros2/goals.py", "ros2/joints.py", "ros2/markers.py", "ros2/plants.py", "ros2/settings.py",
-    "view/actuator_load.py", "view/realtime.py", "view/session.py", "view/steering.py",
-}  # fmt: skip
 
 
 def modules() -> list[str]:
@@ -40,14 +34,9 @@ def named(module: str) -> list[str]:
     return [f"{module}:{i}: {line.strip()}" for i, line in enumerate(lines, start=1) if NAMES.search(line)]
 
 
-@pytest.mark.parametrize("module", [m for m in modules() if m not in STILL])
+@pytest.mark.parametrize("module", modules())
 def test_a_generic_module_names_no_base_type(module: str) -> None:
     assert not named(module)
-
-
-@pytest.mark.parametrize("module", sorted(STILL))
-def test_the_list_of_exceptions_shrinks(module: str) -> None:
-    assert (SOURCE / module).is_file() and named(module), f"take {module} out of STILL"
 
 
 @pytest.mark.parametrize(

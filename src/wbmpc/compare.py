@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
 from wbmpc.recording.reader import read
@@ -156,12 +155,10 @@ def wheels(run: dict[str, Any]) -> tuple[str, ...]:
     """What the wheels of a run's robot are called; nothing where that is not known."""
     robot = run.get("settings", {}).get("robot")
     try:
-        base = load_description(robot).base if isinstance(robot, str) else None
+        groups = load_description(robot).base.joint_groups() if isinstance(robot, str) else {}
     except InputError:  # a file that is elsewhere
         return ()
-    return (
-        tuple(m.wheel.removeprefix("wheel_") for m in base.modules) if isinstance(base, SwerveBaseDescription) else ()
-    )
+    return tuple(name.removeprefix("wheel_") for name in groups.get("wheel", ()))
 
 
 def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str, ...]:

@@ -93,6 +93,12 @@ def _checked(found: Any, where: str) -> Experiment:
     return found
 
 
+def demonstrated() -> list[str]:
+    """The built-in experiments that 'wbmpc demo' runs, in their order."""
+    found: list[str] = list(import_module(BUILT_IN).DEMO)
+    return found
+
+
 class Registry(Mapping[str, Experiment]):
     """All experiments that are installed, each imported when it is asked for."""
 

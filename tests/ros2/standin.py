@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from needs import private
 
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ros2.bus import Qos, open_node
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.network import Network
-from wbmpc.ros2.settings import RosSettings
 
 ROBOT = load_robot("swerve-ur10")
 ENVIRONMENT = {**private(), "ROS_DOMAIN_ID": "45"}
@@ -79,7 +79,7 @@ class Pair:
     def __init__(self, **settings: Any) -> None:
         time = {"use_sim_time": True, "lockstep": settings.get("use_sim_time", True)}
         safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
-        self.settings = RosSettings.model_validate({**time, **settings, "safety": safety})
+        self.settings = SwerveRosSettings.model_validate({**time, **settings, "safety": safety})
         self.node = open_node("wbmpc", "dds", NETWORK)
         self.control = ControlNode(self.node, ROBOT, self.settings)
         self.standin = Standin(ROBOT, NETWORK)

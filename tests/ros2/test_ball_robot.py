@@ -22,8 +22,9 @@ if not MISSING:
     from simulated import Localisation, Simulated
 
     from wbmpc.bases.ball.ros import POSTURES, bodies
+    from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.ros2.goals import HandTrack, Planner
-    from wbmpc.ros2.settings import BallSettings, Speeds
+    from wbmpc.ros2.settings import Speeds
 
 ROBOT = load_robot("rezero")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "48"})
@@ -358,7 +359,7 @@ def test_the_bodys_posture_moves_no_hand() -> None:
 def test_what_it_needs(made: Callable[..., Any]) -> None:
     with pytest.raises(InputError, match="needs an inertial unit"):
         made(topics={"imu": ""})
-    assert BallSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
+    assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
 
 
 def test_an_encoder_that_stands_still_is_told_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:

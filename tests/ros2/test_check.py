@@ -20,10 +20,11 @@ from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 if not MISSING:
+    from wbmpc.bases.ball.ros_settings import BallRosSettings
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.check import check
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import header
-    from wbmpc.ros2.settings import BallSettings, RosSettings
 
 ROBOT = load_robot("swerve-ur10")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "46"})
@@ -79,7 +80,7 @@ def commands(*groups: str) -> tuple[str, ...]:
 
 def found(node: Any, listen_for: float = 1.0) -> dict[str, tuple[str, str]]:
     """Findings by topic."""
-    return {f.topic: (f.level, f.text) for f in check(node, ROBOT, RosSettings(), listen_for)}
+    return {f.topic: (f.level, f.text) for f in check(node, ROBOT, SwerveRosSettings(), listen_for)}
 
 
 def test_an_empty_bus(looker: Any) -> None:
@@ -129,7 +130,7 @@ def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) ->
     listen(robot, ("wheel",), "std_msgs/msg/Float64")
     end = states(robot, 10.0, ["hip"], age=100.0)
     known(looker, ("/imu", "/cmd_vel", "/joint_states"), commands("wheel"))
-    found_all = [(f.topic, f.text) for f in check(looker, ROBOT, RosSettings(), 1.5)]
+    found_all = [(f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(), 1.5)]
     end.set()
     assert ("/imu", "its type is std_msgs/msg/String, sensor_msgs/msg/Imu is needed") in found_all
     assert ("/wheel_controller/commands", f"its type is std_msgs/msg/Float64, {COMMANDS} is needed") in found_all
@@ -156,8 +157,8 @@ def test_a_simulation_that_is_paused_is_said(robot: Any, looker: Any) -> None:
 
     threading.Thread(target=run, daemon=True).start()
     known(looker, ("/clock", "/joint_states"), commands(*GROUPS))
-    by_wall = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, RosSettings(), 1.0)}
-    by_clock = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, RosSettings(use_sim_time=True), 1.0)}
+    by_wall = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(), 1.0)}
+    by_clock = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(use_sim_time=True), 1.0)}
     end.set()
     stands = "it stands still at 7.000 s: the simulation is paused, or in lockstep waits for a controller"
     assert ("error", "/clock", stands) in by_clock and ("warning", "/clock", stands) in by_wall
@@ -178,7 +179,7 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     robot.publisher("/hand_path", "nav_msgs/msg/Path")
     assert wait_until(lambda: len(looker.publishers("/joint_states")) == 2)
     known(looker, (*commands("steer"), "/goal_pose", "/hand_goal", "/hand_path"), commands("arm"))
-    f = {(x.topic, x.text) for x in check(looker, ROBOT, RosSettings(), 1.0)}
+    f = {(x.topic, x.text) for x in check(looker, ROBOT, SwerveRosSettings(), 1.0)}
     end.set()
     assert ("/joint_states", "2 publishers: their messages mix") in f
     assert ("/goal_pose", "a publisher does not reach us: it offers best effort, reliable is asked for") in f
@@ -193,7 +194,7 @@ def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, look
     end = states(robot, 300.0)
     nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
     try:
-        ControlNode(nodes[0], ROBOT, RosSettings())
+        ControlNode(nodes[0], ROBOT, SwerveRosSettings())
         known(looker, commands(*GROUPS), commands(*GROUPS))
         f = found(looker)
         says = "1 listening; the controller 'wbmpc' is there"
@@ -216,7 +217,7 @@ def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(r
         "arm": {"topic": "/arm_controller/joint_trajectory", "joints": arm, "takes": "trajectory"},
     }
     robot.subscribe("/arm_controller/joint_trajectory", COMMANDS, lambda message: None)
-    settings = BallSettings.model_validate({"controllers": controllers})
+    settings = BallRosSettings.model_validate({"controllers": controllers})
     known(looker, (), (*commands("wheel"), "/arm_controller/joint_trajectory"))
     f = {x.topic: (x.level, x.text) for x in check(looker, load_robot("rezero"), settings, 1.0)}
     assert f["/imu"][0] == "error" and f["/wheel_controller/commands"] == ("ok", "1 listening")
@@ -267,7 +268,7 @@ def test_the_nodes_say_as_much_as_is_wanted(
 def test_another_odometry_and_brakes_of_nobody(robot: Any, looker: Any) -> None:
     robot.publisher("/odom", "nav_msgs/msg/Odometry")
     drives = [n for g in ("steer", "wheel", "arm") for n in ROBOT.state.groups.get(g, ()) or ROBOT.input.groups[g]]
-    settings = RosSettings.model_validate({"controllers": {"all": {"topic": "/all/commands", "joints": drives}}})
+    settings = SwerveRosSettings.model_validate({"controllers": {"all": {"topic": "/all/commands", "joints": drives}}})
     known(looker, ("/odom",))
     f = {f.topic: (f.level, f.text) for f in check(looker, ROBOT, settings, 1.0)}
     assert f["/odom"] == ("warning", "'robot' publishes it too: two odometries mix")
@@ -283,4 +284,4 @@ def test_a_ball_robots_sensors_have_a_message_for_every_tick() -> None:
 
     assert _balancing("/imu", 395.0, 400.0) == [] == _balancing("/imu", 0.0, 400.0)
     (finding,) = _balancing("/imu", 120.0, 400.0)
-    assert finding.level == "warning" and "120 Hz, a ball robot's controller at 400 Hz" in finding.text
+    assert finding.level == "warning" and "120 Hz, the controller of a robot that balances, at 400 Hz" in finding.text

@@ -17,8 +17,8 @@ if not MISSING:
     from standin import NETWORK, PERIOD, ROBOT, check_stopped
 
     from wbmpc.bases.swerve.ros import SwervePilot
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.localisation import Gate
-    from wbmpc.ros2.settings import RosSettings
 
 
 def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
@@ -144,7 +144,7 @@ def test_the_gate_allows_what_motion_and_spread_explain() -> None:
 
 def test_after_a_jump_the_next_pose_counts_whatever_was_known() -> None:
     """The filter refuses a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
-    pilot, covariance = SwervePilot(ROBOT, RosSettings(), PERIOD), 1e-4 * np.eye(3)
+    pilot, covariance = SwervePilot(ROBOT, SwerveRosSettings(), PERIOD), 1e-4 * np.eye(3)
     agent, first, far = pilot.agent, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
     agent._correct(0.0, first, covariance)
     np.testing.assert_array_equal(agent.odometry.pose, first)

@@ -22,9 +22,10 @@ pytestmark = needs_dds
 if not MISSING:
     from simulated import Simulated
 
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.convert import seconds
     from wbmpc.ros2.markers import LINE_STRIP, SPHERE
-    from wbmpc.ros2.settings import RosSettings, settings_of
+    from wbmpc.ros2.settings import settings_of
     from wbmpc.ros2.sim import SimNode
 
 ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
@@ -50,8 +51,8 @@ def test_stamps_of_real_time_are_the_physics_whenever_messages_go_out(monkeypatc
     """Whole periods between stamps, though the process sleeps now and then; what is later than 50 ms is let go, once."""
     node = open_node("robot", "dds", NETWORK)
     with pytest.raises(InputError, match=r"factor: .*simulated time"):
-        SimNode(node, ROBOT, RosSettings(), factor=2.0)
-    sim = SimNode(node, ROBOT, RosSettings())
+        SimNode(node, ROBOT, SwerveRosSettings(), factor=2.0)
+    sim = SimNode(node, ROBOT, SwerveRosSettings())
     stamps: list[float] = []
 
     def publish(message: Any) -> None:

@@ -94,13 +94,14 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
 def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so. In lockstep: a
     busy machine changes nothing."""
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.model.robot import load_robot
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import stamp
-    from wbmpc.ros2.settings import RosSettings, joint_groups
+    from wbmpc.ros2.settings import joint_groups
 
     robot = load_robot("swerve-ur10")
-    settings = RosSettings.model_validate(
+    settings = SwerveRosSettings.model_validate(
         {"rates": {"control": 50}, "use_sim_time": True, "lockstep": True, "safety": {"clock": 60}}
     )
     node, other = open_node("wbmpc", "rclpy"), open_node("robot", "rclpy")

@@ -16,7 +16,7 @@ pytestmark = needs_dds
 if not MISSING:
     from standin import PERIOD, ROBOT, check_stopped, drive
 
-    from wbmpc.ros2.settings import RosSettings
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -155,8 +155,8 @@ def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypat
     p.control.step()
     assert not p.control.running
     assert re.search(r"the time on /clock has stopped for \d.\d s, nobody publishes it any more", p.control.state)
-    with_wall = RosSettings(use_sim_time=True)
-    assert (with_wall.patience, RosSettings(lockstep=True).patience) == (1.0, 30.0)
+    with_wall = SwerveRosSettings(use_sim_time=True)
+    assert (with_wall.patience, SwerveRosSettings(lockstep=True).patience) == (1.0, 30.0)
 
 
 def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

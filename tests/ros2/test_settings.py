@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.ros2.settings import RosSettings, load_settings
+from wbmpc.ros2.settings import load_settings
 
 ROBOT = load_robot("swerve-ur10")
 DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "ros2.md"
@@ -32,7 +33,7 @@ def test_everything_has_a_default() -> None:
 
 
 def test_a_robot_with_fixed_legs_has_no_brakes() -> None:
-    assert "brake_controller" not in RosSettings().command_topics(load_robot("swerve-fixed-ur10"))
+    assert "brake_controller" not in SwerveRosSettings().command_topics(load_robot("swerve-fixed-ur10"))
 
 
 def test_controllers_and_joints_as_the_robot_has_them(tmp_path: Path) -> None:
@@ -109,7 +110,7 @@ def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(t
 
 
 def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
-    assert load_settings(write(tmp_path, "# nothing yet"), ROBOT) == RosSettings()
+    assert load_settings(write(tmp_path, "# nothing yet"), ROBOT) == SwerveRosSettings()
 
 
 def test_the_documentations_settings_are_valid(tmp_path: Path) -> None:
@@ -136,7 +137,7 @@ def test_the_documentations_controllers_are_the_robots() -> None:
     assert {n: set(file.get(n, {"ros__parameters": {}})["ros__parameters"]) for n in types} == {
         n: parameters[t] for n, t in types.items()
     }
-    for name, controller in RosSettings().command_topics(ROBOT).items():
+    for name, controller in SwerveRosSettings().command_topics(ROBOT).items():
         assert tuple(file[name]["ros__parameters"]["joints"]) == tuple(
             j.removeprefix("brake/") for j in controller.joints
         )
@@ -159,7 +160,9 @@ def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: 
     text = "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [turn], tool: tip}\n"
     (tmp_path / "r.yaml").write_text(text)
     assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
-    assert capsys.readouterr().err == "wbmpc: ros2: 'r' has a base of type 'fixed'; valid: swerve, ball\n"
+    assert capsys.readouterr().err == (
+        "wbmpc: 'r' has a base of type 'fixed', whose plug-in offers no controller for ROS 2 ('ros_settings'); valid: ball, swerve\n"
+    )
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"
     assert main(["ros2", "check", "swerve-ur10", "--config", str(tmp_path)]) == 2

@@ -21,11 +21,12 @@ if not MISSING:
     from rosbags.typesys import Stores, get_typestore
     from standin import ROBOT
 
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.joints import JointReader
     from wbmpc.ros2.messages import types
-    from wbmpc.ros2.settings import RosSettings, Safety, settings_of
+    from wbmpc.ros2.settings import Safety, settings_of
 
 
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
@@ -129,10 +130,10 @@ def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch:
         wall[0] = 5.0 + 0.0025 * k / speed
         clock.set(1.7e9 * (k > 10) + 0.0025 * k)
     assert min(clock.speed, 1.0) == pytest.approx(min(speed, 1.0), rel=0.02)
-    limit = RosSettings(use_sim_time=True).silence(clock.speed)
+    limit = SwerveRosSettings(use_sim_time=True).silence(clock.speed)
     assert limit == pytest.approx(min(0.1 / min(speed, 1.0), 1.0), rel=0.02)
-    assert RosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
-    assert RosSettings(lockstep=True).silence(clock.speed) == 30.0
+    assert SwerveRosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
+    assert SwerveRosSettings(lockstep=True).silence(clock.speed) == 30.0
 
 
 @pytest.mark.parametrize("confirmed", [False, True])

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wbmpc.bases import base_type
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy import Policy
 from wbmpc.ros2.convert import seconds
-from wbmpc.ros2.plants import SwerveSide
-from wbmpc.ros2.settings import Controller, RosSettings
+from wbmpc.ros2.settings import Controller
 from wbmpc.ros2.trajectory_client import AHEAD, TrajectorySender
 
 ROBOT = load_robot("swerve-ur10")
@@ -42,7 +43,7 @@ def sent(rate: np.ndarray, start: np.ndarray | None = None) -> Any:
     u = np.zeros((40, ROBOT.input.size))
     u[:, ROBOT.input["arm"]] = rate
     policy = Policy(times, x, u, np.zeros((40, ROBOT.input.size, ROBOT.state.size)))
-    TrajectorySender(node, ROBOT, RosSettings(), controller).send(policy, 0.01, 7.0)
+    TrajectorySender(node, ROBOT, SwerveRosSettings(), controller).send(policy, 0.01, 7.0)
     return plain(said[0])
 
 
@@ -57,7 +58,7 @@ def test_a_moving_arms_trajectory_ends_at_rest() -> None:
     acceleration = np.array([LIMITS.acceleration[n] for n in ARM])
     assert np.all(np.abs(rate) / takes <= acceleration) and takes < 2.0 * np.max(np.abs(rate) / acceleration)
     np.testing.assert_allclose(np.array(end.positions) - last.positions, 0.5 * takes * rate, atol=1e-9)
-    led = SwerveSide(ROBOT, None, 0).lead(ARM, [("arm", i) for i in range(6)], message, 7.0)
+    led = base_type("swerve").ros_plant(ROBOT, None, 0).lead(ARM, [("arm", i) for i in range(6)], message, 7.0)
     np.testing.assert_array_equal(led.at(led.times[-1])[1], np.zeros(6))
 
 
@@ -84,7 +85,7 @@ RULES = [
 
 @pytest.mark.parametrize(("change", "says"), RULES)
 def test_the_follower_rejects_what_the_real_controller_does(change: Any, says: str) -> None:
-    side, places = SwerveSide(ROBOT, None, 0), [("arm", i) for i in range(6)]
+    side, places = base_type("swerve").ros_plant(ROBOT, None, 0), [("arm", i) for i in range(6)]
     message = sent(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     side.lead(ARM, places, message, 7.0)
     change(message)

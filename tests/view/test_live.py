@@ -28,7 +28,7 @@ from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
-from wbmpc.view.session import _ball, _swerve, run_session
+from wbmpc.view.session import run_session, system_of
 from wbmpc.view.steering import ORDERS, no_orders
 
 pytest.importorskip("viser")
@@ -75,7 +75,7 @@ class Hand:
 
 
 def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending, Running]:
-    plant, agent, mpc, timing = _swerve(load_robot("swerve-ur10"), seed)
+    plant, agent, mpc, timing = system_of(load_robot("swerve-ur10"), seed).parts
     kept: list[Running] = []
 
     class Keep:
@@ -357,7 +357,7 @@ def test_the_page_says_why_the_robot_fell() -> None:
 
     try:
         for seconds in (3.0, 0.01):
-            plant, agent, mpc, timing = _ball(load_robot("rezero"), 1)
+            plant, agent, mpc, timing = system_of(load_robot("rezero"), 1).parts
             run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, (view, Shove())))
     finally:
         view.close()

@@ -9,11 +9,11 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from wbmpc.bases.base import BaseType
+from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name
 
 GROUP = "wbmpc.bases"
@@ -39,7 +39,10 @@ def available_base_types() -> list[str]:
 
 @cache
 def base_type(name: str) -> BaseType:
-    """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported."""
+    """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported.
+
+    What a plug-in leaves out is there all the same and raises :class:`InputError`, as :class:`wbmpc.bases.base.BaseType` has it.
+    """
     locations = _locations()
     if name not in locations:
         raise unknown_name("base type", name, sorted(locations))
@@ -48,4 +51,7 @@ def base_type(name: str) -> BaseType:
         made: BaseType = getattr(import_module(module), attribute)()
     except (ImportError, AttributeError) as error:
         raise InputError(f"base type '{name}': its plug-in {locations[name]} cannot be imported: {error}") from error
+    for part in PARTS:  # of a plug-in that does not derive from BaseType
+        if not hasattr(made, part):
+            setattr(made, part, partial(getattr(BaseType, part), made))
     return made

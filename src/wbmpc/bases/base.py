@@ -1,24 +1,28 @@
 """What a base type is: the protocols that generic code asks, and nothing else.
 
 :class:`Base` is the symbolic side, inside a :class:`wbmpc.model.robot.RobotModel`. :class:`BaseType` is the plug-in: how a robot
-file's ``base`` section is read, and what estimates, controls and simulates such a base. Every part but ``Description`` and
-``model`` is optional in the sense that it may raise :class:`wbmpc.errors.InputError` saying what the base type does not offer.
+file's ``base`` section is read, and what estimates, controls and simulates such a base. A plug-in derives from it and defines
+``Description``, ``model`` and what else its base has; a part that it leaves out raises :class:`wbmpc.errors.InputError` naming
+the part and the base types that offer it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from wbmpc.errors import InputError
+
 if TYPE_CHECKING:
     import casadi as ca
     import mujoco
 
+    from wbmpc.estimation.wheel_calibration import WheelCalibration
     from wbmpc.model.joints import Limits
     from wbmpc.model.kinematics import Chain, FramePose
     from wbmpc.model.robot import RobotModel
@@ -27,6 +31,9 @@ if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
     from wbmpc.ocp import Constraint
     from wbmpc.robots.description import LimitsDescription, RobotDescription
+    from wbmpc.ros2.base_adapter import BaseAdapter
+    from wbmpc.ros2.plants import RosPlant
+    from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.lockstep import Timing
     from wbmpc.simulation.perturbation import Perturbation
 
@@ -45,6 +52,18 @@ class InertialDescription(Section):
 
     rate: float = Field(np.deg2rad(1000.0), gt=0)
     acceleration: float = Field(18.0 * 9.81, gt=0)
+
+
+@dataclass(frozen=True)
+class Radius:
+    """A radius ``value`` [m] that a robot file gives under ``key``, of a part ``what`` called ``name``: the wheel of a joint, or
+    (``sphere``) a body that is a ball."""
+
+    key: str
+    value: float
+    what: str
+    name: str
+    sphere: bool = False
 
 
 class BaseDescription(Section):
@@ -72,8 +91,22 @@ class BaseDescription(Section):
         return [name for names in self.joint_groups().values() for name in names]
 
     def parts(self) -> dict[str, str]:
-        """Bodies beside ``body``, by the key that names them, whose joints are moved by the base's own equations."""
+        """Bodies beside ``body``, by the key that names them, whose joints are moved by the base's own equations. They turn about
+        the origin of ``body``."""
         return {}
+
+    @property
+    def ground(self) -> float:
+        """Height [m] of the floor in the model's world: negative where the world's origin is above it."""
+        return 0.0
+
+    def radii(self) -> list[Radius]:
+        """Radii that the section gives, which the shapes of the robot's model must have too."""
+        return []
+
+    def torque_limits(self, limits: LimitsDescription) -> tuple[float, ...]:
+        """Limits [N m] of drives that are commanded by torque, in the order in which they come first in the simulated robot."""
+        return ()
 
     def frames(self) -> dict[str, tuple[str, ...]]:
         """Frames of the file (bodies or sites) that the section names, by key."""
@@ -107,7 +140,8 @@ class Base(Protocol):
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
     ``wheels``: how many wheels :meth:`rolling` has rows of; 0 where no constraint makes them roll. ``footprint``: None where the
     base does not stand on feet of its own. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) where
-    there is a shorter way than to differentiate ``derivative``.
+    there is a shorter way than to differentiate ``derivative``. Where there are brakes, an optional ``check_brakes(leg, brake)``
+    raises :class:`InputError` if joints that stay at ``leg`` (n) [rad] with ``brake`` (n, 1 = open) let the base move freely.
     """
 
     tree: Tree
@@ -151,12 +185,52 @@ class Base(Protocol):
 
 @dataclass(frozen=True)
 class System:
-    """A simulated robot with its controller and MPC, ready to run: ``plant``, ``controller``, ``mpc`` and their ``timing``."""
+    """A simulated robot with its controller and MPC, ready to run: ``plant``, ``controller``, ``mpc`` and their ``timing``.
+
+    The plant is a :class:`wbmpc.types.Plant`, the controller a :class:`wbmpc.mpc.policy_queue.Controller`. Views ask more of them:
+    the plant's ``description``, MuJoCo's ``model`` and ``data``, its ``world`` (:class:`wbmpc.simulation.world.World`),
+    ``push(force)`` (3) [N] on the base and ``arrange(x)``, which puts the bodies where a state (nx) has them; the controller's
+    ``robot``, ``state()`` (nx) and ``stop()``, and ``base_pose()`` (7) where it has an estimate of the base. Of references a view
+    moves "hand" (poses of the end effector) and "state" (nx), where the MPC has them.
+    """
 
     plant: Any
     controller: Any
     mpc: MPC
     timing: Timing
+
+    @property
+    def parts(self) -> tuple[Any, Any, MPC, Timing]:
+        """In the order in which :func:`wbmpc.simulation.lockstep.run_lockstep` takes them."""
+        return self.plant, self.controller, self.mpc, self.timing
+
+
+class WheelFit(Protocol):
+    """What a log shows of steered wheels: ``calibration``, of what was believed ``before`` (with a larger covariance than the prior's
+    where the log contradicts that); global poses ``used`` and ``given``."""
+
+    @property
+    def calibration(self) -> WheelCalibration: ...
+    @property
+    def before(self) -> WheelCalibration: ...
+    @property
+    def used(self) -> int: ...
+    @property
+    def given(self) -> int: ...
+    def hidden(self) -> dict[str, tuple[Array, Array]]:
+        """Combinations of "steer zeros" and of "radii" that the log does not show: weights (k, n), standard deviations (k)."""
+
+
+class Calibrator(Protocol):
+    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``names``: of the wheels in
+    calibration files; ``geometry``: of the wheels as described."""
+
+    names: list[str]
+    geometry: ModuleGeometry
+
+    def fit(self, channels: Mapping[str, Array], prior: WheelCalibration, source: str) -> WheelFit:
+        """What the ``channels`` of a log show, beginning from a ``prior``; ``source`` is its name in errors. Raises
+        :class:`InputError` for a log that does not have what is needed."""
 
 
 class BaseType(Protocol):
@@ -169,12 +243,55 @@ class BaseType(Protocol):
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
         """The symbolic base of a described robot."""
+        lacks(description, "model")
 
     def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> Any:
-        """The simulated robot at home, perturbed against the model."""
+        """The simulated robot at home, perturbed against the model; see :class:`System`."""
+        lacks(robot.description, "plant")
 
     def system(self, robot: RobotModel, seed: int) -> System:
         """Plant, controller and MPC with default settings: what views and first runs start from."""
+        lacks(robot.description, "system")
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
-        """The adapter of this base type on a ROS 2 bus (:class:`wbmpc.ros2.base_adapter.BaseAdapter`)."""
+    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
+        """The settings of this base type's controller on a ROS 2 bus."""
+        lacks(description, "ros_settings")
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
+        """The adapter of this base type on a ROS 2 bus (:class:`wbmpc.ros2.base_adapter.BaseAdapter`) with settings of
+        :meth:`ros_settings`; ``period`` [s] of the controller."""
+        lacks(robot.description, "ros")
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+        """The simulated robot's side of a ROS 2 bus (:class:`wbmpc.ros2.plants.RosPlant`)."""
+        lacks(robot.description, "ros_plant")
+
+    def calibrator(self, robot: RobotModel) -> Calibrator:
+        """What finds the wheels' calibration from a log."""
+        lacks(robot.description, "calibrator")
+
+
+#: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
+PARTS = {
+    "check": "check of its mechanics", "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
+    "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
+    "calibrator": "calibration of steered wheels",
+}  # fmt: skip
+
+
+def lacks(description: RobotDescription, part: str) -> NoReturn:
+    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
+    from wbmpc.bases import available_base_types, base_type
+
+    offered = []
+    for name in available_base_types():
+        try:
+            plugin = type(base_type(name))
+        except InputError:  # a package that cannot be imported
+            continue
+        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
+            offered.append(name)
+    raise InputError(
+        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "
+        f"('{part}'); valid: {', '.join(offered) or 'no base type that is installed'}"
+    )

@@ -329,8 +329,10 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Run both main experiments and print one table."""
+    from wbmpc.registry import demonstrated
+
     results = []
-    for name in ("swerve-track", "rezero-steps"):
+    for name in demonstrated():
         if not (as_json or context.obj.quiet):
             typer.echo(f"running {name} …", err=True)
         results.append(_execute(context.obj, name, seed, [], None, not as_json))

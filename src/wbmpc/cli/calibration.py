@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from wbmpc.bases.swerve.calibration import WheelFit
+    from wbmpc.bases.base import Calibrator, WheelFit
     from wbmpc.estimation.wheel_calibration import WheelCalibration
-    from wbmpc.model.robot import RobotModel
+    from wbmpc.model.wheels import ModuleGeometry
 
     Array = NDArray[np.float64]
 
@@ -34,9 +34,18 @@ def _channels(path: Path) -> tuple[dict[str, Any], Path]:
 SAME_BASE = 0.02
 
 
-def _robot_of(file: Path, given: str | None) -> RobotModel:
-    """The robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other bases."""
-    from wbmpc.bases.swerve.calibration_log import swerve_robot
+def _calibrator(name: str) -> Calibrator:
+    """Of the robot of that name or file. Raises :class:`InputError` where its base type has no calibration."""
+    from wbmpc.bases import base_type
+    from wbmpc.model.robot import load_robot
+
+    robot = load_robot(name)
+    return base_type(robot.description.base.type).calibrator(robot)
+
+
+def _calibrator_of(file: Path, given: str | None) -> Calibrator:
+    """Of the robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other
+    bases."""
     from wbmpc.run_files import read_metrics
 
     metrics = file.with_name("metrics.json")
@@ -45,27 +54,26 @@ def _robot_of(file: Path, given: str | None) -> RobotModel:
     except (InputError, KeyError) as error:
         if given is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
-        return swerve_robot(given)
+        return _calibrator(given)
     if given is None or given == said:
-        return swerve_robot(said)
-    robot = swerve_robot(given)
+        return _calibrator(said)
+    found = _calibrator(given)
     try:
-        there = swerve_robot(said)
+        there = _calibrator(said)
     except InputError:  # a file that is not there any more
-        return robot
-    if not _same_base(robot, there):
+        return found
+    if not _same_base(found.geometry, there.geometry):
         raise InputError(
             f"--robot: {metrics} says that this was '{said}', whose base is another than that of '{given}'; leave --robot out, or "
             "give the log.npz without the metrics.json beside it"
         )
-    return robot
+    return found
 
 
-def _same_base(a: RobotModel, b: RobotModel) -> bool:
+def _same_base(one: ModuleGeometry, other: ModuleGeometry) -> bool:
     """Whether the modules of two robots hang at the same places in the same way; their radii are what a calibration finds."""
     import numpy as np
 
-    one, other = a.base.geometry, b.base.geometry
     if one.modules != other.modules or one.has_hinge != other.has_hinge:
         return False
     places = lambda g: np.concatenate([g.hinge, g.steer_axes(np.zeros(g.modules))], axis=1)
@@ -92,21 +100,19 @@ def calibrate(
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Find steer zeros and wheel radii of a swerve base from a recorded run with global poses.
+    """Find steer zeros and wheel radii of a base on steered wheels from a recorded run with global poses.
 
     Where the record shows errors far beyond the given standard deviations, these are widened; numbers that a record
     contradicts, or does not show at all, are not written.
     """
-    from wbmpc.bases.swerve.calibration import WheelRecord, fit_wheels
-    from wbmpc.bases.swerve.calibration_log import steer_joints
+    from wbmpc.estimation.wheel_calibration import WheelCalibration
 
     channels, file = _channels(run_log)
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
-    model = _robot_of(file, robot)
-    geometry, names = model.base.geometry, steer_joints(model)
-    record = WheelRecord.of(channels, str(file))
-    prior = WheelCalibration.unknown(geometry, zero_std, 0.5 * radius_std, radius_std)
-    fit = fit_wheels(geometry, record, prior=prior)
+    calibrator = _calibrator_of(file, robot)
+    names = calibrator.names
+    prior = WheelCalibration.unknown(calibrator.geometry, zero_std, 0.5 * radius_std, radius_std)
+    fit = calibrator.fit(channels, prior, str(file))
     hidden = [_words(names, kind, *ways) for kind, ways in fit.hidden().items() if len(ways[1])]
     fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden])
     if as_json:

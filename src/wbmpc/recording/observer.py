@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.model.layout import Layout
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.robots.frames import BASE, frame_names
 from wbmpc.simulation.lockstep import Running
@@ -44,7 +47,7 @@ class Observer:
         names = frame_names(description.base.body, [model.body(i).name for i in range(1, model.nbody)])
         self.reader = SceneReader(model, BASE, names)
         self.scene = self.reader.scene
-        self.lift = np.array([0.0, 0.0, getattr(description.base, "ball_radius", 0.0)])
+        self.lift = np.array([0.0, 0.0, -description.base.ground])
 
     def see(self) -> Moment:
         """The present moment."""
@@ -59,11 +62,7 @@ class Observer:
 
     def hand_goal(self, t: float) -> Array | None:
         """The hand's reference in ``odom`` at time t [s], if the problem has one."""
-        reference = {} if self.running.mpc is None else self.running.mpc.reference
-        if "hand" not in reference or reference["hand"].values.shape[1] != 7:
-            return None
-        goal = reference["hand"].at(t)
-        return np.concatenate([goal[:3] + self.lift, goal[3:]])
+        return hand_goal(self.running.mpc, t, self.lift)
 
     def plan(self, plans: PolicyQueue) -> tuple[Array, Array]:
         """Predicted poses of base and hand (n, 7) in ``odom``, n at most PLAN_POINTS, none before the first plan.
@@ -72,14 +71,32 @@ class Observer:
         """
         if plans.current is None or self.running.mpc is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
-        states, robot, layout = plans.current.x, self.running.agent.robot, self.running.mpc.ocp.dynamics.state
-        chosen = states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]
-        hand = robot.poses(np.hstack([chosen[:, layout[group]] for group in robot.state.groups]))
-        planned = chosen[:, layout["base"]] if "base" in robot.state else np.zeros((len(chosen), 3))
-        base = base_poses(planned)
-        base[:, :3] += self.lift
-        hand[:, :3] += self.lift
-        return base, hand
+        layout = self.running.mpc.ocp.dynamics.state
+        return predicted(self.running.agent.robot, layout, thinned(plans.current.x), self.lift)
+
+
+def hand_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
+    """The hand's reference (7) of an MPC at time t [s] above the floor, None if its problem has none; ``lift`` (3) [m]."""
+    if mpc is None or "hand" not in mpc.reference or mpc.reference["hand"].values.shape[1] != 7:
+        return None
+    goal = mpc.reference["hand"].at(t)
+    return np.concatenate([goal[:3] + lift, goal[3:]])
+
+
+def thinned(states: Array) -> Array:
+    """PLAN_POINTS of a plan's states (n, nx) at most, from the first to the last."""
+    return states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]
+
+
+def predicted(robot: RobotModel, layout: Layout, states: Array, lift: Array) -> tuple[Array, Array]:
+    """Poses of base and hand (n, 7) above the floor at states (n, nx), whose groups are in ``layout``; ``lift`` (3) [m]. A base that
+    is not in the state is drawn at the origin."""
+    hand = robot.poses(np.hstack([states[:, layout[group]] for group in robot.state.groups]))
+    planned = states[:, layout["base"]] if "base" in robot.state else np.zeros((len(states), 3))
+    base = base_poses(planned)
+    base[:, :3] += lift
+    hand[:, :3] += lift
+    return base, hand
 
 
 def base_poses(planned: Array) -> Array:

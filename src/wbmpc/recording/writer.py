@@ -15,7 +15,7 @@ from wbmpc.recording.messages import Message, encode, full_name, schema
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
-#: Bytes that a run's recording may have on the disk, unless somebody says otherwise: two and a half hours of the swerve robot.
+#: Bytes that a run's recording may have on the disk, unless somebody says otherwise: some hours of a robot with a dozen joints.
 LIMIT = 2_000_000_000
 #: Quality of service for topics whose last message latecomers get, and for the others (rosbag2's form).
 _QOS = """- history: keep_last

@@ -13,6 +13,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
+    from wbmpc.bases.base import Radius
     from wbmpc.robots.description import RobotDescription
 
 #: How far [of it] a described radius may be from that of the shapes: tyres wear, and are pressed flat.
@@ -23,29 +24,27 @@ _ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.
 
 
 def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
-    """Raise :class:`InputError` naming both figures where a wheel's or the ball's shapes have another radius than the description.
+    """Raise :class:`InputError` naming both figures where the shapes of a wheel, or of a body that is a ball, have another
+    radius than the description.
 
     A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tyre may be another
     one) cannot be checked.
     """
     base, urdf = description.base, description.model.suffix.lower() == ".urdf"
-    wheels = [("base.wheel_radius", m.wheel, getattr(base, "wheel_radius", 0.0)) for m in getattr(base, "modules", ())]
     root = ElementTree.parse(description.model).getroot() if urdf else None
-    for key, joint, given in wheels:
-        drawn = _of_urdf(root, joint) if root is not None else _of_model(model, joint)
-        _compare(description, key, f"wheel '{joint}'", given, drawn)
-    ball = getattr(base, "ball", None)
-    if ball is not None and not urdf:
-        _compare(
-            description, "base.ball_radius", f"ball '{ball}'", getattr(base, "ball_radius", 0.0), _of_ball(model, ball)
-        )
+    for radius in base.radii():
+        if radius.sphere:
+            drawn = _of_sphere(model, radius.name) if root is None else None
+        else:
+            drawn = _of_model(model, radius.name) if root is None else _of_urdf(root, radius.name)
+        _compare(description, radius, drawn)
 
 
-def _compare(description: RobotDescription, key: str, what: str, given: float, drawn: float | None) -> None:
-    if drawn is not None and abs(given - drawn) > MOST * drawn:
+def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:
+    if drawn is not None and abs(radius.value - drawn) > MOST * drawn:
         raise InputError(
-            f"{description.source}: key '{key}': {given:g} m, but the shape of the {what} in {description.model} has a radius of "
-            f"{drawn:.4g} m; they may differ by {100 * MOST:g} % at most"
+            f"{description.source}: key '{radius.key}': {radius.value:g} m, but the shape of the {radius.what} '{radius.name}' in "
+            f"{description.model} has a radius of {drawn:.4g} m; they may differ by {100 * MOST:g} % at most"
         )
 
 
@@ -76,7 +75,7 @@ def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
     return max(found, default=None)
 
 
-def _of_ball(model: mujoco.MjModel, body: str) -> float | None:
+def _of_sphere(model: mujoco.MjModel, body: str) -> float | None:
     geoms = np.flatnonzero(model.geom_bodyid == model.body(body).id)
     spheres = [float(model.geom_size[g][0]) for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
     return max(spheres, default=None)

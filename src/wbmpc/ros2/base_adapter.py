@@ -9,11 +9,11 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC, Bound, Guess
-from wbmpc.ocp import ModeSchedule, Reference
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
+from wbmpc.ros2.bus import Node
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
@@ -39,15 +39,41 @@ class Estimate:
     twist_covariance: Array
 
 
+class Brakes(Protocol):
+    """What commands the brakes of a run."""
+
+    def commanded(self, t: float) -> Array:
+        """Brakes (n, 1 = open) as commanded at time t [s]."""
+
+
+class LegOrders(Protocol):
+    """Orders to legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so;
+    ``refused``: why the last order was not taken; ``short``: which legs have ended on their way."""
+
+    angles: Array | None
+    refused: str
+    short: str
+
+    @property
+    def waiting(self) -> bool: ...
+    def apply(self, brakes: Any, t: float, leg: Array) -> bool: ...
+    def watch(self, brakes: Any, t: float, leg: Array) -> bool: ...
+    def drop(self) -> None: ...
+    def refuse(self, sentence: str) -> None: ...
+    def stop(self) -> None: ...
+
+
 class BaseAdapter(Protocol):
-    """``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
+    """``brakes`` of a run (:class:`Brakes`) and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
     ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as sentences; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick.
-    ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localisation's pose at every tick; after
-    ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
-    from state x (nx) on. ``references`` of a task that begins at x may take long, and are made in another thread.
+    ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localisation's pose at every tick;
+    after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
+    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_orders``: what takes orders to
+    the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
+    ``references`` of a task that begins at x may take long, and are made in another thread.
     """
 
     robot: RobotModel
@@ -58,7 +84,7 @@ class BaseAdapter(Protocol):
     agent: Any
     keeps: bool
     watches: str
-    brakes: BrakeControl | None
+    brakes: Any
     legs: Array | None
     needs_imu: bool
     parameters: Callable[[], Array] | None
@@ -67,6 +93,10 @@ class BaseAdapter(Protocol):
     @property
     def faults(self) -> list[str]: ...
     def inspect(self) -> None: ...
+    def problem(self, cost: Any) -> OptimalControlProblem: ...
+    def leg_orders(
+        self, node: Node, ready: Callable[[], str], now: Callable[[], tuple[Array, Array] | None]
+    ) -> LegOrders | None: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(

@@ -93,9 +93,9 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         if topic == "/clock" and not settings.use_sim_time:
             found += _needless_clock(node, ears[topic])
             continue
-        needed = topic != topics.imu or robot.description.base.type == "ball"
+        needed = topic != topics.imu or robot.base.balances
         found += _source(node, topic, kind, ears[topic], settings, needed)
-        if robot.description.base.type == "ball" and topic != "/clock":
+        if robot.base.balances and topic != "/clock":
             found += _balancing(topic, ears[topic].rate, settings.rates.control)
     found += _which_robot(robot, ears[topics.joint_states], described)
     controllers = settings.command_topics(robot)
@@ -143,7 +143,13 @@ def _balancing(topic: str, rate: float, wanted: float) -> list[Finding]:
     """Of sensors that keep a robot upright: every tick of its controller needs a message."""
     if not 0.0 < rate < _OF_THE_TICKS * wanted:
         return []
-    return [Finding(WARNING, topic, f"slow: {rate:.0f} Hz, a ball robot's controller at {wanted:g} Hz needs as many")]
+    return [
+        Finding(
+            WARNING,
+            topic,
+            f"slow: {rate:.0f} Hz, the controller of a robot that balances, at {wanted:g} Hz, needs as many",
+        )
+    ]
 
 
 def _brakes(robot: RobotModel, controllers: dict[str, Controller]) -> list[Finding]:

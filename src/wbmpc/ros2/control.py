@@ -6,16 +6,13 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.ball.ros import BallPilot
-from wbmpc.bases.swerve.ros import SwervePilot
-from wbmpc.bases.swerve.ros_legs import Legs
+from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.base_adapter import BaseAdapter
+from wbmpc.ros2.base_adapter import BaseAdapter, LegOrders
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
@@ -28,7 +25,7 @@ from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Teller
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
-from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
+from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Trajectories
 from wbmpc.ros2.tuning import parameters_of
 from wbmpc.runtime.clock import WallClock
@@ -47,16 +44,6 @@ OFFSET, GAP = 0.5, (0.4, 0.75)
 _RECORDS = 4000
 
 
-def pilot_of(robot: RobotModel, settings: RosSettings, period: float) -> BaseAdapter:
-    """For the robot's kind of base."""
-    pilot: Any = (
-        BallPilot(robot, settings, period)
-        if isinstance(settings, BallSettings)
-        else SwervePilot(robot, settings, period)
-    )
-    return pilot  # type: ignore[no-any-return]
-
-
 class ControlNode:
     """``state``: what it does, as a sentence. A goal starts it, also anew after a stop; nothing moves before.
 
@@ -64,7 +51,6 @@ class ControlNode:
     """
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
-        settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
         self.rosout = Rosout(node, settings.node, self.now, self.breathe)
         self.period = 1.0 / settings.rates.control
@@ -73,16 +59,14 @@ class ControlNode:
             self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
         elif settings.use_sim_time:
             self.clock = BusClock()
-        self.pilot = pilot_of(robot, settings, self.period)
+        self.pilot: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
         self.gate = Gate(settings.topics.pose, settings.safety.jump)
         if settings.topics.pose:
             self.pilot.fix = self._fix
         self.body = BusRobot(node, self.pilot, settings, self.clock)
-        self.legs = (
-            Legs(node, robot, settings, self._not_for_legs, self._legs_now) if self.pilot.brakes is not None else None
-        )
+        self.legs = self.pilot.leg_orders(node, self._not_for_legs, self._legs_now)
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.planning = Planning(self.pilot.references)
         self.runner: RealTimeRunner | None = None
@@ -314,7 +298,7 @@ class ControlNode:
             legs.drop()
             legs.refuse(f"an order to the legs is refused: {sentence_of(error)}")
 
-    def _order(self, legs: Legs, x: np.ndarray) -> None:
+    def _order(self, legs: LegOrders, x: np.ndarray) -> None:
         pilot = self.pilot
         if not self.running:
             if not legs.waiting:  # it has stopped just now

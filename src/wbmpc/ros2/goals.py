@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.ball.model import BallBase
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import nearest_turn, planar
@@ -79,15 +78,15 @@ class Task:
 class Planner:
     """Makes tasks that begin at a state ``x`` (nx) and time ``t`` [s].
 
-    ``lift`` [m]: height of the model's origin above the floor, that is of a ball robot's ball; heights on the bus are above the
-    floor, those of tasks above the origin. ``base_height`` [m] of the base's frame above the floor. ``goals``: how far they may
+    ``lift`` [m]: height of the model's origin above the floor; heights on the bus are above the floor, those of tasks above the
+    origin. ``base_height`` [m] of the base's frame above the floor. ``goals``: how far they may
     be; farther ones, and those that the arm cannot reach, raise :class:`InputError`.
     """
 
     def __init__(self, robot: RobotModel, speeds: Speeds, goals: Goals | None = None) -> None:
         self.robot, self.speeds, self.goals = robot, speeds, goals or Goals()
-        self.lift = robot.base.radius if isinstance(robot.base, BallBase) else 0.0
-        self.base_height = self.lift if isinstance(robot.base, BallBase) else robot.base.body_height
+        self.lift = -robot.base.ground
+        self.base_height = robot.base.body_height
         self.shoulder, self.reach = _arm(robot)
 
     # ------------------------------------------------------------------ tasks
@@ -293,5 +292,5 @@ def _arm(robot: RobotModel) -> tuple[float, float]:
     while link != first:
         length += float(np.linalg.norm(tree.links[link].position))
         link = tree.links[link].parent
-    height = 0.0 if isinstance(robot.base, BallBase) else robot.base.body_height
+    height = robot.base.body_height + robot.base.ground
     return float(height + tree.zero_poses()[first][0][2]), length

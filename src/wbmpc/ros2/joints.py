@@ -18,8 +18,6 @@ from wbmpc.ros2.settings import RosSettings, joint_groups
 _SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
-#: Of wheels on a ball [rad/s]: 3 m/s of the ball, for its description limits torques only.
-_BALL_WHEELS = 50.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class JointReader:
         self.groups = {g: [settings.bus_name(n) for n in names] for g, names in groups.items()}
         self.ignored = set(settings.ignore)
         self.names = [n for part in self.groups.values() for n in part]
-        self._speed = np.concatenate([_speeds(robot, g) for g, names in groups.items() if names])
+        self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
         self._last: tuple[float, np.ndarray] | None = None
         self._confirmed = confirmed
@@ -138,12 +136,3 @@ def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: floa
 def read_imu(message: Any) -> Inertial:
     """An Imu message; :class:`NotFinite` if a number is not finite."""
     return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))
-
-
-def _speeds(robot: RobotModel, group: str) -> np.ndarray:
-    """Speed limits [rad/s] of a group's joints."""
-    if robot.description.base.type != "ball":
-        return robot.limits.input_upper[robot.input[group]]
-    if group == "wheel":
-        return np.full(len(robot.input.groups["wheel"]), _BALL_WHEELS)
-    return robot.limits.state_upper[robot.state["arm_velocity"]]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.ball.model import BallBase
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.ros2.convert import header
@@ -18,16 +17,18 @@ Array = np.ndarray
 LINE_STRIP, SPHERE = 4, 2
 #: Width of lines, size of points [m]; how many moments of the plan are shown.
 LINE, POINT, MOMENTS = 0.01, 0.05, 5
+#: A base without feet of its own stands on one point, shown as a ring: its radius as a share of the base's height.
+RING = 0.3
 GREEN, RED, GREY = (0.1, 0.7, 0.2, 1.0), (0.9, 0.1, 0.1, 1.0), (0.5, 0.5, 0.5, 0.5)
 
 
 class Footprint:
-    """Markers of a robot's states, in the frame ``world``. A ball robot stands on one point. ``breathe`` is called before each
-    state, which takes a tenth of a millisecond."""
+    """Markers of a robot's states, in the frame ``world``. ``breathe`` is called before each state, which takes a tenth of a
+    millisecond."""
 
     def __init__(self, robot: RobotModel, world: str, breathe: Callable[[], None] = lambda: None) -> None:
         self.robot, self.world, self._breathe = robot, world, breathe
-        self._stance = None if isinstance(robot.base, BallBase) else StanceOf(robot)
+        self._stance = None if robot.base.footprint is None else StanceOf(robot)
 
     def markers(
         self, now: float, x: Array, u: Array | None, wrench: Array, policy: Policy | None
@@ -51,9 +52,9 @@ class Footprint:
         """Corners (n, 2) of the support and the zero-moment point (2) [m] in the world."""
         self._breathe()
         place = x[self.robot.state["base"]][:2]
-        if self._stance is None:  # a ring around the point on which the ball stands
+        if self._stance is None:
             angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-            ring = 0.3 * self.robot.base.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            ring = RING * self.robot.base.body_height * np.stack([np.cos(angles), np.sin(angles)], axis=1)
             return place + ring, place
         s = self._stance(x, wrench, u=u)
         return place + support_polygon(s.feet), place + s.zmp

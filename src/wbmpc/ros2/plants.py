@@ -1,21 +1,17 @@
-"""What the simulated robot's node needs to know of each kind of plant: readings by group, commands from groups."""
+"""What the simulated robot's node needs to know of its plant: readings by group, commands from groups."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from wbmpc import lie
-from wbmpc.bases.ball.messages import BallCommand
-from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.bases.swerve.messages import SwerveCommand
-from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import seconds, upright
-from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
+from wbmpc.ros2.convert import seconds
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.types import Truth
 
@@ -50,14 +46,37 @@ class Led:
         return columns(self.positions), columns(self.velocities) * (0.0 if over else 1.0)
 
 
-class _Side:
-    """``held``: it falls without commands; ``lift`` [m] of the model's origin above the floor; ``imu_at`` (3) [m] in the base."""
+class RosPlant(ABC):
+    """A simulated robot's side of the bus; each base type has its own, see :meth:`wbmpc.bases.base.BaseType.ros_plant`.
 
-    held, lift, imu_at = False, 0.0, np.zeros(3)
+    ``held``: it falls without commands; ``lift`` [m] of the model's origin above the floor; ``imu_at`` (3) [m] in the base;
+    ``led``: trajectories that controllers follow, by their names; ``last``: what was read last. Groups: see
+    :data:`wbmpc.ros2.settings.GROUPS`.
+    """
 
-    def __init__(self) -> None:
+    imu_at = np.zeros(3)
+
+    def __init__(self, robot: RobotModel, plant: Any) -> None:
+        self.robot, self.plant = robot, plant
+        self.held, self.lift = robot.base.balances, -robot.base.ground
         self.led: dict[str, Led] = {}
         self.last: Reading | None = None
+
+    @abstractmethod
+    def rest(self) -> dict[str, Array]:
+        """Commands by group of a robot that rests, brakes closed."""
+
+    @abstractmethod
+    def command(self, groups: dict[str, Array]) -> Any:
+        """The plant's command of what each group gets."""
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """What the sensors say; kept as ``last``."""
+
+    @abstractmethod
+    def base(self, truth: Truth) -> tuple[Array, Array]:
+        """True position (3) [m] above the floor and quaternion (4) of the base's frame."""
 
     def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> Led:
         """A JointTrajectory of ``joints``, checked by the rules of ros2_control's joint_trajectory_controller as it is configured
@@ -103,72 +122,6 @@ def _rows(what: str, given: list[Any], joints: int) -> Array:
     return rows
 
 
-class SwerveSide(_Side):
-    """A swerve robot: speeds and brakes."""
-
-    def __init__(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> None:
-        super().__init__()
-        self.robot = robot
-        self.plant = SwervePlant(robot.description, robot.state.split(robot.home), perturbation, seed)
-        self._sizes = {g: len(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
-
-    def rest(self) -> dict[str, Array]:
-        """Everything at rest, brakes closed."""
-        return {g: np.zeros(n) for g, n in self._sizes.items()}
-
-    def command(self, groups: dict[str, Array]) -> SwerveCommand:
-        """What the drives get; four brakes for fixed legs, as the plant wants them."""
-        return SwerveCommand(**groups)
-
-    def read(self) -> Reading:
-        """What the sensors say."""
-        m = self.plant.measure()
-        self.last = Reading({"leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}, m.gyro, m.accel)
-        return self.last
-
-    def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base."""
-        return upright(truth.pose, self.robot.base.body_height)
-
-
-class BallSide(_Side):
-    """A ball robot: torques. It is held until the first ones come."""
-
-    held = True
-
-    def __init__(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> None:
-        super().__init__()
-        self.robot, self.lift = robot, robot.base.radius
-        home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-        self.plant = BallPlant(robot.description, home, torque, perturbation, seed)
-        self.imu_at = self.plant.sensors.mount
-
-    def rest(self) -> dict[str, Array]:
-        """No torque."""
-        return {g: np.zeros(len(self.robot.input.groups[g])) for g in ("wheel", "arm")}
-
-    def command(self, groups: dict[str, Array]) -> BallCommand:
-        """What the drives get."""
-        return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
-
-    def read(self) -> Reading:
-        """What the sensors say; inertial readings are averages since the message before."""
-        m = self.plant.measure()
-        none = np.zeros(0)
-        joints = {"leg": none, "steer": none, "wheel": m.wheel, "arm": m.arm}
-        self.last = Reading(joints, m.gyro, m.accel, m.age)
-        return self.last
-
-    def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base, which leans; its frame is the ball's centre."""
-        rotation = truth.tool_rotation @ truth.tool_rotation_in_base.T
-        return np.array([*truth.pose[:2], self.lift]), lie.rotation_to_quaternion(rotation)
-
-
-def plant_of(
-    robot: RobotModel, settings: RosSettings, perturbation: Perturbation | None, seed: int
-) -> SwerveSide | BallSide:
-    """The simulated robot; raises :class:`InputError` for kinds of bases that there is none for."""
-    settings_of(robot)
-    made = BallSide if robot.description.base.type == "ball" else SwerveSide
-    return made(robot, perturbation, seed)
+def plant_of(robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+    """The simulated robot; raises :class:`InputError` where its base type has none for ROS 2."""
+    return base_type(robot.description.base.type).ros_plant(robot, perturbation, seed)

@@ -43,7 +43,7 @@ class Teller:
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
         self.footprint = Footprint(controller.robot, controller.settings.frames.world, controller.breathe)
-        self._ball = _ball_frame(controller.robot.description, controller.settings)
+        self._parts = _part_frames(controller.robot.description, controller.settings)
         rates = controller.settings.rates
         self._due = {
             "odom": [0.0, 1.0 / rates.odom],
@@ -89,9 +89,11 @@ class Teller:
             },
         })  # fmt: skip
         transforms = [_transform(now, frames.world, frames.base, e.position, e.orientation)]
-        if self._ball:  # a URDF's floating joint: nobody else has its frame. How a sphere has turned is not estimated
+        for part in (
+            self._parts
+        ):  # a URDF's floating joint: nobody else has its frame. How a sphere has turned is not estimated
             upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
-            transforms.append(_transform(now, frames.base, self._ball, np.zeros(3), upright_again))
+            transforms.append(_transform(now, frames.base, part, np.zeros(3), upright_again))
         self._send("tf", {"transforms": transforms})
         self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
 
@@ -148,8 +150,8 @@ def _transform(now: float, parent: str, child: str, position: np.ndarray, orient
     return {"header": header(now, parent), "child_frame_id": child, "transform": transform}
 
 
-def _ball_frame(description: RobotDescription, settings: RosSettings) -> str:
-    """The frame of a ball robot's ball, whose origin is the base's; empty without one."""
-    ball = getattr(description.base, "ball", "")
-    frames = settings.frames
-    return frame_names(description.base.body, [ball], frames.base, frames.world)[ball] if ball else ""
+def _part_frames(description: RobotDescription, settings: RosSettings) -> list[str]:
+    """The frames of bodies that the base's own equations move, whose origins are the base's."""
+    parts, frames = [*description.base.parts().values()], settings.frames
+    names = frame_names(description.base.body, parts, frames.base, frames.world)
+    return [names[part] for part in parts]

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator
 
-from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, refuse_unlearnt
-from wbmpc.bases.ball.settings import BallControllerSettings as RezeroStepsSettings
-from wbmpc.bases.swerve.defaults import SwerveCost
+from wbmpc.bases import base_type
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
@@ -128,16 +125,16 @@ class Speeds(Settings):
 
 
 class Fastest(Settings):
-    """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (a ball robot:
-    ``speeds``)."""
+    """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (where
+    these are no inputs: ``speeds``)."""
 
     base: float | None = Field(None, gt=0, allow_inf_nan=False)
     turn: float | None = Field(None, gt=0, allow_inf_nan=False)
 
 
 class Exerted(Settings):
-    """The most that a ball robot's hand may be asked to exert: force [N], moment [N m]. Its plan leans on the world's answer, and
-    where there is none it has to stand all the same: 20 N that nobody answers fell it."""
+    """The most that the hand of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
+    answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
 
     force: float = Field(10.0, gt=0, le=200)
     moment: float = Field(2.0, gt=0, le=20)
@@ -168,7 +165,7 @@ class Safety(Settings):
 class Controller(Settings):
     """A controller of ros2_control: ``topic`` of its commands, our ``joints`` in its order.
 
-    ``takes``: ``numbers`` (Float64MultiArray: speeds, for a ball robot efforts) or ``trajectory`` (JointTrajectory).
+    ``takes``: ``numbers`` (Float64MultiArray: speeds, or efforts where the robot's drives take these) or ``trajectory`` (JointTrajectory).
     """
 
     topic: str
@@ -187,13 +184,15 @@ class Controller(Settings):
 
 
 class RosSettings(Settings):
-    """``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours.
+    """What every base type's settings have; a base type adds its own in a subclass (see
+    :meth:`wbmpc.bases.base.BaseType.ros_settings`), with its ``cost``.
+
+    ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours.
 
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
     out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
     the modelled ``mpc.delay`` of that time, however fast the machine is. ``drive_lag`` [s] of the drives; ``state_age`` [s]:
-    by the wall's clock, how old joint states are when they come, and ``wrench`` (ball robots). ``leg_guard``: whether open legs
-    that do not move as planned are held by their brakes.
+    by the wall's clock, how old joint states are when they come, and ``wrench`` (robots that balance).
     """
 
     node: str = "wbmpc"
@@ -211,11 +210,9 @@ class RosSettings(Settings):
     ignore: tuple[str, ...] = ()
     controllers: dict[str, Controller] = Field({})
     mpc: MpcSettings = MpcSettings()
-    cost: SwerveCost = SwerveCost()
+    cost: Settings = Settings()
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
-    use_gyro: bool = True
-    leg_guard: bool = True
 
     @field_validator("node")
     @classmethod
@@ -248,6 +245,10 @@ class RosSettings(Settings):
             return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
         return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
 
+    def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
+        """Speed limits [rad/s] of the joints of a group of the model, beyond which joint states cannot be true."""
+        return robot.limits.input_upper[robot.input[group]]
+
     def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
         drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
@@ -279,31 +280,10 @@ class RosSettings(Settings):
         return self.controllers
 
 
-class BallSettings(RosSettings):
-    """A ball robot's: torques, its own problem; rate and weights of `rezero-steps`. ``observer``: of constant disturbances;
-    ``brace`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
-    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
-
-    mpc: MpcSettings = RezeroStepsSettings().mpc
-    cost: RezeroCost = STEPS_AND_PUSHES  # type: ignore[assignment]
-    wrench: Exerted | None = Exerted()
-    observer: bool = True
-    brace: float = Field(RezeroStepsSettings().brace, ge=0, le=1.0)
-    pushed_speed: float = Field(RezeroStepsSettings().pushed_speed, gt=0)
-
-    @model_validator(mode="after")
-    def _used(self) -> Self:
-        refuse_unlearnt(self.observer, self.pushed_speed != type(self).model_fields["pushed_speed"].default)
-        return self
-
-
 def settings_of(robot: RobotModel) -> type[RosSettings]:
-    """The settings for a kind of base. Raises :class:`InputError` for robots that this room cannot drive."""
-    kind = robot.description.base.type
-    known: dict[str, type[RosSettings]] = {"swerve": RosSettings, "ball": BallSettings}
-    if kind not in known:
-        raise InputError(f"ros2: '{robot.description.name}' has a base of type '{kind}'; valid: {', '.join(known)}")
-    return known[kind]
+    """The settings for a robot's base type. Raises :class:`InputError` where that has no controller for ROS 2."""
+    description = robot.description
+    return base_type(description.base.type).ros_settings(description)
 
 
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:

@@ -63,7 +63,7 @@ class SimNode:
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
         self._limit = RateLimit()
-        self.side = plant_of(robot, settings, perturbation, seed)
+        self.side = plant_of(robot, perturbation, seed)
         self.plant = self.side.plant
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
         self.period = self.steps * self.plant.timestep

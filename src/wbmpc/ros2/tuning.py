@@ -6,14 +6,12 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from wbmpc.bases.ball.defaults import rezero_problem
-from wbmpc.bases.swerve.defaults import swerve_problem
 from wbmpc.configuration import describe
 from wbmpc.errors import InputError
 from wbmpc.ocp import OptimalControlProblem
 from wbmpc.ros2.base_adapter import BaseAdapter, Weights
 from wbmpc.ros2.parameters import Parameter, Parameters, Value
-from wbmpc.ros2.settings import BallSettings, RosSettings
+from wbmpc.ros2.settings import RosSettings
 from wbmpc.settings import Settings, Weight
 
 #: Weights are numbers up to this.
@@ -35,7 +33,7 @@ def parameters_of(pilot: BaseAdapter, settings: RosSettings) -> Parameters:
 
     def change(values: dict[str, Value]) -> None:
         cost = changed_cost(state["cost"], values)
-        pilot.pending.reweigh(weights_of(problem_of(pilot, settings, cost)))
+        pilot.pending.reweigh(weights_of(pilot.problem(cost)))
         state["cost"] = cost
 
     return Parameters(given, change)
@@ -69,14 +67,6 @@ def changed_cost(cost: Any, values: dict[str, Value]) -> Any:
         return type(cost).model_validate(data)
     except ValidationError as error:
         raise InputError(f"parameters: {describe(error)}") from error
-
-
-def problem_of(pilot: BaseAdapter, settings: RosSettings, cost: Any) -> OptimalControlProblem:
-    """The controller's problem with other weights. The ball robot's without its limit of the lean, which takes 0.2 s to make
-    and has no weight: ticks go on meanwhile."""
-    if isinstance(settings, BallSettings):
-        return rezero_problem(pilot.robot, settings.mpc, cost.model_copy(update={"lean": 0.0}))
-    return swerve_problem(pilot.robot, settings.mpc, cost, accelerations=True)
 
 
 def weights_of(problem: OptimalControlProblem) -> Weights:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+#: The main experiment of each paper: what 'wbmpc demo' runs.
+DEMO = ("swerve-track", "rezero-steps")
 #: Name -> "module:attribute" of the built-in experiments, in the order of 'wbmpc list'. The entry points in pyproject.toml are the
 #: same table.
 EXPERIMENTS: dict[str, str] = {

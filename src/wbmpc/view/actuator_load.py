@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.ball.description import BallBaseDescription
-from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.robots import RobotDescription
 
 Array = np.ndarray
-#: Names of the groups; ``drives`` are a ball's omni wheels, whose limit is a torque: the others' are speeds.
+#: Names of the groups; ``drives`` are those of a base that are commanded by torque: the others' limits are speeds.
 GROUPS = ("arm", "legs", "steering", "wheels", "drives")
+#: What a base's groups of joints are called here; joints of other groups are shown with none.
+_OF_BASE = {"leg": "legs", "steer": "steering", "wheel": "wheels"}
 
 
 class Loads:
@@ -18,32 +18,29 @@ class Loads:
 
     def __init__(self, robot: RobotDescription, joints: list[str]) -> None:
         base, limits = robot.base, robot.limits
-        modules = base.modules if isinstance(base, SwerveBaseDescription) else ()
-        members = {
-            "arm": robot.arm.joints, "legs": [m.hinge for m in modules], "steering": [m.steer for m in modules],
-            "wheels": [m.wheel for m in modules],
-        }  # fmt: skip
+        groups = base.joint_groups()
+        members = {"arm": robot.arm.joints, **{name: groups.get(group, []) for group, name in _OF_BASE.items()}}
         self._limits = np.array([limits.velocity.get(name, np.inf) for name in joints])
         places = {
             group: [i for i, joint in enumerate(joints) if joint in names and np.isfinite(self._limits[i])]
             for group, names in members.items()
         }
         self._places = {group: found for group, found in places.items() if found}
-        self._wheels = len(base.wheels.azimuths) if isinstance(base, BallBaseDescription) else 0
-        self._torque = limits.wheel_effort
+        self._torques = np.array(base.torque_limits(limits))
 
     @property
     def groups(self) -> tuple[str, ...]:
         """The groups that this robot has, of :data:`GROUPS`."""
-        return (*self._places, *(("drives",) if self._wheels and np.isfinite(self._torque) else ()))
+        return (*self._places, *(("drives",) if np.isfinite(self._torques).any() else ()))
 
     def shares(self, speeds: Array, forces: Array | None = None) -> dict[str, float]:
         """The largest speed over its limit of each group, nan for groups that there are not.
 
-        ``speeds`` (joints) [rad/s]; ``forces``: of all drives [N m], a ball's wheels first (left out: not known).
+        ``speeds`` (joints) [rad/s]; ``forces``: of all drives [N m], those commanded by torque first (left out: not
+        known).
         """
         ratio = np.abs(speeds) / self._limits
         found = {group: float(ratio[places].max()) for group, places in self._places.items()}
         if forces is not None and "drives" in self.groups:
-            found["drives"] = float(np.abs(forces[: self._wheels]).max()) / self._torque
+            found["drives"] = float((np.abs(forces[: self._torques.size]) / self._torques).max())
         return {group: found.get(group, np.nan) for group in GROUPS}

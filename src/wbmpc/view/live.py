@@ -20,11 +20,11 @@ from wbmpc.recording.observer import Observer
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import bounds
 from wbmpc.view.actuator_load import Loads
+from wbmpc.view.core import LiveView, followed, numbers, timing
 from wbmpc.view.history import Factor
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, errors, fields, filled, ground
-from wbmpc.view.steering import Controls, Steering, no_orders, planar, spatial
-from wbmpc.view.window import Window
+from wbmpc.view.snapshot import PLAN, REFERENCE, fields, filled, ground
+from wbmpc.view.steering import Steering, no_orders, planar, spatial
 
 Array = np.ndarray
 #: A run that is late by more than this [s] gives up catching up with the clock.
@@ -33,7 +33,7 @@ _LATEST = 0.2
 _KEPT = 100_000
 
 
-class View(Window):
+class View(LiveView):
     """A :class:`~wbmpc.simulation.lockstep.Watcher` that shows a run at ``url`` and paces it to the clock.
 
     ``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it; ``steered``: whether
@@ -51,8 +51,7 @@ class View(Window):
         with_token: bool = True,
     ) -> None:
         super().__init__(title, host, port, opened, with_token)
-        self.wants_reset = self.ended = self.steered = False
-        self._orders, self._factor, self._before = no_orders(), Factor(), ""
+        self.steered, self._factor = False, Factor()
         self._ticks, self._late_ticks, self._period = 0, 0, np.inf
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
@@ -61,11 +60,7 @@ class View(Window):
     def open(self, running: Running) -> None:
         """Start the server's process for the world of a run; returns when it answers."""
         self.scene = Observer(running).scene
-        steering = Steering(running, np.zeros(3))
-        names = tuple(cost.name for cost in steering.costs)
-        groups = self._loads_of(running).groups
-        controls = Controls(self.title, names, steering.has_legs, Steering.base_of(running.mpc), groups)
-        self.start(self.scene, controls, fields(self.scene))
+        self.start(self.scene, self._controls(running.mpc, self._loads_of(running).groups), fields(self.scene))
 
     @staticmethod
     def _loads_of(running: Running) -> Loads:
@@ -91,7 +86,8 @@ class View(Window):
         self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._orders)
-        self._steps, self._resets, self._ends = (int(self._orders[n]) for n in ("steps", "resets", "ends"))
+        self._expect()
+        self._steps = int(self._orders["steps"])
         self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
         self._next = -np.inf
         self._anchor(0.0)
@@ -149,19 +145,18 @@ class View(Window):
         self._steps += int(self._orders["steps"]) != self._steps  # each of several clicks is a step
 
     def _take_orders(self) -> None:
-        message = self.orders.read()
-        if message is None:
+        before = self._orders["speed"]
+        if not self._read_orders():
             return
-        before, self._orders = self._orders["speed"], message.values
         try:
             bounds.within("speed", float(self._orders["speed"]), *bounds.SPEEDS)
         except InputError as error:
             self._orders["speed"] = before
             self.reject(str(error))
-        if int(self._orders["ends"]) != self._ends:
+        if self._asked("ends"):
             self.ended = True
             raise EndedByUser("ended in the view")
-        if int(self._orders["resets"]) != self._resets:
+        if self._asked("resets"):
             self.wants_reset = True
             raise EndedByUser("begun anew in the view")
 
@@ -173,34 +168,23 @@ class View(Window):
     def _snapshot(self, t: float, plans: PolicyQueue) -> dict[str, Array]:
         running, reader, moment, mpc = self.running, self._observer.reader, self._observer.see(), self.running.mpc
         data, self._drift = running.plant.data, moment.drift
-        goal = self._observer.hand_goal(t)
-        shown_goal = np.full(7, np.nan) if goal is None else lie.pose_compose(self._drift, goal)
-        on_floor = ground(reader.contacts(data))
-        solve, deadline = (np.nan, np.nan) if mpc is None else (mpc.solve_time, mpc.period)
-        base_goal = self._base_goal(t)
-        numbers = {
-            "t": t, **errors(moment.hand, shown_goal, moment.base, base_goal), "solve": solve, "deadline": deadline,
-            **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
+        target, on_floor = followed(mpc, t, self._observer.lift), ground(reader.contacts(data))
+        goal = lie.pose_compose(self._drift, target.goal) if np.isfinite(target.goal).all() else target.goal
+        base_goal = target.base
+        if Steering.base_of(mpc):
+            base_goal = planar(lie.pose_compose(self._drift, spatial(base_goal)))
+        others = {
+            "t": t, **timing(mpc), **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             **self._loads.shares(reader.joint_states(data)[:, 1], data.actuator_force), "late": np.nan,
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
         }  # fmt: skip
         return {
-            "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,
-            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(plans), **on_floor,
+            "numbers": numbers(moment.hand, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
+            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 
-    def _base_goal(self, t: float) -> Array:
-        mpc = self.running.mpc
-        if not Steering.base_of(mpc):
-            return np.full(3, np.nan)
-        return planar(
-            lie.pose_compose(self._drift, spatial(mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]))
-        )
-
-    def _paths(self, plans: PolicyQueue) -> dict[str, Array]:
-        """The hand's reference, and the predicted ways of hand and base."""
-        reference = {} if self.running.mpc is None else self.running.mpc.reference
-        way = reference["hand"].values[:, :3] + self._observer.lift if "hand" in reference else np.zeros((0, 3))
+    def _paths(self, way: Array, plans: PolicyQueue) -> dict[str, Array]:
+        """The ``way`` (n, 3) of the hand's reference, and the predicted ones of hand and base."""
         base, hand = self._observer.plan(plans)
         paths = {"reference": (way, REFERENCE), "hand_plan": (hand[:, :3], PLAN), "base_plan": (base[:, :3], PLAN)}
         return {name: self._in_map(filled(points, (count, 3))) for name, (points, count) in paths.items()}

@@ -14,14 +14,11 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.ball.model import BallBase
-from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases import base_type
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.ocp import Reference
-from wbmpc.recording.observer import PLAN_POINTS, base_poses
+from wbmpc.recording.observer import predicted, thinned
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Running
@@ -29,11 +26,11 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
+from wbmpc.view.core import LiveView, followed, numbers, timing
 from wbmpc.view.history import Factor
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
-from wbmpc.view.steering import Controls, Steering, no_orders
-from wbmpc.view.window import Window
+from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, filled
+from wbmpc.view.steering import Steering
 
 Array = np.ndarray
 _HERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -41,7 +38,7 @@ _HERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 _LOOK = 0.05
 
 
-class RealtimeView(Window):
+class RealtimeView(LiveView):
     """Shows one runner after another at ``url``; ``wants_reset``, ``ended``: what the user asked for; ``stopped``: whether the last
     one stopped by safety.
 
@@ -55,27 +52,16 @@ class RealtimeView(Window):
     ) -> None:  # fmt: skip
         super().__init__(title, host, port, opened, with_token)
         self.robot_name, self.robot = robot, load_robot(robot)
-        self.wants_reset = self.ended = self.stopped = False
-        self._orders, self._shown_at, self._late = no_orders(), -np.inf, 0.0
+        self.stopped, self._shown_at, self._late = False, -np.inf, 0.0
         self._runner: RealTimeRunner | None = None
-        self._before = ""
 
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
         """Start the process; returns when it answers."""
-        names = tuple(cost.name for cost in Steering.costs_of(mpc))
         scene = scene_of(self.robot)[1]
         groups = tuple(
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
         )  # not measured
-        controls = Controls(
-            self.title,
-            names,
-            Steering.legs_of(mpc),
-            Steering.base_of(mpc),
-            groups,
-            paced=False,
-            pushes=seen is not None,
-        )
+        controls = self._controls(mpc, groups, paced=False, pushes=seen is not None)
         nx = mpc.ocp.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
@@ -101,21 +87,20 @@ class RealtimeView(Window):
         self._agent, self._shown_at = agent, -np.inf
         self.wants_reset = self.stopped = False
         self.say(self._before)
-        lift = np.array([0.0, 0.0, self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0])
+        lift = np.array([0.0, 0.0, -self.robot.base.ground])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
         steering = Steering(running, lift, self.reject)
         steering.skip(self._orders)
-        before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
+        self._expect()
+        before, planned = mpc.guess, [-np.inf]
 
         def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
-            message = self.orders.read()
-            if message is not None:
-                self._orders = message.values
+            self._read_orders()
             stand_in.x = x0
             steering.apply(t, self._orders, _HERE)
-            self.ended = self.ended or int(self._orders["ends"]) != counts["ends"]
-            self.wants_reset = int(self._orders["resets"]) != counts["resets"]
+            self.ended = self.ended or self._asked("ends")
+            self.wants_reset = self._asked("resets")
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
@@ -162,30 +147,17 @@ class _Robot:
 
 def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     """What the MPC follows and plans; the plan is that of the solve before."""
-    reference, layout = mpc.reference, mpc.ocp.dynamics.state
-    hand: Reference | None = reference["hand"] if "hand" in reference else None  # noqa: SIM401 - not a dictionary
-    goal = np.full(7, np.nan) if hand is None else hand.at(t).copy()
-    goal[:3] += lift
-    base = np.full(3, np.nan)
-    if Steering.base_of(mpc):
-        base = reference["state"].at(t)[layout["base"]]
-    states = mpc.solver.trajectory(copy=False).x
-    way = np.zeros((0, 3)) if hand is None else hand.values[:, :3] + lift
+    target, states = followed(mpc, t, lift), thinned(mpc.solver.trajectory(copy=False).x)
     return {
-        "plan": filled(states[_chosen(len(states))], (PLAN, layout.size)), "goal": goal, "base_goal": base,
-        "reference": filled(way, (REFERENCE, 3)), "solve": mpc.solve_time, "deadline": mpc.period,
+        "plan": filled(states, (PLAN, mpc.ocp.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
+        "reference": filled(target.way, (REFERENCE, 3)), **timing(mpc),
     }  # fmt: skip
-
-
-def _chosen(count: int) -> Array:
-    return np.unique(np.linspace(0, count - 1, PLAN_POINTS).round().astype(int))
 
 
 # ---------------------------------------------------------------------- in the view's process
 def scene_of(robot: RobotModel) -> tuple[Any, SceneReader]:
     """A puppet of the robot, as described, and who reads its scene."""
-    made: type[Any] = BallPlant if isinstance(robot.base, BallBase) else SwervePlant
-    puppet = made(robot.description, perturbation=Perturbation.none())
+    puppet = base_type(robot.description.base.type).plant(robot, Perturbation.none(), 0)
     return puppet, SceneReader(puppet.model, robot.description.base.body)
 
 
@@ -195,7 +167,7 @@ class Picture:
     def __init__(self, robot: str, moments: Mailbox, seen: Mailbox | None) -> None:
         self.robot, self._moments, self._seen = load_robot(robot), moments, seen
         self._puppet, self._reader = scene_of(self.robot)
-        self._lift = self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0
+        self._lift = np.array([0.0, 0.0, -self.robot.base.ground])
         self._loads = Loads(self.robot.description, self._reader.joint_names)
         self._moment: dict[str, Array] = {"t": np.array(0.0), "late": np.array(np.nan), "x": self.robot.home}
         self._moment |= {name: np.array(np.nan) for name in ("ticks", "misses")}
@@ -214,28 +186,21 @@ class Picture:
         self._puppet.arrange(self._moment["x"])
         poses = self._reader.poses(self._puppet.data)
         position, orientation = self.robot.pose(self._moment["x"])
-        hand = np.concatenate([position + [0.0, 0.0, self._lift], orientation])
-        states = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)]
-        ways = {"hand_plan": self._hand(states), "base_plan": base_poses(states[:, self.robot.state["base"]])[:, :3]}
-        for way in ways.values():
-            way[:, 2] += self._lift
-        numbers: dict[str, Any] = {
-            "t": self._moment["t"], "late": self._moment["late"],
-            **errors(hand, plan["goal"], poses[self._reader.scene.index], plan["base_goal"]),
-            "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
+        hand = np.concatenate([position + self._lift, orientation])
+        states, index = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)], self._reader.scene.index
+        base_plan, hand_plan = predicted(self.robot, self.robot.state, states, self._lift)
+        ways = {"hand_plan": hand_plan, "base_plan": base_plan}
+        others: dict[str, Any] = {
+            "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
-            "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": poses, "goal": plan["goal"],
+            "numbers": numbers(hand, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
             "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
-            **{name: filled(way, (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[self._reader.scene.index]),
+            **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip
-
-    def _hand(self, states: Array) -> Array:
-        columns = [states[:, self.robot.state[group]] for group in self.robot.state.groups]
-        return self.robot.poses(np.hstack(columns))[:, :3].copy()
 
     def _speeds(self) -> dict[str, float]:
         """Largest joint speeds over their limits, between the last two states."""

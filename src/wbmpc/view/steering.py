@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.swerve.brake_control import refuse_floating
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.mpc import MPC
@@ -89,7 +88,7 @@ class Steering:
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
-        """Whether the base has a goal: a ball robot's has none, it goes where its hand needs it."""
+        """Whether the base has a goal: that of a robot that balances has none, it goes where its hand needs it."""
         if mpc is None or "state" not in mpc.reference or "base" not in mpc.ocp.dynamics.state:
             return False
         part = mpc.ocp.dynamics.state["base"]
@@ -222,8 +221,9 @@ class Steering:
     def _click(self, is_open: bool) -> None:
         """Brakes opened or closed by hand; where they would hold the base against nothing (H), :class:`InputError`."""
         agent = self.running.agent
-        if is_open:
-            refuse_floating(agent.robot.base.geometry, agent.state()[self._leg_part], np.ones(4))
+        check = getattr(agent.robot.base, "check_brakes", None)
+        if is_open and check is not None:
+            check(agent.state()[self._leg_part], np.ones(4))
         self._legs = None
         self._brakes(is_open)
 

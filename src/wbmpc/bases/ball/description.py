@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from wbmpc.bases.base import BaseDescription, InertialDescription, Section
+from wbmpc.bases.base import BaseDescription, InertialDescription, Radius, Section
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import LimitsDescription
@@ -67,6 +67,19 @@ class BallBaseDescription(BaseDescription):
     def parts(self) -> dict[str, str]:
         """The ball."""
         return {"ball": self.ball}
+
+    @property
+    def ground(self) -> float:
+        """The world's origin is at the height of the ball's centre."""
+        return -self.ball_radius
+
+    def radii(self) -> list[Radius]:
+        """Of the ball."""
+        return [Radius("base.ball_radius", self.ball_radius, "ball", self.ball, sphere=True)]
+
+    def torque_limits(self, limits: LimitsDescription) -> tuple[float, ...]:
+        """Of the omni wheels."""
+        return (limits.wheel_effort,) * len(self.wheels.azimuths)
 
     def frames(self) -> dict[str, tuple[str, ...]]:
         """The frames at which the world pushes."""

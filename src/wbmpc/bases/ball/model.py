@@ -74,7 +74,7 @@ class BallBase:
         self.brakes: dict[str, str] = {}
         self.footprint: Footprint | None = None
         self.wheels, self.balances = 0, True
-        self.ground, self.body_height = -self.radius, self.radius
+        self.ground, self.body_height = self.base.ground, self.radius
 
     @cached_property
     def numeric(self) -> BallNumeric:

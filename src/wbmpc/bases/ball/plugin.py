@@ -9,17 +9,19 @@ import mujoco
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.mechanics import check_ball
 from wbmpc.bases.ball.model import BallBase
-from wbmpc.bases.base import System
+from wbmpc.bases.base import BaseType, System
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.ball.plant import BallPlant
+    from wbmpc.bases.ball.ros_plant import BallRosPlant
+    from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.simulation.perturbation import Perturbation
 
 
-class BallBaseType:
+class BallBaseType(BaseType):
     """What generic code may ask of bases that balance on a ball."""
 
     Description = BallBaseDescription
@@ -48,8 +50,20 @@ class BallBaseType:
 
         return make_system(robot, self.plant(robot, None, seed))
 
+    def ros_settings(self, description: RobotDescription) -> type[BallRosSettings]:
+        """Weights of the ball robot's problem, and what is learnt of forces."""
+        from wbmpc.bases.ball.ros_settings import BallRosSettings
+
+        return BallRosSettings
+
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads encoders and the inertial unit and publishes torques."""
         from wbmpc.bases.ball.ros import BallPilot
 
         return BallPilot(robot, settings, period)
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> BallRosPlant:
+        """Follows torques."""
+        from wbmpc.bases.ball.ros_plant import BallRosPlant
+
+        return BallRosPlant(robot, self.plant(robot, perturbation, seed))

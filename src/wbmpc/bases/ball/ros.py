@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, rezero_problem
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallNoise
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.ball.settings import leaning_of
-from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.ocp import Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ocp import OptimalControlProblem, Reference
+from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegOrders, Pending
+from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
-from wbmpc.ros2.settings import BallSettings
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
@@ -179,13 +180,13 @@ class BallPilot:
     watches = "sensors and forces"
     fix: Callable[[], Fix | None] | None = None
 
-    def __init__(self, robot: RobotModel, settings: BallSettings, period: float) -> None:
+    def __init__(self, robot: RobotModel, settings: BallRosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self.pending = Pending()
         self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
         self.mpc.guess = self.pending
-        self.brakes: BrakeControl | None = None
+        self.brakes: Brakes | None = None
         self.legs: Array | None = None
         self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
         self._place, self._spread = (
@@ -227,6 +228,15 @@ class BallPilot:
 
     def inspect(self) -> None:
         """Its filter finds them in the tick."""
+
+    def problem(self, cost: RezeroCost) -> OptimalControlProblem:
+        """The controller's problem with other weights, without its limit of the lean, which takes 0.2 s to make and has no weight:
+        ticks go on meanwhile."""
+        return rezero_problem(self.robot, self.settings.mpc, cost.model_copy(update={"lean": 0.0}))
+
+    def leg_orders(self, node: Node, ready: Callable[[], str], now: Callable[[], Any]) -> LegOrders | None:
+        """This robot has no legs."""
+        return None
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

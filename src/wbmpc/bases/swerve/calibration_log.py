@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import WheelRecord
+from wbmpc.bases.swerve.calibration import WheelFit, WheelRecord, fit_wheels
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 
@@ -27,6 +30,17 @@ def steer_joints(robot: RobotModel) -> list[str]:
 def record_of(log: Log) -> WheelRecord:
     """What a calibration reads of a log."""
     return WheelRecord.of({c: log.array(c) for c in log.channels} | {f"{c}.time": log.times(c) for c in log.channels})
+
+
+class SwerveCalibrator:
+    """See :class:`wbmpc.bases.base.Calibrator`."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.names, self.geometry = steer_joints(robot), robot.base.geometry
+
+    def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:
+        """From the channels that :class:`WheelLog` writes."""
+        return fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
 
 
 class WheelLog:

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from wbmpc.bases.base import BaseDescription, Section
+from wbmpc.bases.base import BaseDescription, Radius, Section
 
 _SPEEDS = (
     "the inputs of a swerve base are speeds, so that a contact force or wrench has no effect on its motion; valid: with a base of "
@@ -43,3 +43,7 @@ class SwerveBaseDescription(BaseDescription):
     def joints(self) -> list[str]:
         """The joints module by module."""
         return [n for m in self.modules for n in (m.hinge, m.steer, m.wheel) if n]
+
+    def radii(self) -> list[Radius]:
+        """Of every wheel."""
+        return [Radius("base.wheel_radius", self.wheel_radius, "wheel", m.wheel) for m in self.modules]

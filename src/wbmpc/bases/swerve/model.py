@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.bases.swerve.description import ModuleDescription, SwerveBaseDescription
@@ -231,6 +231,12 @@ class SwerveBase:
             return ca.vertcat(velocity, 0.5 * lie.quaternion_multiply(x[3:7], rate), rates)
         c, s = ca.cos(x[2]), ca.sin(x[2])
         return ca.vertcat(c * u[0] - s * u[1], s * u[0] + c * u[1], u[2], rates)
+
+    def check_brakes(self, leg: ArrayLike, brake: ArrayLike) -> None:
+        """Raise :class:`InputError` if legs at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing."""
+        from wbmpc.bases.swerve.brake_control import refuse_floating
+
+        refuse_floating(self.geometry, leg, brake)
 
     def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
         """Rolling (n) and side-slip (n) velocities of the contacts [m/s] (Pankert et al. 2022, equations 4 and 5)."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import System
+from wbmpc.bases.base import BaseType, System
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.model.robot import RobotModel
@@ -14,11 +14,14 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
     from wbmpc.bases.swerve.plant import SwervePlant
+    from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.simulation.perturbation import Perturbation
 
 
-class SwerveBaseType:
+class SwerveBaseType(BaseType):
     """What generic code may ask of swerve bases."""
 
     Description = SwerveBaseDescription
@@ -44,8 +47,26 @@ class SwerveBaseType:
 
         return make_system(robot, self.plant(robot, None, seed))
 
+    def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
+        """Weights of the swerve problem, gyro and legs."""
+        from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+
+        return SwerveRosSettings
+
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.swerve.ros import SwervePilot
 
         return SwervePilot(robot, settings, period)
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> SwerveRosPlant:
+        """Follows speeds and brakes."""
+        from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
+
+        return SwerveRosPlant(robot, self.plant(robot, perturbation, seed))
+
+    def calibrator(self, robot: RobotModel) -> SwerveCalibrator:
+        """From encoders, gyro and global poses."""
+        from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
+
+        return SwerveCalibrator(robot)

@@ -16,17 +16,20 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.controller import SwerveController, Tick
-from wbmpc.bases.swerve.defaults import swerve_mpc
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.ros_legs import Legs, Now
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
-from wbmpc.ocp import Reference
+from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
-from wbmpc.ros2.settings import GROUPS, RosSettings
+from wbmpc.ros2.settings import GROUPS
 from wbmpc.solver import Trajectory
 
 _LOG = logging.getLogger("wbmpc")
@@ -121,7 +124,7 @@ class SwervePilot:
     parameters = None
     fix: Callable[[], Fix | None] | None = None
 
-    def __init__(self, robot: RobotModel, settings: RosSettings, period: float) -> None:
+    def __init__(self, robot: RobotModel, settings: SwerveRosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self._steering = SteeringGuess(robot, self._preview)
@@ -183,6 +186,14 @@ class SwervePilot:
                 _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
                 agent.note(fault)
                 self.brakes.accept(fault)
+
+    def problem(self, cost: SwerveCost) -> OptimalControlProblem:
+        """The controller's problem with other weights."""
+        return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
+
+    def leg_orders(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
+        """Of legs with brakes."""
+        return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

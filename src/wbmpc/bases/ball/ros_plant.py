@@ -1,0 +1,43 @@
+"""The simulated ball robot's side of a ROS 2 bus: torques in, encoders and inertial unit out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.plants import Reading, RosPlant
+from wbmpc.types import Truth
+
+Array = np.ndarray
+
+
+class BallRosPlant(RosPlant):
+    """Of torques. It is held until the first ones come."""
+
+    def __init__(self, robot: RobotModel, plant: BallPlant) -> None:
+        super().__init__(robot, plant)
+        self.imu_at = plant.sensors.mount
+
+    def rest(self) -> dict[str, Array]:
+        """No torque."""
+        return {g: np.zeros(len(self.robot.input.groups[g])) for g in ("wheel", "arm")}
+
+    def command(self, groups: dict[str, Array]) -> BallCommand:
+        """What the drives get."""
+        return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
+
+    def read(self) -> Reading:
+        """What the sensors say; inertial readings are averages since the message before."""
+        m = self.plant.measure()
+        none = np.zeros(0)
+        joints = {"leg": none, "steer": none, "wheel": m.wheel, "arm": m.arm}
+        self.last = Reading(joints, m.gyro, m.accel, m.age)
+        return self.last
+
+    def base(self, truth: Truth) -> tuple[Array, Array]:
+        """Position and quaternion of the base, which leans; its frame is the ball's centre."""
+        rotation = truth.tool_rotation @ truth.tool_rotation_in_base.T
+        return np.array([*truth.pose[:2], self.lift]), lie.rotation_to_quaternion(rotation)

@@ -1,0 +1,42 @@
+"""Settings of a ball robot's controller on a ROS 2 bus."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, refuse_unlearnt
+from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.settings import Exerted, RosSettings
+from wbmpc.settings import MpcSettings
+
+_DEFAULT = BallControllerSettings()
+#: Of wheels on a ball [rad/s]: 3 m/s of the ball, for its description limits torques only.
+WHEEL_SPEED = 50.0
+
+
+class BallRosSettings(RosSettings):
+    """Torques, their own problem; rate and weights of :class:`BallControllerSettings`. ``observer``: of constant disturbances;
+    ``brace`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
+    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
+
+    mpc: MpcSettings = _DEFAULT.mpc
+    cost: RezeroCost = STEPS_AND_PUSHES
+    wrench: Exerted | None = Exerted()
+    observer: bool = True
+    brace: float = Field(_DEFAULT.brace, ge=0, le=1.0)
+    pushed_speed: float = Field(_DEFAULT.pushed_speed, gt=0)
+
+    @model_validator(mode="after")
+    def _used(self) -> Self:
+        refuse_unlearnt(self.observer, self.pushed_speed != type(self).model_fields["pushed_speed"].default)
+        return self
+
+    def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
+        """The arm's limits are limits of the state; the wheels' are guessed."""
+        if group == "wheel":
+            return np.full(len(robot.input.groups["wheel"]), WHEEL_SPEED)
+        return robot.limits.state_upper[robot.state[f"{group}_velocity"]]

@@ -1,0 +1,79 @@
+"""What both live views share, that of the lockstep loop and that of a real-time runner: what is shown of an MPC, what the user asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc.mpc.mpc import MPC
+from wbmpc.recording.observer import hand_goal
+from wbmpc.view.snapshot import NUMBERS, errors
+from wbmpc.view.steering import Controls, Steering, no_orders
+from wbmpc.view.window import Window
+
+Array = np.ndarray
+
+
+class LiveView(Window):
+    """``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it."""
+
+    def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool) -> None:
+        super().__init__(title, host, port, opened, with_token)
+        self.wants_reset = self.ended = False
+        self._orders, self._before = no_orders(), ""
+        self._expect()
+
+    def _expect(self) -> None:
+        """What was asked for until now is not for the run that begins."""
+        self._counts = {name: int(self._orders[name]) for name in ("resets", "ends")}
+
+    def _asked(self, name: str) -> bool:
+        """Whether the user has asked for ``resets`` or ``ends`` since the run began."""
+        return int(self._orders[name]) != self._counts[name]
+
+    def _read_orders(self) -> bool:
+        """Take in the panel's newest message, if there is a new one."""
+        message = self.orders.read()
+        if message is not None:
+            self._orders = message.values
+        return message is not None
+
+    def _controls(
+        self, mpc: MPC | None, groups: tuple[str, ...], *, paced: bool = True, pushes: bool = True
+    ) -> Controls:
+        """What there is to control of a run with this MPC."""
+        names = tuple(cost.name for cost in Steering.costs_of(mpc))
+        return Controls(self.title, names, Steering.legs_of(mpc), Steering.base_of(mpc), groups, paced, pushes)
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What an MPC follows at one time, above the floor, in the frame of the estimate: the hand's ``goal`` (7) and the ``base``'s
+    (x, y, yaw), nan where there is none, and the ``way`` (n, 3) of the hand's reference."""
+
+    goal: Array
+    base: Array
+    way: Array
+
+
+def followed(mpc: MPC | None, t: float, lift: Array) -> Followed:
+    """At time t [s]; ``lift`` (3) [m] of the planner's origin above the floor."""
+    goal, base, way = hand_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
+    if mpc is not None and "hand" in mpc.reference:
+        way = mpc.reference["hand"].values[:, :3] + lift
+    if mpc is not None and Steering.base_of(mpc):
+        base = mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]
+    return Followed(np.full(7, np.nan) if goal is None else goal, base, way)
+
+
+def timing(mpc: MPC | None) -> dict[str, float]:
+    """How long the last solve took and may take [s]; nan without an MPC."""
+    return {"solve": np.nan, "deadline": np.nan} if mpc is None else {"solve": mpc.solve_time, "deadline": mpc.period}
+
+
+def numbers(hand: Array, goal: Array, base: Array, base_goal: Array, others: Mapping[str, float | Array]) -> Array:
+    """A snapshot's numbers: errors of the poses (7) of hand and base against their goals in one frame, and all ``others``."""
+    values = {**errors(hand, goal, base, base_goal), **others}
+    return np.array([float(values[name]) for name in NUMBERS])
