@@ -19,6 +19,7 @@ from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
@@ -123,7 +124,7 @@ def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
-    agent = SwerveController(robot, plant.truth().pose, timing.period, lag=_LAG)
+    agent = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=_LAG))
     mpc.reset(robot.home)
     return plant, agent, mpc, timing
 
