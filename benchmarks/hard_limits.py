@@ -124,7 +124,7 @@ class Recorder:
 
     def _clock(self, t: float) -> float:
         """The plan's time: a swerve robot's runs ahead by the drives' lag."""
-        return t + self.rig.agent.lag if self.swerve else t
+        return t + self.rig.agent.tracking.settings.lag if self.swerve else t
 
     def _wanted(self) -> np.ndarray:
         return self.rig.agent.wanted[: self.rig.robot.input.size]
@@ -154,7 +154,7 @@ class Recorder:
         truth = self.rig.plant.truth()
         if not self.swerve:
             return truth.tool
-        x, y, yaw = self.rig.agent.odometry.pose
+        x, y, yaw = self.rig.agent.estimator.odometry.pose
         c, s = np.cos(yaw), np.sin(yaw)
         along, across, _ = truth.tool_in_base
         return np.array([x + c * along - s * across, y + s * along + c * across, truth.tool[2]])

@@ -19,6 +19,7 @@ from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
@@ -186,7 +187,7 @@ def _swerve(
     if schedule is not None:
         mpc.set_schedule(schedule)
         brakes = lambda t: np.array(schedule.modes[schedule.index(t)].values["brake"])
-    agent = SwerveController(robot, plant.truth().pose, timing.period, brakes, lag=0.020)
+    agent = SwerveController(robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=0.020))
     mpc.reset(robot.home)
     return Rig(robot, mpc, plant, agent, timing, duration)
 
@@ -235,7 +236,7 @@ def swerve_jump(variant: Variant, seed: int) -> Rig:
 
     def jump(by: Array) -> Callable[[], None]:
         def act() -> None:
-            rig.agent.odometry.place(rig.agent.odometry.pose + by)
+            rig.agent.estimator.odometry.place(rig.agent.estimator.odometry.pose + by)
 
         return act
 

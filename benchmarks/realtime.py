@@ -29,6 +29,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -140,7 +141,9 @@ def make_swerve_plant() -> SwervePlant:
 
 def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
     """The experiments' controller, odometry of the wheels alone."""
-    return SwerveController(load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, lag=0.020)
+    return SwerveController(
+        load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, tracking=TrackingSettings(lag=0.020)
+    )
 
 
 def swerve_case(intervals: int) -> Case:

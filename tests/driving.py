@@ -11,6 +11,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
@@ -102,7 +103,9 @@ def drive(
     mpc.reference["input"] = Reference(t, inputs)
     plant = SwervePlant(robot.description, state.split(home), perturbation, seed)
     timing = Timing.of(plant.timestep, 400.0, 50.0, 0.010)
-    agent = SwerveController(robot, plant.truth().pose, timing.period, planned_steering=planned_steering)
+    agent = SwerveController(
+        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(planned_steering=planned_steering)
+    )
     mpc.reset(home)
     times, planned, true, steered = [], [], [], []
 
@@ -110,10 +113,10 @@ def drive(
         times.append(now)
         planned.append(plans.current.feedforward(now)[robot.input["base"]])
         true.append(plant.truth().pose)
-        steered.append(agent.steer)
+        steered.append(agent.estimator.steer)
 
     ending = run_lockstep(plant, agent, mpc, timing, motion.end + rest, record)
-    end = np.array([poses[-1], agent.odometry.pose, plant.truth().pose])
+    end = np.array([poses[-1], agent.estimator.odometry.pose, plant.truth().pose])
     return Drive(
         np.array(times), np.array(planned), np.array(true), end[0], end[1], end[2], ending.reason, np.array(steered)
     )

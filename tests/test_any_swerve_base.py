@@ -15,6 +15,7 @@ from driving import Motion, drive
 from own_bases import write_base
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -77,7 +78,8 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
 
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
-    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, monitor=monitor)
+    watching = SupervisionSettings(monitor=monitor)
+    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
     for k in range(1000):
         agent.measure(plant.measure())
         plant.step(agent.drive(k * period), 5)

@@ -15,6 +15,7 @@ from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.tracking import ActuatorGains
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.errors import InputError
 from wbmpc.studies.minniti2019.lqr import LqrWeights, RegulatorGains
@@ -37,8 +38,8 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
         (lambda: BallController(BALL, None, np.zeros(6), 0.0, 0.02), "'period' must be positive"),  # type: ignore[arg-type]
         (lambda: BallController(BALL, None, np.zeros(6), 0.0025, -0.02), "'lag' must not"),  # type: ignore[arg-type]
         (lambda: BallController(BALL, None, np.full(6, NAN), 0.0025, 0.02), "'torque' needs 6"),  # type: ignore[arg-type]
-        (lambda: SwerveController(SWERVE, np.zeros(3), NAN), "swerve robot's agent: 'period' must be finite"),
-        (lambda: SwerveController(SWERVE, np.zeros(3), 0.0025, lag=-1.0), "'lag' must not be negative"),
+        (lambda: SwerveController(SWERVE, np.zeros(3), NAN), "swerve robot's controller: 'period' must be finite"),
+        (lambda: TrackingSettings(lag=-1.0), "'lag' must not be negative"),
         (lambda: ActuatorGains(arm_stiffness=np.inf), "arm_stiffness must be at least 0 and finite"),
         (lambda: ArmLoop(pace=0.0, integral=1.0), "arm's loop: 'pace' must be positive"),
         (lambda: HandInverse(BALL, np.full(6, -1.0), 1.0), "inverse kinematics: 'weight' must not be negative"),

@@ -10,6 +10,7 @@ import pytest
 from toys import robot
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
@@ -183,7 +184,7 @@ def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), leg_guard=False)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), supervision=SupervisionSettings(guard=False))
     assert swung(agent) == [1, 1, 1, 1] and agent.holds == 0
     agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
     assert swung(agent) == [1, 1, 1, 1]

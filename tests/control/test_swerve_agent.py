@@ -8,8 +8,11 @@ from scipy.linalg import expm
 
 from toys import robot
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
-from wbmpc.bases.swerve.controller import LOOK, SwerveController
+from wbmpc.bases.swerve.brake_supervision import LOOK, SupervisionSettings
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
@@ -19,6 +22,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import GlobalPose
 
 PERIOD = 0.0025
+NO_GYRO = EstimatorSettings(use_gyro=False)
 HURRIED = robot("swerve-ur10")
 SWERVE = RobotModel(  # follows at once: no limits of acceleration
     HURRIED.description.model_copy(
@@ -80,7 +84,9 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_sid
     """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
     geometry, agent = (
         SWERVE.base.geometry,
-        SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, allow_side_slip=allow_side_slip),
+        SwerveController(
+            SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(allow_side_slip=allow_side_slip), estimation=NO_GYRO
+        ),
     )
     u, plans, across = np.zeros(SWERVE.input.size), PolicyQueue(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
     u[SWERVE.input["base"]] = [0.4, 0.0, 0.0]
@@ -91,7 +97,7 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_sid
     agent.measure(message(0.0, steer=steer))
     agent.command(0.0, plans)
     agent.measure(message(0.025, steer=steer, wheel=0.01 / geometry.wheel_radius * (across == 0.0)))
-    error = np.abs(agent.odometry.pose - [0.01, 0.0, 0.0]).max()
+    error = np.abs(agent.estimator.odometry.pose - [0.01, 0.0, 0.0]).max()
     assert error < 1e-4 if allow_side_slip else error > 1e-3
 
 
@@ -99,11 +105,13 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_sid
 def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(odd_wheels: bool) -> None:
     """Three wheels roll straight ahead at 0.3 m/s, the fourth turns 0.1 m/s faster. Truth: the base goes as the three do."""
     geometry = SWERVE.base.geometry
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, odd_wheels=odd_wheels)
+    agent = SwerveController(
+        SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, odd_wheels=odd_wheels)
+    )
     speed = np.array([0.3, 0.3, 0.4, 0.3]) / geometry.wheel_radius
     for k in range(150):
         agent.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
-    error = np.abs(agent.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
+    error = np.abs(agent.estimator.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
     assert error < 1e-3 if odd_wheels else error > 5e-3
 
 
@@ -113,7 +121,7 @@ def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
     Truth: arm joints behind first-order drives, integrated by themselves until they stand.
     """
     lag, u, plans = 0.030, swerve_input(3), PolicyQueue()
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=lag)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag))
     plans.add(0.0, constant_policy(u))
     arm, position, speed = SWERVE.input["arm"], np.zeros(6), np.zeros(6)
 
@@ -142,7 +150,7 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
     x[:, SWERVE.state["steer"]] = 0.2 * times[:, None]
     plans = PolicyQueue()
     plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=lag, steer_gain=4.0)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag, steer_gain=4.0))
     agent.measure(message(steer=np.full(4, 0.6)))
     command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
     np.testing.assert_allclose(command.wheel, 0.3)
@@ -161,7 +169,7 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
     for k in range(800):
         agent.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
         command = agent.command(k * PERIOD, plans)
-        if agent.aligning:
+        if agent.tracking.aligning:
             stood += 1
             np.testing.assert_array_equal(command.wheel, 0.0)
             now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
@@ -219,7 +227,9 @@ def test_commands_change_by_what_accelerations_allow() -> None:
     given = HURRIED.input
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
-    agent = SwerveController(HURRIED, np.zeros(3), PERIOD, planned_steering=False, steer_gain=0.0)
+    agent = SwerveController(
+        HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(planned_steering=False, steer_gain=0.0)
+    )
     before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
     agent.measure(message())
     ahead = agent.predict(0.0, 8 * PERIOD, plans).x
@@ -257,16 +267,16 @@ def test_gyro_bias_is_found_at_rest() -> None:
     """Wheels at rest show that the base does not turn: the yaw stays, and the bias is the mean of the readings."""
     agent, deaf = (
         SwerveController(SWERVE, np.zeros(3), PERIOD),
-        SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False),
+        SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=NO_GYRO),
     )
     rng = np.random.default_rng(0)
     readings = 0.008 + 2e-4 / np.sqrt(PERIOD) * rng.normal(size=2000)
     for k, reading in enumerate(readings):
         for a in (agent, deaf):
             a.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([9.0, 9.0, reading])))
-    assert agent.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
-    assert abs(agent.odometry.pose[2]) < 1e-6
-    assert deaf.odometry.gyro_bias == 0.0 and deaf.odometry.pose[2] == 0.0
+    assert agent.estimator.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
+    assert abs(agent.estimator.odometry.pose[2]) < 1e-6
+    assert deaf.estimator.odometry.gyro_bias == 0.0 and deaf.estimator.odometry.pose[2] == 0.0
 
 
 def test_a_sagging_arm_is_learned_and_taken_off() -> None:
@@ -275,7 +285,7 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
     rng, sag = np.random.default_rng(0), np.array([0.0, 0.03, -0.02, 0.0, 0.01, 0.0])
     u, given = 0.2 * swerve_input(1), SWERVE.input
     u[[i for i in range(u.size) if i not in range(u.size)[given["arm"]]]] = 0.0
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lag=0.02)
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02))
     arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), PolicyQueue()
     plans.add(0.0, constant_policy(u))
     for k in range(1, 2000):
@@ -284,7 +294,7 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
         agent.measure(message(t, arm=old * arm[k - 2] + (1.0 - old) * arm[k - 1], steer=np.full(4, t)))
         rate += (1.0 - np.exp(-PERIOD / 0.02)) * (agent.command(t, plans).arm - rate)
         arm[k] = arm[k - 1] + PERIOD * (rate + sag)
-    np.testing.assert_allclose(agent.sag, sag, atol=2e-3)
+    np.testing.assert_allclose(agent.tracking.arm.sag, sag, atol=2e-3)
     np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
 
 
@@ -292,7 +302,10 @@ def test_wheels_and_steering_are_told_what_friction_takes() -> None:
     """Drives that lose 0.03 rad/s, as dry friction makes them. Truth: after a while they turn as planned."""
     u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
     u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
-    agent, plans = SwerveController(SWERVE, np.zeros(3), period, friction=True), PolicyQueue()
+    agent, plans = (
+        SwerveController(SWERVE, np.zeros(3), period, tracking=TrackingSettings(friction=True)),
+        PolicyQueue(),
+    )
     plans.add(0.0, constant_policy(u))
     wheel, steer, behind = np.zeros(4), np.zeros(4), []
     for k in range(300):
@@ -313,7 +326,10 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
     u[given["base"]], u[given["arm"]] = [0.3, 0.0, 0.0], 0.5
     plan, steer = constant_policy(u), -geometry.wheel_heading
     plan.x[:, SWERVE.state["steer"]] = steer
-    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, use_gyro=False, smoothing=0.025), PolicyQueue()
+    agent, plans = (
+        SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, smoothing=0.025)),
+        PolicyQueue(),
+    )
     plans.add(0.0, plan)
     base, arm = [], []
     for k in range(400):
@@ -324,7 +340,7 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
         )
         agent.command(t, plans)
         base.append(agent.pose[0] - 0.3 * t)
-        arm.append(agent.arm[0] - 0.5 * t)
+        arm.append(agent.estimator.arm[0] - 0.5 * t)
     for off, speed in ((base, 0.3), (arm, 0.5)):
         assert np.std(off[100:]) < 0.3 * speed * 0.002 / np.sqrt(12.0)
         assert abs(np.mean(off[100:])) < 0.1 * speed * 0.001
@@ -337,7 +353,10 @@ def test_calibration_corrects_angles_and_wheel_speeds() -> None:
     known = WheelCalibration(
         steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
     )
-    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, calibration=known), PolicyQueue()
+    agent, plans = (
+        SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(calibration=known)),
+        PolicyQueue(),
+    )
     agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
     state = SWERVE.state.split(agent.state())
     np.testing.assert_allclose(state["leg"], 0.1)
@@ -351,16 +370,16 @@ def test_calibration_corrects_angles_and_wheel_speeds() -> None:
 
 def test_global_poses_reach_the_odometry() -> None:
     agent, seen = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
-    agent.odometry._state.p[:3, :3] = np.eye(3)
+    agent.estimator.odometry._state.p[:3, :3] = np.eye(3)
     for k in range(5):
         place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
         agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
-    np.testing.assert_allclose(agent.odometry.pose, seen, atol=1e-6)
+    np.testing.assert_allclose(agent.estimator.odometry.pose, seen, atol=1e-6)
 
 
 def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
     """A plan runs out at speed, and another comes. Truth: from rest, by the limit times the period."""
-    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lag=0.02), PolicyQueue()
+    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02)), PolicyQueue()
     u = np.zeros(HURRIED.input.size)
     u[HURRIED.input["wheel"]] = 4.0
     plans.add(0.0, constant_policy(u))
@@ -378,7 +397,10 @@ def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
 def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
     """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a sentence. Fixed legs have no brakes."""
     told: list[object] = []
-    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, faulty=told.append), PolicyQueue()
+    agent, plans = (
+        SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=told.append)),
+        PolicyQueue(),
+    )
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
     for k in range(10):
         agent.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
@@ -386,7 +408,7 @@ def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
     name = SWERVE.state.groups["leg"][2]
     assert len(told) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
     fixed = robot("swerve-fixed-ur10")
-    assert SwerveController(fixed, np.zeros(3), PERIOD).monitor is None
+    assert SwerveController(fixed, np.zeros(3), PERIOD).supervision.monitor is None
 
 
 def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
@@ -398,7 +420,7 @@ def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
     agent.measure(message())
     agent.command(0.0, plans)
     agent.command(11.0, plans)
-    assert agent.monitor is not None and not agent.monitor._open.any()  # type: ignore[union-attr]
+    assert agent.supervision.monitor is not None and not agent.supervision.monitor._open.any()  # type: ignore[union-attr]
     agent.command(2.0, plans)
 
 
@@ -406,15 +428,15 @@ def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> No
     """A closed leg moves by 0.1 rad/s: told when it has gone by 10 mrad more than creeps, and at most a look later."""
     agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
-    assert agent.monitor is not None
-    update = agent.monitor.update
-    monkeypatch.setattr(agent.monitor, "update", lambda t, *more: looks.append(t) or update(t, *more))
+    assert agent.supervision.monitor is not None
+    update = agent.supervision.monitor.update
+    monkeypatch.setattr(agent.supervision.monitor, "update", lambda t, *more: looks.append(t) or update(t, *more))
     for k in range(60):
         agent.measure(message(k * PERIOD, leg=np.array([0.0, 0.0, 0.1 * k * PERIOD, 0.0])))
         agent.command(k * PERIOD, plans)
     assert looks == pytest.approx(0.01 * np.arange(15))
-    (fault,) = agent.monitor.faults
-    assert 0.0 <= fault.time - 0.01 / (0.1 - agent.monitor.creep) < 0.01 + PERIOD
+    (fault,) = agent.supervision.monitor.faults
+    assert 0.0 <= fault.time - 0.01 / (0.1 - agent.supervision.monitor.creep) < 0.01 + PERIOD
 
 
 def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
@@ -423,10 +445,10 @@ def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
     still = np.zeros(4)
     for start in (1000.0, 0.0):
         for k in range(80):
-            agent.measured = message(start + k * PERIOD, leg=np.array([0.02 * (k > 40), 0.0, 0.0, 0.0]))
+            agent.estimator.measured = message(start + k * PERIOD, leg=np.array([0.02 * (k > 40), 0.0, 0.0, 0.0]))
             agent.watch(start + k * PERIOD, still, still)
-    assert agent.monitor is not None
-    assert [f.time for f in agent.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
+    assert agent.supervision.monitor is not None
+    assert [f.time for f in agent.supervision.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
 
 
 def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
@@ -437,7 +459,12 @@ def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[Br
     told: list[BrakeFault] = []
     brakes = lambda t: np.full(4, float(is_open))
     agent = SwerveController(
-        SWERVE, np.zeros(3), PERIOD, brakes, planned_steering=False, monitor=monitor, faulty=told.append
+        SWERVE,
+        np.zeros(3),
+        PERIOD,
+        brakes,
+        tracking=TrackingSettings(planned_steering=False),
+        supervision=SupervisionSettings(monitor=monitor, report=told.append),
     )
     u, plans = np.zeros(SWERVE.input.size), PolicyQueue()
     u[SWERVE.input["leg"].start] = 0.2
@@ -467,8 +494,8 @@ def test_a_brake_is_taken_back_although_a_stop_comes_first(how: str) -> None:
 def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), start=-10.1))
-    assert agent.monitor is not None
-    monkeypatch.setattr(agent.monitor, "update", lambda t, *more: looks.append(t) or [])
+    assert agent.supervision.monitor is not None
+    monkeypatch.setattr(agent.supervision.monitor, "update", lambda t, *more: looks.append(t) or [])
     for k in range(40):
         agent.measure(message(k * PERIOD))
         agent.command(k * PERIOD, plans)

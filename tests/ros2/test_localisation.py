@@ -145,11 +145,11 @@ def test_the_gate_allows_what_motion_and_spread_explain() -> None:
 def test_after_a_jump_the_next_pose_counts_whatever_was_known() -> None:
     """The filter refuses a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
     pilot, covariance = SwervePilot(ROBOT, SwerveRosSettings(), PERIOD), 1e-4 * np.eye(3)
-    agent, first, far = pilot.agent, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
-    agent._correct(0.0, first, covariance)
+    agent, first, far = pilot.agent.estimator, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
+    agent.correct(0.0, first, covariance)
     np.testing.assert_array_equal(agent.odometry.pose, first)
-    agent._correct(0.0, far, covariance)
+    agent.correct(0.0, far, covariance)
     np.testing.assert_array_equal(agent.odometry.pose, first)
     pilot.relocate()
-    agent._correct(0.0, far, covariance)
+    agent.correct(0.0, far, covariance)
     np.testing.assert_allclose(agent.odometry.pose, far, atol=1e-12)

@@ -81,7 +81,7 @@ class Turned:
         state = lambda: p.control.pilot.snapshot()[1][ROBOT.state["wheel"]]
         now = lambda: np.abs(state() - p.standin.joints["wheel"]).max() < 1e-6
         assert wait_until(lambda: p.run(PERIOD) or now(), 20.0), p.control.state
-        return np.abs(p.control.pilot.agent.odometry.pose - self.truth.pose)
+        return np.abs(p.control.pilot.agent.estimator.odometry.pose - self.truth.pose)
 
 
 def second_publisher(t: Turned) -> Callable[[], None]:

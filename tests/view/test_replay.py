@@ -40,7 +40,7 @@ class Truth:
     def begin(self, running: Running) -> None:
         self.plant, self.agent = running.plant, running.agent
         # the controller believes that it is elsewhere: what is shown must not
-        running.agent.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
+        running.agent.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.plant.truth()

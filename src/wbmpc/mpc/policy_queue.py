@@ -1,12 +1,10 @@
-"""Policies in force and on their way, and who uses them."""
+"""Policies in force and on their way."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Protocol
 
 from wbmpc.mpc.policy import Policy
-from wbmpc.types import Observation
 
 
 class PolicyQueue:
@@ -35,12 +33,3 @@ class PolicyQueue:
             if start <= t + 1e-9:
                 found = policy
         return found
-
-
-class Controller(Protocol):
-    """What stands between measurements, MPC and commands of one robot. Times in s; see :mod:`wbmpc.control`."""
-
-    def measure(self, measurement: Any) -> None: ...
-    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation: ...
-    def command(self, t: float, plans: PolicyQueue) -> Any: ...
-    def stop(self) -> Any: ...

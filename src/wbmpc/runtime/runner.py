@@ -19,9 +19,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from wbmpc.control.protocols import Controller
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.policy_queue import Controller, PolicyQueue
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.runtime.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
 from wbmpc.runtime.process import await_ready, set_priority, start_process
 from wbmpc.runtime.safety import (

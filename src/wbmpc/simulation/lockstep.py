@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from wbmpc.checks import whole
+from wbmpc.control.protocols import Controller
 from wbmpc.errors import (
     DisturbanceTooLarge,
     EndedByUser,
@@ -23,7 +24,7 @@ from wbmpc.errors import (
     SensorFailure,
 )
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.policy_queue import Controller, PolicyQueue
+from wbmpc.mpc.policy_queue import PolicyQueue
 
 _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]

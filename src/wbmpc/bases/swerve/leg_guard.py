@@ -6,6 +6,8 @@ hardly hold the base (all parallel, as in H): base and legs move together, and n
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,6 +15,18 @@ from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LegHeld:
+    """At ``time`` [s] it is decided to hold ``leg`` (index) until ``until`` [s], or that long no more: ``str()`` says it."""
+
+    time: float
+    leg: int
+    until: float
+
+    def __str__(self) -> str:
+        return f"leg {self.leg} goes astray: its brake is closed until {self.until:.2f} s ({self.time:.2f} s)"
 
 
 class LegGuard:
@@ -65,9 +79,9 @@ class LegGuard:
         """The brake of ``leg`` (index) does not hold: it is left alone until it is next told to be closed."""
         self._useless[leg], self._held[leg] = True, False
 
-    def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> bool:
-        """Take in measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s] since the last look and which
-        brakes (n, 1 = open) are told to be open. Whether ``until`` is another one now.
+    def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> list[LegHeld]:
+        """Legs whose ``until`` is another one after measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s]
+        since the last look; which brakes (n, 1 = open) are commanded to be open.
 
         Raises :class:`InputError` for what is not finite or of another length. Time that goes back starts anew.
         """
@@ -88,7 +102,7 @@ class LegGuard:
         astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > self.away)
         if astray.any():
             self._begin(t, astray)
-        return not np.array_equal(before, self.until)
+        return [LegHeld(t, int(i), float(self.until[i])) for i in np.flatnonzero(before != self.until)]
 
     def _begin(self, t: float, astray: NDArray[np.bool_]) -> None:
         soon = t - self.until < self.again  # after its last hold

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
-from wbmpc.bases.swerve.controller import SwerveController, Tick
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
+from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
+from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.ros_legs import Legs, Now
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
@@ -32,7 +33,6 @@ from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS
 from wbmpc.solver import Trajectory
 
-_LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
 #: The monitor of brakes looks at so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
@@ -53,39 +53,24 @@ class BusMeasurement(SwerveMeasurement):
     origin: float = 0.0
 
 
-class BusAgent(SwerveController):
-    """A swerve robot's agent that other threads may ask for what it saw last."""
+class BusEstimator(SwerveEstimator):
+    """On a bus: another localisation's poses come from ``fix``, and clocks start anew. ``seen``: the newest measurement with the pose
+    that belongs to it, for other threads; ``placed``: whether some pose has said where the robot is."""
 
-    #: the newest measurement with the pose that belongs to it
     seen: tuple[SwerveMeasurement, Array] | None = None
-
     fix: Callable[[], Fix | None] | None = None
-    _placed = False
+    placed = False
+    _origin: float | None = None  # of the last measurement
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(*given, **named)
-        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
-        self.to_hold: deque[Array] = deque(maxlen=1)  # the newest for the planner
-        self._origin: float | None = None  # of the last measurement
-        self._alone = threading.Lock()  # a tick may still run while the node's thread takes over
-
-    def hold(self, until: Array) -> None:
-        """Kept for the node's own thread, to which commanded brakes belong."""
-        self.to_hold.append(until.copy())
-
-    def judge(self, tick: Tick) -> None:
-        """Kept for the node's own thread: NumPy's searches let the interpreter go, which a tick does not."""
-        self.ticks.append(tick)
-
-    def measure(self, measurement: SwerveMeasurement) -> None:
+    def update(self, measurement: SwerveMeasurement) -> Array:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
-        with self._alone:
-            self._follow_clock(measurement)
-            super().measure(measurement)
-            fix = self.fix() if self.fix is not None else None
-            if fix is not None:
-                self._correct(*fix)
-            self.seen = measurement, self.odometry.pose
+        self._follow_clock(measurement)
+        super().update(measurement)
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            self.correct(*fix)
+        self.seen = measurement, self.odometry.pose
+        return self.state()
 
     def _follow_clock(self, measurement: SwerveMeasurement) -> None:
         """The runner's clock starts anew with each run, and the estimate goes on."""
@@ -96,24 +81,82 @@ class BusAgent(SwerveController):
         if measurement.time < self.odometry.time:  # the bus's own time went back
             self.odometry.bridge(measurement.time)
 
-    def _mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+    def mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
         return getattr(now, "turning", None)
 
-    def carry_on(self, other: BusAgent) -> None:
-        """Go on with what another agent has estimated."""
+    def carry_on(self, other: BusEstimator) -> None:
+        """Go on with what another one has estimated."""
         self.seen, self.odometry = other.seen, other.odometry
-        self._placed, self._origin, self._alone = other._placed, other._origin, other._alone
+        self.placed, self._origin = other.placed, other._origin
 
-    def _correct(self, t: float, pose: Array, covariance: Array) -> None:
+    def correct(self, t: float, pose: Array, covariance: Array) -> None:
         """A pose without a covariance is exact; the first one says where the robot is."""
         exact = not covariance.any()
-        if self._placed and not exact:
+        if self.placed and not exact:
             self.odometry.correct(t, pose, covariance)
             return
-        self._placed = True
+        self.placed = True
         place = [pose[0], pose[1], nearest_turn(pose[2], self.odometry.pose[2])]
         self.odometry.place(place, None if exact else covariance)
+
+
+class DeferredMonitor:
+    """Keeps the ``ticks`` of a brake monitor for the node's own thread: NumPy's searches let the interpreter go, which a tick of the
+    controller does not."""
+
+    def __init__(self, monitor: BrakeMonitor) -> None:
+        self.monitor = monitor
+        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+
+    @property
+    def real(self) -> list[BrakeFault]:
+        """As of the monitor."""
+        return self.monitor.real
+
+    def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]:
+        """Nothing is found yet."""
+        self.ticks.append((t, leg, brake, rate))
+        return []
+
+    def restart_clock(self) -> None:
+        """As of the monitor."""
+        self.monitor.restart_clock()
+
+    def judged(self) -> Iterator[BrakeFault]:
+        """What the monitor finds in the ticks that were kept."""
+        while self.ticks:
+            yield from self.monitor.update(*self.ticks.popleft())
+
+
+class BusAgent(SwerveController):
+    """A swerve robot's controller on a bus. ``to_hold``: until when [s] legs are held, the newest for the planner, kept for the
+    node's own thread, to which commanded brakes belong."""
+
+    Estimator = BusEstimator
+    estimator: BusEstimator
+
+    def __init__(
+        self, robot: RobotModel, pose: Array, period: float, brakes: BrakeControl | None, *,
+        tracking: TrackingSettings | None = None, estimation: EstimatorSettings | None = None,
+        monitor: BrakeMonitor | None = None, guard: bool = True,
+    ) -> None:  # fmt: skip
+        self.to_hold: deque[Array] = deque(maxlen=1)
+        monitor = monitor or brake_monitor(robot)
+        self.deferred = None if monitor is None else DeferredMonitor(monitor)
+        settings = SupervisionSettings(guard, self.deferred, hold=lambda until: self.to_hold.append(until.copy()))
+        super().__init__(robot, pose, period, brakes, tracking=tracking, estimation=estimation, supervision=settings)
+        self._alone = threading.Lock()  # a tick may still run while the node's thread takes over
+
+    def measure(self, measurement: SwerveMeasurement) -> None:
+        """Take in the message of this tick."""
+        with self._alone:
+            super().measure(measurement)
+
+    def carry_on(self, other: BusAgent) -> None:
+        """Go on with what another controller has estimated."""
+        self.estimator.carry_on(other.estimator)
+        self._alone = other._alone
 
 
 class SwervePilot:
@@ -148,10 +191,10 @@ class SwervePilot:
         s = self.settings
         gyro = s.use_gyro and self._has_imu
         agent = BusAgent(
-            self.robot, pose, self.period, self.brakes, lag=s.drive_lag, use_gyro=gyro, monitor=self._new_monitor(),
-            leg_guard=s.leg_guard,
+            self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.drive_lag),
+            estimation=EstimatorSettings(use_gyro=gyro), monitor=self._new_monitor(), guard=s.leg_guard,
         )  # fmt: skip
-        agent.fix = self.fix
+        agent.estimator.fix = self.fix
         return agent
 
     def _new_monitor(self) -> BrakeMonitor | None:
@@ -169,23 +212,20 @@ class SwervePilot:
     @property
     def faults(self) -> list[str]:
         """Brakes that do not answer, until their next command, or until they do after all."""
-        if self.brakes is None or self.agent.seen is None:
+        if self.brakes is None or self.agent.estimator.seen is None:
             return []
-        return [str(fault) for fault in self.brakes.doubted(self.agent.seen[0].time)]
+        return [str(fault) for fault in self.brakes.doubted(self.agent.estimator.seen[0].time)]
 
     def inspect(self) -> None:
         """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
         agent = self.agent  # another thread begins the next run with another one
-        monitor, ticks = agent.monitor, agent.ticks
-        if monitor is None or self.brakes is None:
+        if agent.deferred is None or self.brakes is None:
             return
         while agent.to_hold:
             self.brakes.hold(agent.to_hold.popleft())
-        while ticks:
-            for fault in monitor.update(*ticks.popleft()):
-                _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
-                agent.note(fault)
-                self.brakes.accept(fault)
+        for fault in agent.deferred.judged():
+            agent.supervision.note(fault)
+            self.brakes.accept(fault)
 
     def problem(self, cost: SwerveCost) -> OptimalControlProblem:
         """The controller's problem with other weights."""
@@ -220,22 +260,22 @@ class SwervePilot:
     def stand(self, m: SwerveMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while nobody commands them."""
         agent = self.agent
-        agent.use_gyro = self.settings.use_gyro and self._has_imu
-        agent.fix = self.fix
+        agent.estimator.use_gyro = self.settings.use_gyro and self._has_imu
+        agent.estimator.fix = self.fix
         agent.measure(m)
 
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
-        if self.agent.seen is None:
+        if self.agent.estimator.seen is None:
             return None
-        m, pose = self.agent.seen
+        m, pose = self.agent.estimator.seen
         parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
         return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def begin(self, x: Array) -> None:
         """A new run: the odometry goes on, the runner's clock starts at 0."""
         old, self.brakes, self.legs = self.agent, self._new_brakes(), None
-        self.agent = self._new_agent(old.odometry.pose)
+        self.agent = self._new_agent(old.estimator.odometry.pose)
         self.agent.carry_on(old)
         self.mpc.reset(x)
 
@@ -250,7 +290,7 @@ class SwervePilot:
 
     def relocate(self) -> None:
         """The next pose of another localisation counts whatever was known before."""
-        self.agent._placed = False
+        self.agent.estimator.placed = False
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:
@@ -268,7 +308,7 @@ class SwervePilot:
         seen = self.snapshot()
         if seen is None:
             return None
-        odometry = self.agent.odometry
+        odometry = self.agent.estimator.odometry
         x, y, yaw = seen[1][self.robot.state["base"]]
         v = odometry.twist
         return Estimate(

@@ -9,6 +9,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
@@ -29,6 +30,6 @@ def make_system(robot: RobotModel, plant: SwervePlant) -> System:
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
-    controller = SwerveController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
+    controller = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=DRIVE_LAG))
     mpc.reset(robot.home)
     return System(plant, controller, mpc, timing)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -218,7 +219,9 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
     period = bench.period
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
-    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes, monitor=monitor)
+    agent = RollingController(
+        robot, np.zeros(3), period, goals, brakes=brakes, supervision=SupervisionSettings(monitor=monitor)
+    )
     if kind == "closed":
         plant.brakes.fail(tried, "closed")
     hinge = plant.model.joint(robot.state.groups["leg"][tried]).dofadr[0]

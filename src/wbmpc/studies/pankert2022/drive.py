@@ -12,11 +12,14 @@ import mujoco
 import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import swerve_mpc
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Run, Scenario
 from wbmpc.log import Log
@@ -29,7 +32,7 @@ from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
-from wbmpc.studies.pankert2022.rolling import RollingController
+from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 
 NAME = "swerve-drive"
@@ -95,8 +98,9 @@ class _Run:
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
         agent = SwerveController(
-            robot, plant.truth().pose, timing.period, brakes, lag=s.drive_lag, leg_guard=s.leg_guard and knock is None,
-            use_gyro=s.use_gyro, odd_wheels=s.odd_wheels, faulty=brakes.accept,
+            robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.drive_lag),
+            estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
+            supervision=SupervisionSettings(guard=s.leg_guard and knock is None, report=brakes.accept),
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
         mpc.reset(home)
@@ -122,9 +126,9 @@ class _Run:
             return (pose[0], rate[0]), (leg[0], leg_rate[0])
 
         agent = RollingController(
-            robot, plant.truth().pose, timing.period, goals, s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain,
-            lead=s.rival_lead, look_ahead=s.rival_look_ahead, brakes=brakes.commanded, use_gyro=s.use_gyro,
-            odd_wheels=s.odd_wheels,
+            robot, plant.truth().pose, timing.period, goals,
+            RollingGains(s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain, s.rival_lead, s.rival_look_ahead),
+            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
 

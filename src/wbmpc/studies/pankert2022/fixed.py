@@ -16,6 +16,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.bases.swerve.wheel_flip import WheelFlipGuess, fast_enough
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Scenario
 from wbmpc.log import Log
@@ -24,7 +25,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings, legs_at_home
-from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController
+from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 
 NAME = "swerve-fixed"
@@ -42,7 +43,7 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 
 
 def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveController:
-    return SwerveController(r, pose, period, lag=s.drive_lag, allow_side_slip=fast_enough(r))
+    return SwerveController(r, pose, period, tracking=TrackingSettings(lag=s.drive_lag, allow_side_slip=fast_enough(r)))
 
 
 def goals(
@@ -67,7 +68,7 @@ def rival(kind: type[RollingController], **gains: float) -> Make:
     """A maker of a rival's agent."""
 
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveController:
-        return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), **gains)  # type: ignore[arg-type]
+        return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), RollingGains(**gains))
 
     return make
 
@@ -113,7 +114,7 @@ def drive(
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
     if mpc is not None:
-        agent.faulty = closed_brakes(robot, mpc)
+        agent.supervision.report = closed_brakes(robot, mpc)
     stand_still(plant, agent, timing, settings.rest)
 
     def record(t: float, command: Any, plans: Any) -> None:
@@ -121,7 +122,7 @@ def drive(
             return
         truth = plant.truth()
         log.add(f"base_{name}", t, truth.pose)
-        log.add(f"odometry_{name}", t, agent.odometry.pose)
+        log.add(f"odometry_{name}", t, agent.estimator.odometry.pose)
         log.add(f"slip_{name}", t, truth.slip)
         log.add(f"wheel_{name}", t, command.wheel)
         log.add(f"steer_{name}", t, agent.measured.steer if agent.measured is not None else command.steer)

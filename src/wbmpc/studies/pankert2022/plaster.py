@@ -8,10 +8,13 @@ import mujoco
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import RunAborted
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
@@ -76,7 +79,7 @@ class _WallSensor:
         pose = x[self.robot.state["base"]].copy()
         pose[1] += wall.WALL - distance * beam - hand[1]
         assert agent.measured is not None
-        agent.odometry.correct(
+        agent.estimator.odometry.correct(
             agent.measured.time, pose, np.diag([UNKNOWN[0] ** 2, DISTANCE_NOISE**2, UNKNOWN[1] ** 2])
         )
 
@@ -95,8 +98,9 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     agent = SwerveController(
-        robot, plant.truth().pose, timing.period, lag=settings.drive_lag, calibration=calibration,
-        faulty=closed_brakes(robot, mpc),
+        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.drive_lag),
+        estimation=EstimatorSettings(calibration=calibration),
+        supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     stand_still(plant, agent, timing, settings.rest)
     mpc.reset(robot.home)
@@ -108,7 +112,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
             sensor(plant, agent)
         if round(t / timing.period) % 4:
             return
-        truth, pose = plant.truth(), agent.odometry.pose
+        truth, pose = plant.truth(), agent.estimator.odometry.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
         log.add("hand", t, truth.tool)

@@ -156,16 +156,16 @@ def drive(
             for k in range(round(phase.length / period)):
                 m = plant.measure()
                 agent.measure(m)
-                if agent.monitor is not None:  # open legs give way: nothing is planned for them
-                    agent.watch(plant.time, brake, np.zeros(brake.size))
+                # open legs give way: nothing is planned for them
+                agent.watch(plant.time, brake, np.zeros(brake.size))
                 wheels.add(plant.time, m, brake)
                 if len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
-                    log.add("base_odometry", plant.time, agent.odometry.pose)
-                    log.add("base_wheels", plant.time, agent.wheels_alone.pose)
+                    log.add("base_odometry", plant.time, agent.estimator.odometry.pose)
+                    log.add("base_wheels", plant.time, agent.estimator.wheels_alone.pose)
                 brake = phase.brake
-                steer, wheel = _rolling(geometry, phase, k * period, agent.leg if swings else legs, legs)
-                turning = np.clip(STEER_GAIN * (steer - agent.steer), -STEER_SPEED, STEER_SPEED)
+                steer, wheel = _rolling(geometry, phase, k * period, agent.estimator.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - agent.estimator.steer), -STEER_SPEED, STEER_SPEED)
                 command = SwerveCommand(wheel * agent.wheel_scale, turning, arm, brake)
                 tick(plant.time, command)
                 plant.step(command, steps)

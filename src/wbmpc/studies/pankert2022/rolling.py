@@ -8,11 +8,13 @@ fastest wheel and holding it back while wheels still turn. Gains: ``benchmarks/r
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveCommand, scale_wheels
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
@@ -27,31 +29,31 @@ Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray,
 REST = 0.01
 
 
-class RollingController(SwerveController):
-    """``goals``: what base and legs shall do; gains [1/s] of base pose, legs and steering. The arm stands still.
+@dataclass(frozen=True)
+class RollingGains:
+    """Gains [1/s] of base pose, legs and steering; ``lead`` [s] by which the goals are read ahead, for the drives' lag;
+    ``look_ahead`` [s]: a base at rest turns its wheels to the motion that begins so soon (0: it does not)."""
 
-    ``lead`` [s] by which the goals are read ahead, for the drives' lag; ``look_ahead`` [s]: a base at rest turns its wheels to
-    the motion that begins so soon (0: it does not). The other arguments are those of :class:`SwerveController`.
-    """
+    base_gain: float = 1.5
+    leg_gain: float = 2.0
+    steer_gain: float = 8.0
+    lead: float = 0.0
+    look_ahead: float = 0.0
+
+    def __post_init__(self) -> None:
+        not_negative("rolling controller", **asdict(self))
+
+
+class RollingController(SwerveController):
+    """``goals``: what base and legs shall do. The arm stands still. The other arguments are those of :class:`SwerveController`."""
 
     def __init__(
-        self,
-        robot: RobotModel,
-        pose: np.ndarray,
-        period: float,
-        goals: Goals,
-        base_gain: float = 1.5,
-        leg_gain: float = 2.0,
-        steer_gain: float = 8.0,
-        *,
-        lead: float = 0.0,
-        look_ahead: float = 0.0,
-        **agent: Any,
-    ) -> None:
-        not_negative("rolling agent", base_gain=base_gain, leg_gain=leg_gain, lead=lead, look_ahead=look_ahead)
-        super().__init__(robot, pose, period, steer_gain=steer_gain, **agent)
-        self.goals, self.base_gain, self.leg_gain = goals, base_gain, leg_gain
-        self.lead, self.look_ahead = lead, look_ahead
+        self, robot: RobotModel, pose: np.ndarray, period: float, goals: Goals, gains: RollingGains | None = None,
+        brakes: Brakes | None = None, *, estimation: EstimatorSettings | None = None,
+        supervision: SupervisionSettings | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(robot, pose, period, brakes, estimation=estimation, supervision=supervision)
+        self.goals, self.gains = goals, gains or RollingGains()
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
         """As :meth:`drive`; plans are not looked at."""
@@ -61,10 +63,10 @@ class RollingController(SwerveController):
         """Drive speeds for this tick from the last measurement."""
         m, brake, geometry = self.measured, self.brakes(t), self.robot.base.geometry
         assert m is not None
-        (pose, rate), legs = self.goals(t + self.lead)
+        (pose, rate), legs = self.goals(t + self.gains.lead)
         leg, swing = self._legs(*legs, brake)
         resting = np.abs(rate).max() < REST and np.abs(swing).max(initial=0.0) < REST
-        if resting and self.look_ahead > 0.0:
+        if resting and self.gains.look_ahead > 0.0:
             target, wheel = self._await(t, leg)
         else:
             twist = self.twist(pose - self.pose, rate)
@@ -76,14 +78,13 @@ class RollingController(SwerveController):
         wheel, _ = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
         wheel = wheel * float(np.cos(np.minimum(np.abs(target - m.steer), 0.5 * np.pi)).min())
         steer_limit = limit[self.robot.input["steer"]]
-        steer = np.clip(self.steer_gain * (target - m.steer), -steer_limit, steer_limit)
-        if self.monitor is not None:
-            self.watch(t, brake, swing)
+        steer = np.clip(self.gains.steer_gain * (target - m.steer), -steer_limit, steer_limit)
+        self.watch(t, brake, swing)
         return SwerveCommand(wheel, steer, np.zeros(m.arm.size), brake)
 
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Body twist (3) for the pose error (3) and the reference's rate (3), both in world axes."""
-        return self._in_base(rate + self.base_gain * error)
+        return self._in_base(rate + self.gains.base_gain * error)
 
     def _in_base(self, v: np.ndarray) -> np.ndarray:
         c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
@@ -96,12 +97,12 @@ class RollingController(SwerveController):
         if not m.leg.size:
             return still, still
         limit = self.robot.limits.input_upper[self.robot.input["leg"]]
-        return m.leg, brake * np.clip(rate + self.leg_gain * (wanted - m.leg), -limit, limit)
+        return m.leg, brake * np.clip(rate + self.gains.leg_gain * (wanted - m.leg), -limit, limit)
 
     def _await(self, t: float, leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steering for the motion that comes, wheels at rest."""
         assert self.measured is not None
-        soon = self.goals(t + self.look_ahead)[0][1]
+        soon = self.goals(t + self.gains.look_ahead)[0][1]
         aim = self._in_base(soon) if np.abs(soon).max() >= REST else np.zeros(3)
         target, _ = rolling_inverse_kinematics(self.robot.base.geometry, leg, self.measured.steer, aim)
         return target, np.zeros(target.size)
@@ -122,7 +123,7 @@ class FourWheelSteeringController(RollingController):
 
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Body twist (3) whose sideways part is 0."""
-        k, (ex, ey, yaw) = self.base_gain, self._in_base(error)
+        k, (ex, ey, yaw) = self.gains.base_gain, self._in_base(error)
         own = self.pose[2] + yaw
         speed = float(np.cos(own) * rate[0] + np.sin(own) * rate[1])  # along the reference's own axis
         turn = rate[2] + k * (k * speed * ey + max(abs(speed), 0.2) * np.sin(yaw))

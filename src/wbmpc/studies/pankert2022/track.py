@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.calibration_log import WheelLog, swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
@@ -46,8 +49,11 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     pose0 = plant.truth().pose
     agent = SwerveController(
-        robot, pose0, timing.period, lag=settings.drive_lag, calibration=calibration, use_gyro=settings.use_gyro,
-        faulty=closed_brakes(robot, mpc), friction=settings.friction, smoothing=settings.smoothing,
+        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.drive_lag, friction=settings.friction),
+        estimation=EstimatorSettings(
+            calibration=calibration, use_gyro=settings.use_gyro, smoothing=settings.smoothing
+        ),
+        supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the hand makes up for
     references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
@@ -68,8 +74,8 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         pose = agent.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
-        log.add("base_std", t, np.sqrt(np.diag(agent.odometry.covariance)))
-        log.add("base_wheels", t, agent.wheels_alone.pose)
+        log.add("base_std", t, np.sqrt(np.diag(agent.estimator.odometry.covariance)))
+        log.add("base_wheels", t, agent.estimator.wheels_alone.pose)
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))

@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
@@ -114,8 +117,9 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
     agent = SwerveController(
-        robot, plant.truth().pose, timing.period, brakes, leg_guard=settings.leg_guard,
-        use_gyro=settings.use_gyro, lag=settings.drive_lag, faulty=brakes.accept,
+        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.drive_lag),
+        estimation=EstimatorSettings(use_gyro=settings.use_gyro),
+        supervision=SupervisionSettings(guard=settings.leg_guard, report=brakes.accept),
     )  # fmt: skip
     stand_still(plant, agent, timing, settings.rest)
     mpc.reset(home)
@@ -124,7 +128,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:
             return
-        truth, pose, m = plant.truth(), agent.odometry.pose, agent.measured
+        truth, pose, m = plant.truth(), agent.estimator.odometry.pose, agent.measured
         assert m is not None
         stance = stance_of(truth.state)
         log.add("base", now, truth.pose)

@@ -1,0 +1,178 @@
+"""From encoders, gyro and global poses to the state of a swerve robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc import lie
+from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.wheel_flip import SideSlip
+from wbmpc.checks import not_negative
+from wbmpc.control.drives import Smoothing
+from wbmpc.estimation.fused_odometry import FusedOdometry
+from wbmpc.estimation.odometry_filter import OdometryNoise
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry
+
+Array = NDArray[np.float64]
+#: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
+#: wheel has to make, for how long [s] it is not believed after that, fewest wheels that can tell which one it is.
+CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
+#: Weight in the odometry of a wheel that slips.
+SLIP_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
+    has one; ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict, as of one that hangs in
+    the air; ``smoothing`` [s] of base position and arm against the jitter of the encoders' age (0: none)."""
+
+    calibration: WheelCalibration | None = None
+    noise: OdometryNoise | None = None
+    use_gyro: bool = True
+    odd_wheels: bool = False
+    smoothing: float = 0.0
+
+    def __post_init__(self) -> None:
+        not_negative("swerve robot's estimator", smoothing=self.smoothing)
+
+
+class OddWheels:
+    """Finds the wheel that goes elsewhere than all others do. ``odd`` (n): for how long [s] each is not believed yet."""
+
+    def __init__(self, geometry: ModuleGeometry) -> None:
+        self._geometry = geometry
+        self.odd, self._contradiction = np.zeros(geometry.modules), np.zeros((geometry.modules, 2))
+
+    def update(self, h: float, residual: Array, leg: Array) -> None:
+        """``residual`` (n, 2) [m] of the wheels' ways over h [s]; ``leg`` (n) [rad]."""
+        self.odd = np.maximum(self.odd - h, 0.0)
+        if h <= 0.0:
+            return
+        self._contradiction += (1.0 - np.exp(-h / ODD_TIME)) * (residual / h - self._contradiction)
+        if np.sqrt(np.sum(self._contradiction**2)) > CONTRADICTS:
+            i, share = odd_one_out(self._contradiction, self._geometry.steer_axes(leg))
+            if share > ODD_SHARE:
+                self.odd[i] = ODD_FOR
+
+
+class SwerveEstimator:
+    """State of a swerve robot that starts at ``pose`` (x, y, yaw). While it stands, the gyro's bias is found.
+
+    ``odometry`` of wheels and gyro; ``wheels_alone``: of the wheels. ``drives`` and ``arm_drives`` say how base and arm move between
+    messages, ``side_slip`` which wheels a plan lets slip (None: none).
+    """
+
+    def __init__(
+        self, robot: RobotModel, pose: Array, settings: EstimatorSettings, drives: DriveModel, arm_drives: ArmDrives,
+        side_slip: SideSlip | None = None,
+    ) -> None:  # fmt: skip
+        self.robot, self.use_gyro = robot, settings.use_gyro
+        self._drives, self._arm_drives, self._side_slip = drives, arm_drives, side_slip
+        geometry = robot.base.geometry
+        wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
+        self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=settings.noise)
+        self.wheels_alone = WheelOdometry(
+            geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
+        )
+        self._odd = OddWheels(geometry) if settings.odd_wheels and geometry.modules >= ODD_WHEELS else None
+        self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
+        self._mean_age = (settings.noise or OdometryNoise()).mean_age
+        self.measured: SwerveMeasurement | None = None
+
+    def update(self, measurement: SwerveMeasurement) -> Array:
+        """The state (nx) after a message."""
+        before, self.measured = self.measured or measurement, measurement
+        m = measurement
+        h = m.time - before.time
+        turning = self.mean_rate(before, m) if self.use_gyro else None
+        self.wheels_alone.update(m.leg, m.steer, m.wheel)
+        if self._odd is not None:
+            self._odd.update(h, self.wheels_alone.residual, self.hinge_angles)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=self._weights())
+        if m.place is not None:
+            self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
+        if self._smoothing is not None:
+            self._smooth(self._smoothing, h)
+        return self.state()
+
+    def mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+        """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
+        return 0.5 * float(before.gyro[2] + now.gyro[2])
+
+    def _weights(self) -> Array | None:
+        """Weights (n) of the wheels in the odometry; None: all count in full."""
+        slips = np.zeros(self.robot.base.geometry.modules, bool)
+        if self._side_slip is not None:
+            slips |= self._side_slip.left > 0.0
+        if self._odd is not None:
+            slips |= self._odd.odd > 0.0
+        # one sound wheel alone tells no motion
+        return np.where(slips, SLIP_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
+
+    def _smooth(self, smoothing: Smoothing, h: float) -> None:
+        """Positions of the base and of the arm at the moment of the message."""
+        assert self.measured is not None
+        pose = self.odometry.pose
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        vx, vy, _ = self._drives.rates[self.robot.input["base"]]
+        rates = np.concatenate([[c * vx - s * vy, s * vx + c * vy], self._arm_drives.mean + self._arm_drives.sag])
+        smoothing.update(np.concatenate([pose[:2], self.measured.arm]), rates * h, rates * self._mean_age, h)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Wheels that are not believed, as the others contradict them."""
+        odd = () if self._odd is None else np.flatnonzero(self._odd.odd > 0.0)
+        return tuple(f"{self.robot.state.groups['wheel'][i]} contradicts the other wheels" for i in odd)
+
+    @property
+    def pose(self) -> Array:
+        """(x, y, yaw) of the base that is controlled."""
+        pose = self.odometry.pose
+        if self._smoothing is not None and self._smoothing.value is not None:
+            pose = np.append(self._smoothing.value[:2], pose[2])
+        return pose
+
+    @property
+    def arm(self) -> Array:
+        """Measured angles (m) of the arm, smoothed if they shall be."""
+        assert self.measured is not None
+        smooth = self._smoothing.value if self._smoothing is not None else None
+        return self.measured.arm if smooth is None else smooth[2:]
+
+    @property
+    def leg(self) -> Array:
+        """Measured leg angles less their zeros (empty for fixed legs)."""
+        assert self.measured is not None
+        return self.measured.leg - self.calibration.leg_zero if self.measured.leg.size else self.measured.leg
+
+    @property
+    def hinge_angles(self) -> Array:
+        """As ``leg``; zeros (n) for fixed legs."""
+        leg = self.leg
+        return leg if leg.size else np.zeros(self.robot.base.geometry.modules)
+
+    @property
+    def steer(self) -> Array:
+        """Measured steering angles (n) less their zeros."""
+        assert self.measured is not None
+        return self.measured.steer - self.calibration.steer_zero
+
+    def state(self) -> Array:
+        """Estimated state (nx), with the measured steering angles."""
+        m = self.measured
+        assert m is not None
+        parts = {"base": self.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": self.arm}
+        return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+
+    def base_pose(self) -> Array:
+        """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
+        x, y, yaw = self.pose
+        return np.array([x, y, self.robot.base.body_height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])

@@ -1,0 +1,46 @@
+"""What controllers are made of: the protocols that loops, real-time runners and base types ask, and nothing else.
+
+A controller is assembled from parts: an estimator, monitors, the prediction over the delay, the law that follows a policy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.control.monitor import Fault, Monitor
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.types import Observation
+
+__all__ = ["Controller", "Estimator", "Fault", "Monitor"]
+
+
+class Controller(Protocol):
+    """What stands between measurements, MPC and commands of one robot. Times in s."""
+
+    def measure(self, measurement: Any) -> None:
+        """Take in the measurement of this tick."""
+
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
+        """The state for which the next policy is computed: at ``until`` [s], under the policies that are in force until then."""
+
+    def command(self, t: float, plans: PolicyQueue) -> Any:
+        """The command for the tick at ``t`` [s]."""
+
+    def stop(self) -> Any:
+        """The command that brings the robot to rest."""
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """From measurements to the state of the model."""
+
+    def update(self, measurement: Any) -> NDArray[np.float64]:
+        """The state x (nx) after the newest measurement."""
+
+    @property
+    def faults(self) -> Sequence[str]:
+        """What is wrong with the last measurement; empty where nothing is."""
