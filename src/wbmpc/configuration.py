@@ -173,3 +173,20 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
         return model.model_validate(settings)
     except ValidationError as error:
         raise InputError(f"{where}: --set {describe(error)}") from error
+
+
+def reject_truths(model: type[BaseModel], data: Any) -> Any:
+    """``data`` of a model, unless it has true or false (YAML: yes, on, no, off) where a field needs a number or a text: Python
+    takes them for 1 and 0. Raises ``ValueError`` with the field. Models inside check themselves."""
+    for name, value in data.items() if isinstance(data, dict) else ():
+        field = model.model_fields.get(name)
+        kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+        checked = any(k in (bool, Any) or (isinstance(k, type) and issubclass(k, BaseModel)) for k in kinds)
+        if field is not None and not checked and _has_truth(value):
+            raise ValueError(f"{name}: a number or text is needed, not true or false")
+    return data
+
+
+def _has_truth(value: Any) -> bool:
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+    return isinstance(value, bool) or any(_has_truth(inner) for inner in inside)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wbmpc.configuration import reject_unread
+from wbmpc.configuration import reject_truths, reject_unread
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
@@ -20,6 +20,11 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truths(cls, data: Any) -> Any:
+        return reject_truths(cls, data)
+
     @model_validator(mode="after")
     def _read(self) -> Self:
         reject_unread(self)
@@ -32,14 +37,14 @@ class MpcSettings(Settings):
     point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``rollout_restart``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
-    rate: float = Field(50.0, gt=0, le=10_000)
-    horizon: float = Field(10.0, gt=0)
+    rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
+    horizon: float = Field(10.0, gt=0, le=1000)
     intervals: int = Field(50, ge=1, le=1000)
-    first_interval: float = Field(0.017, ge=0)
+    first_interval: float = Field(0.017, ge=0, le=1000)
     delay: float = Field(0.010, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
-    barrier_mu: float = Field(3e-3, gt=0)
+    barrier_mu: float = Field(3e-3, gt=0, le=1e6)
     rollout_restart: bool = True
 
     def solver(self) -> SQP:
@@ -51,7 +56,7 @@ class MpcSettings(Settings):
 class ControlSettings(Settings):
     """``rate`` [Hz] of the tracking controller."""
 
-    rate: float = Field(400.0, gt=0, le=10_000)
+    rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
 
 
 class LocalisationSettings(Settings):
@@ -59,8 +64,8 @@ class LocalisationSettings(Settings):
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)
-    position: float = Field(0.005, gt=0)
-    yaw: float = Field(0.002, gt=0)
+    position: float = Field(0.005, gt=0, le=100)
+    yaw: float = Field(0.002, gt=0, le=3.2)
 
     def source(self, seed: int) -> Localisation:
         """The simulated source."""

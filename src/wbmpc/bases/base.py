@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from wbmpc.configuration import reject_truths
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +46,11 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truths(cls, data: Any) -> Any:
+        return reject_truths(cls, data)
+
 
 class InertialDescription(Section):
     """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
@@ -72,6 +78,8 @@ class BaseDescription(Section):
     ``body``: the file's body that carries the arm.
     """
 
+    #: Whether the base moves: then ``body`` is a body of the file, not its world.
+    moves: ClassVar[bool] = True
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     Field,
@@ -22,7 +23,7 @@ from pydantic_core import PydanticCustomError
 from wbmpc.bases import available_base_types, base_type
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots.checks import check_joints, compiled
+from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.fixed_joints import lock
 from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
@@ -32,6 +33,17 @@ from wbmpc.yaml_file import load_yaml
 DATA = Path(__file__).parent / "data"
 #: Keys of ``limits`` that are of joints, whatever the base.
 JOINT_LIMITS = ("velocity", "drive_velocity", "acceleration", "effort", "position")
+
+
+def _moves(value: float) -> float:
+    if value < 1e-6:
+        raise ValueError("input should be 1e-06 or more")
+    return value
+
+
+#: A limit of a machine, in SI units: what is smaller is a standstill, what is larger no limit.
+_Limit = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_moves)]
+_Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class ArmDescription(Section):
@@ -49,13 +61,13 @@ class LimitsDescription(Section):
     ``spin_effort`` [N m]: what they may do about the vertical before the robot spins on the floor.
     """
 
-    velocity: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
-    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
-    acceleration: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
-    effort: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
-    position: dict[str, tuple[float, float]] = Field(default={})
-    base_linear: float = Field(default=1.0, gt=0)
-    base_angular: float = Field(default=1.0, gt=0)
+    velocity: dict[str, _Limit] = Field(default={})
+    drive_velocity: dict[str, _Limit] = Field(default={})
+    acceleration: dict[str, _Limit] = Field(default={})
+    effort: dict[str, _Limit] = Field(default={})
+    position: dict[str, tuple[_Place, _Place]] = Field(default={})
+    base_linear: _Limit = 1.0
+    base_angular: _Limit = 1.0
     wheel_effort: float = Field(default=np.inf, gt=0)
     spin_effort: float = Field(default=np.inf, gt=0)
 
@@ -166,6 +178,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     _check_names(description, spec)
     model = compiled(spec, description.model)
     check_joints(description, model)
+    check_tool(description, model)
     base_type(description.base.type).check(description, model)
     check_radii(description, model)
     return description

@@ -145,23 +145,24 @@ class Solver:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
             )
-        before = self.references.get(name)
-        self.references[name] = reference
-        if self._tables is None:
-            return
-        if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
-            self._tables = None
-            return
-        from wbmpc.solver.receding import overwrite
+        with self.exclusive:
+            before = self.references.get(name)
+            self.references[name] = reference
+            if self._tables is None:
+                return
+            if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
+                self._tables = None
+                return
+            from wbmpc.solver.receding import overwrite
 
-        overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
+            overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
         self.problem.check_schedule(schedule)
-        self.schedule = schedule
-        self._tables = None
+        with self.exclusive:
+            self.schedule, self._tables = schedule, None
 
     def set_weight(self, name: str, weight: Weight, at: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
@@ -169,7 +170,9 @@ class Solver:
         costs = [k for k in self.problem.constant.slices if k != "parameters"]
         if key not in costs:
             raise unknown_name("weight", key, costs)
-        self.ws.w[self.problem.constant.slices[key]] = self.ocp.term(name).expand(weight)  # type: ignore[union-attr]
+        rows = self.ocp.term(name).expand(weight)  # type: ignore[union-attr]
+        with self.exclusive:
+            self.ws.w[self.problem.constant.slices[key]] = rows
 
     def set_parameters(self, values: Mapping[str, np.ndarray] | np.ndarray) -> None:
         """Set the model's parameters (constant over the horizon): by group, or the whole vector."""
@@ -177,7 +180,8 @@ class Solver:
         vector = self.ocp.dynamics.parameters.vector(values) if isinstance(values, Mapping) else np.asarray(values)
         if vector.shape != (part.stop - part.start,) or not np.isfinite(vector).all():
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
-        self.ws.w[part] = vector
+        with self.exclusive:
+            self.ws.w[part] = vector
 
     def warm_start(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
@@ -192,13 +196,19 @@ class Solver:
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
-        self.ws.state[
-            [StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL, StateField.BLOCKED_TIME]
-        ] = 0.0
-        if self.settings.backend == "interpreted":
-            self.twin.reset()
-        else:
-            self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+        with self.exclusive:
+            self.ws.state[
+                [
+                    StateField.MAX_STEP,
+                    StateField.INFEASIBLE_SOLVES,
+                    StateField.BLOCKED_RESIDUAL,
+                    StateField.BLOCKED_TIME,
+                ]
+            ] = 0.0
+            if self.settings.backend == "interpreted":
+                self.twin.reset()
+            else:
+                self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
 
     # ------------------------------------------------------------------ what the last solve left
     def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:

@@ -15,6 +15,8 @@ _SPEEDS = (
 class FixedBaseDescription(BaseDescription):
     """A base that does not move."""
 
+    moves: ClassVar[bool] = False
+
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
     type: Literal["fixed"]
