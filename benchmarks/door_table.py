@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from wbmpc.reproduce import parse_seeds
-from wbmpc.studies.minniti2019.door import DOORS, RezeroDoorSettings, push_door, trial_metrics
+from wbmpc.studies.minniti2019.door import push_door
+from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
+from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
 
 #: Which parts of the scheme are on. "paper": the wrench is a free input (Minniti et al. 2019).
 SCHEMES = {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, run
+from wbmpc.studies.minniti2019.steps import EXPERIMENT, RezeroStepsSettings
 
 CASES: dict[str, dict[str, object]] = {
     "filter": {},
@@ -35,7 +35,7 @@ def main() -> None:
             key = f"{name}, seed {seed}"
             if key in done:
                 continue
-            result = run(RezeroStepsSettings(**CASES[name]), seed)
+            result = EXPERIMENT.run(RezeroStepsSettings(**CASES[name]), seed)
             done[key] = {k: m.value for k, m in result.metrics.items()}
             given.json.write_text(json.dumps(done, indent=1) + "\n")
             print(key, result.reason or "completed", flush=True)

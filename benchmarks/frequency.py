@@ -12,9 +12,10 @@ import numpy as np
 from study import Figures, Kept, drawing
 
 from wbmpc.configuration import configure
+from wbmpc.registry import REGISTRY
 from wbmpc.reproduce import parse_seeds
-from wbmpc.studies import REGISTRY
-from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings, torque_error
+from wbmpc.studies.minniti2019.frequency_figures import torque_error
+from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 
 NAME = "rezero-frequency"
 PLAIN = (1.0, 3.0, 10.0, 30.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 #: First interval [s] of the geometric grids, which is near the MPC's period; 0: uniform.
 FIRST = 0.017

@@ -12,21 +12,21 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, leaning_of, set_home_references
-from wbmpc.studies.paths import SinePath
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]
@@ -98,7 +98,7 @@ def direction(rng: np.random.Generator, size: int = 2) -> Array:
 def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cost: RezeroCost = BALL_COST) -> Rig:
     settings = RezeroStepsSettings(cost=cost)
     planner = settings.mpc.model_copy(update={"barrier_mu": BALL_MU, "rate": BALL_RATE})
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
     plant = BallPlant(robot.description, home, torque, settings.plant, seed)

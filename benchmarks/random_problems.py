@@ -74,7 +74,7 @@ def _hard(r: np.random.Generator, nx: int, nu: int, slack: float) -> list[Constr
     place = lambda s: s.x[: len(center)] - ca.DM(center)
     found = [
         (0.8, Constraint("u", Rows(nu, lambda s: s.u), sets.Box(-u, u), hard=True)),
-        (0.5, Constraint("x", Rows(1, lambda s: s.x[:1]), sets.Box(-x, x), hard=True, at="all", slack=slack)),
+        (0.5, Constraint("x", Rows(1, lambda s: s.x[:1]), sets.Box(-x, x), hard=True, at="path+terminal", slack=slack)),
         (0.3, Constraint("mixed", Rows(1, lambda s: ca.DM(mixed) @ all_of(s)), sets.Box(-2.0, 3.0), hard=True, slack=slack)),
         (0.15, Constraint("disc", Rows(1, lambda s: u * u - ca.sumsqr(s.u)), sets.NonNegative(), hard=True)),
         (0.15, Constraint("round", Rows(1, lambda s: 4.0 * x * x - ca.sumsqr(s.x)), sets.NonNegative(), hard=True, slack=slack)),
@@ -91,8 +91,18 @@ def _other(r: np.random.Generator, nx: int, nu: int, modes: tuple[str, ...] | No
     straight = lambda s: ca.DM(rows[:1]) @ ca.vertcat(ca.sin(s.x), s.u) - 0.1
     found = [
         (0.2, Constraint("al", Rows(1, lambda s: bound - ca.sum1(s.u)), sets.NonNegative(), penalty=m, modes=modes)),
-        (0.15, Constraint("al x", Rows(1, lambda s: bound + s.x[nx - 1]), sets.NonNegative(), at="all", penalty=m)),
-        (0.25, Constraint("soft", Rows(1, lambda s: bound - s.x[0]), sets.NonNegative(), at="all", penalty=barrier)),
+        (
+            0.15,
+            Constraint(
+                "al x", Rows(1, lambda s: bound + s.x[nx - 1]), sets.NonNegative(), at="path+terminal", penalty=m
+            ),
+        ),
+        (
+            0.25,
+            Constraint(
+                "soft", Rows(1, lambda s: bound - s.x[0]), sets.NonNegative(), at="path+terminal", penalty=barrier
+            ),
+        ),
         (0.25 * (nu > 1), Constraint("eq", Rows(1, straight), modes=modes)),
         (0.1 * (nu > 1), Constraint("eq al", Rows(1, lambda s: s.u[0] - 0.3 * s.u[1] * ca.cos(s.x[0])), penalty=m)),
         (0.2, Constraint("end", Rows(1, lambda s: s.x[0] - 0.1), at="terminal")),
@@ -115,7 +125,7 @@ def draw(seed: int) -> Drawn:
     plain = lambda s: s.x - 0.5
     goal = Rows(nx + 1, curved) if r.random() < 0.3 else Rows(nx, plain)
     norm = {"norm": SmoothL1(0.3)} if r.random() < 0.2 else {}
-    ocp.add(Cost("state", goal, float(10 ** r.uniform(-1, 2)), at="all", **norm))
+    ocp.add(Cost("state", goal, float(10 ** r.uniform(-1, 2)), at="path+terminal", **norm))
     ocp.add(Cost("input", Rows(nu, lambda s: s.u), float(10 ** r.uniform(-3, 1))))
     modes = ("b",) if switched and r.random() < 0.5 else None
     for c in [*_hard(r, nx, nu, float(r.choice([10.0, 1e3, 1e5, np.inf]))), *_other(r, nx, nu, modes)]:
@@ -175,7 +185,7 @@ def attempt(drawn: Drawn, settings: SQP) -> tuple[Solver, Solution]:
     solver = Solver(drawn.ocp, settings, use_cache=False)
     if drawn.schedule is not None:
         solver.set_schedule(drawn.schedule)
-    solver.guess(drawn.x0)
+    solver.warm_start(drawn.x0)
     return solver, solver.solve(drawn.x0)
 
 

@@ -21,23 +21,25 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import SinePath
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.minniti2019.steps import STEPS, target
-from wbmpc.studies.minniti2019.task import RezeroSettings, leaning_of, set_home_references
-from wbmpc.studies.paths import SinePath
-from wbmpc.types import BallCommand, SwerveCommand
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.step_goals import STEPS, target
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
@@ -75,7 +77,7 @@ def make_rezero_mpc(rate: float) -> MPC:
     robot = load_robot("rezero")
     settings = MpcSettings(rate=rate, horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-2)
     mpc = rezero_mpc(robot, settings, BALL.cost)
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses(*rezero_poses(), hold=True)
     mpc.reset(home, torque)
@@ -85,15 +87,15 @@ def make_rezero_mpc(rate: float) -> MPC:
 def make_rezero_plant() -> BallPlant:
     """Perturbed against the model, sensors with noise, as in the experiments."""
     robot = load_robot("rezero")
-    return BallPlant(robot.description, *robot.equilibrium(robot.home[robot.state["arm"]]), None, 0)
+    return BallPlant(robot.description, *robot.base.numeric.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
 def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController:
     """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
-    robot.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    agent = BallController(robot, own, robot.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
+    robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
+    agent = BallController(robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
     agent.leaning = leaning_of(BALL, robot, arm)
     return agent
 
@@ -199,12 +201,11 @@ def run(
     first, last = (cores[0], cores[-1]) if len(cores) > 1 else (None, None)
     robot = Simulated(case.make_plant, plant.measure(), case.stop, clock, first, fifo)
     agent = Watched(case.make_agent(own, plant, control))
-    parameters = own.solver.problem.constant.slices["parameters"]
     make = partial(case.make_mpc, rate)
     settings = RealTimeSettings(control, max_policy_age=0.25, records=200_000)
     runner = RealTimeRunner(
         robot, agent, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
-        parameters=lambda: own.solver.ws.w[parameters], setup=partial(place, last, fifo),
+        parameters=lambda: own.solver.parameters, setup=partial(place, last, fifo),
     )  # fmt: skip
     # with the MPC elsewhere the controller sits beside the physics; else on the other core with the MPC's thread
     place(first if process else last, fifo)

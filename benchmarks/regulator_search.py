@@ -22,13 +22,12 @@ import numpy as np
 from push_map import gains, settings_with, write_gains
 from rezero_rivals import SPACE, Store, candidate
 
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
 from wbmpc.studies.minniti2019.lqr import LqrController, RegulatorGains
-from wbmpc.studies.minniti2019.push import LAST, NEAR
 from wbmpc.studies.minniti2019.push_map import MODES, Point
-from wbmpc.studies.minniti2019.task import set_home_references
+from wbmpc.studies.minniti2019.recovery import LAST, NEAR
 
 Gains = dict[str, float]
 CONTROLLERS = ("lqr", "scheduled-lqr")
@@ -55,7 +54,7 @@ class ModelledRobot:
     def __init__(self, mode: str) -> None:
         self.mode, self.settings = mode, MODES[mode]()
         self.robot = load_robot("rezero")
-        self.home, self.torque = self.robot.equilibrium(self.robot.home[self.robot.state["arm"]])
+        self.home, self.torque = self.robot.base.numeric.equilibrium(self.robot.home[self.robot.state["arm"]])
         self.mpc = rezero_mpc(self.robot, self.settings.mpc, self.settings.cost)
         set_home_references(self.mpc, self.robot, self.torque, self.home)
         self.mpc.reset(self.home, self.torque)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc.configuration import configure
+from wbmpc.registry import REGISTRY
 from wbmpc.reproduce import parse_seeds
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019.push_map import Point, simulated
 
 REGULATOR = {

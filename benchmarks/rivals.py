@@ -19,6 +19,9 @@ from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022 import fixed
+from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings
+from wbmpc.studies.pankert2022.fixed_figures import errors
+from wbmpc.studies.pankert2022.fixed_motions import Motion, Name, SwerveFixedSettings
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController
 
 _FIXED: dict[str, tuple[float, ...]] = {
@@ -39,7 +42,7 @@ GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
     },
 }
 #: What each rival is judged by; ``None``: all motions, and random twists after them.
-MOTIONS: dict[str, tuple[fixed.Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
+MOTIONS: dict[str, tuple[Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
 #: The robot stands only so long [s] before a trial.
 REST = 2.0
 KINDS = {"ik": RollingController, "four_wheel": FourWheelSteeringController}
@@ -54,7 +57,7 @@ def error(name: str, gains: dict[str, float], seeds: range, random: float) -> fl
 def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
     """Squares [m²] of the position error on the tour."""
     given = {f"rival_{key}": value for key, value in gains.items()}
-    settings = swerve_drive.SwerveDriveSettings.model_validate({"rest": REST, **given})
+    settings = SwerveDriveSettings.model_validate({"rest": REST, **given})
     error = swerve_drive.rival_on_tour(settings, seed)
     return np.asarray(np.sum(error[:, :2] ** 2, axis=1))
 
@@ -62,21 +65,21 @@ def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
 def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np.ndarray:
     """Squares [m²] of the position error on the motions by which a rival is judged, infinite if it did not get through them."""
     robot, motions = load_robot("swerve-fixed-ur10"), MOTIONS[name]
-    settings = fixed.SwerveFixedSettings(random=random, rest=REST)
+    settings = SwerveFixedSettings(random=random, rest=REST)
     if motions is not None:
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
-    log, reference = Log(), fixed.Motion.of(settings, seed)
-    if fixed.drive(name, settings, seed, robot, reference, None, log)[0].reason:
+    log, reference = Log(), Motion.of(settings, seed)
+    if fixed.drive(name, settings, seed, robot, reference, None, log).ending.reason:
         return np.full(1, np.inf)
-    return np.asarray(fixed.errors(log, name, reference)[1] ** 2)
+    return np.asarray(errors(log, name, reference)[1] ** 2)
 
 
 def _start(name: str) -> dict[str, float]:
     """The gains that the experiment has."""
     if name != "tour":
         return dict(fixed.GAINS[name])
-    settings = swerve_drive.SwerveDriveSettings()
+    settings = SwerveDriveSettings()
     return {key: float(getattr(settings, f"rival_{key}")) for key in GRIDS[name]}
 
 

@@ -23,9 +23,9 @@ import numpy as np
 from goals import commits, goal_rows, goals_markdown, number, order_statistics, publish
 
 from wbmpc.configuration import configure
+from wbmpc.registry import REGISTRY
 from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
-from wbmpc.studies import REGISTRY
 
 DOCS = Path(__file__).parents[1] / "docs"
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).

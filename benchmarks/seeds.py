@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 
 def statistics(values: list[float]) -> dict[str, float]:

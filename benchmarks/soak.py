@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.model.robot import load_robot
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.minniti2019.task import set_home_references
-from wbmpc.studies.paths import SinePath
+from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.
 PERIOD, NOISE = 0.005, 1e-3
@@ -33,7 +33,7 @@ def rezero(seconds: float) -> MPC:
     """The ball robot's hand goes to and fro by 0.1 m every three seconds; 20 intervals over 1 s."""
     robot = load_robot("rezero")
     mpc = rezero_mpc(robot, MpcSettings(horizon=1.0, intervals=20, first_interval=0.0, barrier_mu=1e-2), RezeroCost())
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     position, quaternion = robot.pose(home)
     times = np.arange(0.0, seconds, 3.0)
@@ -72,14 +72,14 @@ def resident() -> int:
 def run(name: str, solves: int) -> dict[str, Any]:
     """Solves from the state that the plan of the last one comes to, with noise; figures by name."""
     mpc = MAKE[name](solves * PERIOD + 10.0)
-    rng, ws = np.random.default_rng(0), mpc.solver.ws
+    rng, plan = np.random.default_rng(0), mpc.solver.trajectory(copy=False)
     times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
-    x, start = ws.x[0].copy(), time.perf_counter()
+    x, start = plan.x[0].copy(), time.perf_counter()
     for i in range(solves):
         failures += not mpc.advance(Observation(i * PERIOD, x))
         times[i] = mpc.solve_time
-        share = PERIOD / (ws.grid[1] - ws.grid[0])
-        x = (1.0 - share) * ws.x[0] + share * ws.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
+        share = PERIOD / (plan.grid[1] - plan.grid[0])
+        x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
         if i % (solves // 100) == 0:
             memory[i // (solves // 100)] = resident()
     tenth = solves // 10

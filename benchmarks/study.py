@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.configuration import configure
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 Figures = dict[str, float]
 

@@ -15,7 +15,7 @@ from rates import STEP
 from study import Figures, Kept, drawing
 
 from wbmpc.reproduce import parse_seeds
-from wbmpc.studies.minniti2019.frequency import RezeroFrequencySettings
+from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 
 FACTORS = (0.1, 1.0, 10.0, 100.0)
 PANELS = (

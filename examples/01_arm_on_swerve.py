@@ -13,14 +13,18 @@ robot = wb.load_robot("swerve-ur10")
 state, given, limits = robot.state, robot.input, robot.limits
 ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=5.0, intervals=40, first_interval=0.02)
 hand = wb.residuals.FramePose(robot, robot.tool)
-ocp.add(wb.Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="all"))
-ocp.add(wb.Cost("posture", wb.residuals.State(robot), {"base": [1.0, 1.0, 5.0], "leg": 1.0, "arm": 0.05}, at="all"))
+ocp.add(wb.Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
+ocp.add(
+    wb.Cost(
+        "posture", wb.residuals.State(robot), {"base": [1.0, 1.0, 5.0], "leg": 1.0, "arm": 0.05}, at="path+terminal"
+    )
+)
 speeds = {"base": 0.5, "leg": 1.0, "steer": 0.05, "wheel": 0.001, "arm": 0.1}
 ocp.add(wb.Cost("speed", wb.residuals.Input(robot), speeds))
 ocp.add(wb.Constraint("rolling", wb.residuals.Rolling(robot)))
 ocp.add(wb.Constraint("brakes", wb.residuals.LockedJoints(robot)))
 box = wb.sets.Box(limits.input_lower, limits.input_upper)
-ocp.add(wb.Constraint("limits", wb.residuals.Input(robot, tracked=False), box, penalty=wb.RelaxedBarrier(1e-3, 0.02)))
+ocp.add(wb.Constraint("limits", wb.residuals.Input(robot, reference=None), box, penalty=wb.RelaxedBarrier(1e-3, 0.02)))
 
 start = time.perf_counter()
 mpc = wb.MPC(ocp, rate=50.0)

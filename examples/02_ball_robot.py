@@ -14,7 +14,7 @@ from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing, run_lockstep
 
 robot = wb.load_robot("rezero")
-home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
 settings = MpcSettings(rate=80.0, horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-2)
 mpc = rezero_mpc(robot, settings, RezeroCost())
 

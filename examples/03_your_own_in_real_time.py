@@ -22,7 +22,7 @@ def make_mpc() -> wb.MPC:
     ocp = wb.OptimalControlProblem(dynamics, horizon=3.0, intervals=60)
     error = wb.residuals.Expression(4, lambda s: s.x - np.array([2.0, 0.0, 0.0, 0.0]))
     effort = wb.residuals.Expression(1, lambda s: s.u)
-    ocp.add(wb.Cost("error", error, [10.0, 5.0, 1.0, 1.0], at="all"))
+    ocp.add(wb.Cost("error", error, [10.0, 5.0, 1.0, 1.0], at="path+terminal"))
     ocp.add(wb.Cost("effort", effort, 0.1))
     ocp.add(wb.Constraint("limit", effort, wb.sets.Box(-LIMIT, LIMIT), hard=True))
     mpc = wb.MPC(ocp, rate=100.0)

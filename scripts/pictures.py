@@ -14,6 +14,7 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.studies.minniti2019 import steps as rezero_steps
 from wbmpc.studies.pankert2022 import track as swerve_track
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE, FINER = (1200, 700), 2
@@ -34,7 +35,7 @@ def draw(plant: SwervePlant | BallPlant, camera: Camera, line: np.ndarray) -> np
 
 def swerve() -> None:
     """The swerve robot on its way along the sine, in the second period."""
-    result = swerve_track.run(swerve_track.SwerveTrackSettings(periods=2, rest=2.0), 0)
+    result = swerve_track.EXPERIMENT.run(SwerveTrackSettings(periods=2, rest=2.0), 0)
     robot, log = load_robot("swerve-ur10"), result.log
     k = int(0.62 * len(log.times("base")))
     parts = {g: log.array(g)[k] for g in ("base", "steer", "arm")}
@@ -47,7 +48,7 @@ def swerve() -> None:
 def rezero() -> None:
     """The ball robot in the middle of the 0.4 m step to the other side: it leans into it. The line joins both goals."""
     settings = rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0, preview=False)
-    result = rezero_steps.run(settings, 0)
+    result = rezero_steps.EXPERIMENT.run(settings, 0)
     robot, log = load_robot("rezero"), result.log
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
     start = settings.settle + 3 * settings.hold

@@ -10,7 +10,7 @@ import pytest
 
 from toys import robot
 from wbmpc.report import write_run
-from wbmpc.studies.minniti2019.steps import STEPS
+from wbmpc.studies.minniti2019.step_goals import STEPS
 
 
 def archive(result, folder: Path) -> tuple[dict[str, float], dict[str, np.ndarray]]:  # type: ignore[no-untyped-def]

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from wbmpc.errors import RunAborted
+from wbmpc.experiment import Experiment
 from wbmpc.log import Log
 from wbmpc.result import Metric, MpcStatistics, Plot, RunResult, Series
-from wbmpc.studies import Experiment
 
 
 class Section(BaseModel):

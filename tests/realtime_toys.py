@@ -16,12 +16,13 @@ import casadi as ca
 import numpy as np
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Cost, OptimalControlProblem
 from wbmpc.runtime.clock import Clock, VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.types import Observation
 
 START = np.array([1.0, 0.0])
 #: Of the controller [s].
@@ -32,7 +33,7 @@ def problem() -> OptimalControlProblem:
     """ẍ = u + w to the origin: 20 intervals over 1 s."""
     dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0] + w[0]), parameters=1)
     ocp = OptimalControlProblem(dynamics, 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     return ocp
 
@@ -142,7 +143,7 @@ class FaultyMPC(MPC):
         usable = super().advance(observation)
         self.number += 1
         if self.inject(self.number) is False:
-            self.solver.ws.x[:] = np.nan  # what a failed solve leaves behind
+            self.solver.warm_start(np.full(self.solver.problem.nx, 1e200))  # what a failed solve leaves behind
             return False
         return usable
 

@@ -15,18 +15,19 @@ from driving import Motion, drive
 from own_bases import write_base
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
-from wbmpc.bases.swerve.model import beyond_range
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.model.wheels import beyond_range
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
-from wbmpc.studies.minniti2019.directions import refuse_directions
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
+from wbmpc.studies.pankert2022.directions import refuse_directions
 from wbmpc.studies.pankert2022.mission import at_home
 from wbmpc.studies.pankert2022.rolling import RollingController
-from wbmpc.studies.pankert2022.unified import SwerveUnifiedSettings, rear_triangles
+from wbmpc.studies.pankert2022.unified import rear_triangles
+from wbmpc.studies.pankert2022.unified_settings import SwerveUnifiedSettings
 
 BASES = {"3 fixed": (3, False), "4 on hinges": (4, True), "6 fixed": (6, False), "6 on hinges": (6, True)}
 SWING = 0.15
@@ -93,17 +94,17 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"stands on 2 wheels.*casters are not simulated"):
         SwervePlant(two.description)
     with pytest.raises(InputError, match=r"stands on 2 wheels.*3 modules or more"):  # no advice about leg_goal
-        swerve_unified.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
+        swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
     five = write_base(tmp_path, 5, True)
     with pytest.raises(InputError, match=r"two front and two rear legs, one on each side"):
         leg_angles(load_robot(five), "X")
     with pytest.raises(InputError, match=r"two front and two rear.*leg_goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
-        swerve_unified.run(SwerveUnifiedSettings(robot=str(five)), 0)
+        swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(five)), 0)
     with pytest.raises(InputError, match=r"two front and two rear"):
-        swerve_brakes.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
+        swerve_brakes.EXPERIMENT.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
     four = swerve_brakes.SwerveBrakesSettings(robot=str(write_base(tmp_path, 4, True, 0.25 * np.pi)))
     with pytest.raises(InputError, match=r"configuration A: .* outside its limits -1.2 to 1.2"):
-        swerve_brakes.run(four, 0, lambda share, text: pytest.fail("simulated before it was refused"))
+        swerve_brakes.EXPERIMENT.run(four, 0, lambda share, text: pytest.fail("simulated before it was refused"))
 
 
 # ---------------------------------------------------------------------- steering ranges

@@ -225,16 +225,16 @@ def test_demo_runs_both_and_prints_one_table(capsys: pytest.CaptureFixture[str])
 def test_bench_prints_one_object(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     import wbmpc.benchmark as benchmark
 
-    def fake(repeat: int, progress: Any, peers: bool) -> dict[str, Any]:
+    def fake(repeat: int, progress: Any) -> dict[str, Any]:
         progress(0.5, "half")
-        return {"rows": [], "repeat": repeat, "peers": peers}
+        return {"rows": [], "repeat": repeat}
 
     monkeypatch.setattr(benchmark, "run_benchmark", fake)
     assert call("bench", "--json") == 0
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == {"rows": [], "repeat": 200, "peers": False} and captured.err == ""
-    assert call("bench", "--json", "--peers", "--repeat", "7") == 0
-    assert json.loads(capsys.readouterr().out) == {"rows": [], "repeat": 7, "peers": True}
+    assert json.loads(captured.out) == {"rows": [], "repeat": 200} and captured.err == ""
+    assert call("bench", "--json", "--repeat", "7") == 0
+    assert json.loads(capsys.readouterr().out) == {"rows": [], "repeat": 7}
 
 
 def test_the_commands_are_the_documented_ones() -> None:

@@ -59,7 +59,7 @@ def test_ctrl_c_in_any_command_is_told(tmp_path: Path, capsys: pytest.CaptureFix
     """Also where the command itself does not catch it."""
 
     class Interrupting(dict):  # type: ignore[type-arg]
-        def values(self) -> Any:
+        def __getitem__(self, name: str) -> Any:
             raise KeyboardInterrupt
 
     assert main(["list"], Interrupting(REGISTRY)) == 130

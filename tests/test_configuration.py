@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fake_experiment import FakeSettings
-from wbmpc.configuration import configure, keys
+from wbmpc.configuration import OnlyWith, configure, keys
 from wbmpc.errors import InputError
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
+from wbmpc.settings import Settings
 
 
 def value_at(tree: Any, key: str) -> Any:
@@ -59,7 +60,7 @@ BAD = {
     "mpc.rate": ["the form is key=value"],
     "mpc.rate=": ["the form is key=value"],
     "=3": ["the form is key=value"],
-    "mpc.rate=[": ["mpc.rate", "cannot be read"],
+    "mpc.rate=[": ["mpc.rate", "not valid YAML"],
     "mpc.rate=true": ["mpc.rate=true", "not true or false"],
     "plant.friction=[true, 1]": ["not true or false"],
     "plant.friction=8e-1": ["plant.friction=0.8", "several numbers in brackets", "[0.6, 0.9]"],
@@ -149,3 +150,33 @@ def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
             continue  # a section that is not there by default
         text = "null" if value is None else str(value)
         assert configure(model, [f"{key}={text}"], name).model_dump(mode="json") == dumped
+
+
+class Chosen(Settings):
+    """``speed`` is read by one kind, ``gain`` by a kind or with feedback."""
+
+    kind: Literal["fast", "slow", "still"] = "still"
+    feedback: bool = False
+    speed: Annotated[float, OnlyWith(kind=("fast", "slow"))] = Field(1.0, gt=0)
+    gain: Annotated[float, OnlyWith(kind="fast", feedback=True)] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["speed=3"], "speed: nothing uses it without kind=fast or kind=slow"),
+        (["speed=3", "kind=slow"], ""),
+        (["speed=1"], ""),
+        (["speed=-1", "kind=fast"], "speed=-1"),
+        (["gain=3", "kind=slow"], "gain: nothing uses it without kind=fast or feedback=true"),
+        (["gain=3", "kind=fast"], ""),
+        (["gain=3", "feedback=true"], ""),
+    ],
+)
+def test_what_no_choice_reads_is_an_error(given: list[str], message: str) -> None:
+    """Truth: the docstring of the settings; what is as by default disturbs nobody."""
+    if not message:
+        configure(Chosen, given, "toy")
+        return
+    with pytest.raises(InputError, match=f"toy: --set {message}"):
+        configure(Chosen, given, "toy")

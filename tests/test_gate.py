@@ -97,13 +97,15 @@ def test_sideways_is_stationary_without_the_guess() -> None:
     solver.set_reference("hand", Reference.poses([0.0], [hand], orientation))
     solver.set_reference("state", Reference.constant(goal))
     solver.set_reference("input", Reference.constant(np.zeros(robot.input.size)))
-    solver.guess(robot.home)
+    solver.warm_start(robot.home)
     stuck = solver.solve(robot.home)
     assert stuck.status is Status.CONVERGED
     assert abs(stuck.x[-1, 1]) < 1e-3
-    solver.guess(robot.home)
+    solver.warm_start(robot.home)
     guess = SteeringGuess(robot, lambda times, pose: np.tile([0.0, 0.2, 0.0], (times.size, 1)))
-    guess(solver, 0.0, robot.home)
+    start = guess(0.0, robot.home, solver.trajectory())
+    assert start is not None
+    solver.warm_start(start.x, start.u)
     freed = solver.solve(robot.home)
     assert freed.x[-1, 1] > 0.9
     assert freed.cost < 0.5 * stuck.cost

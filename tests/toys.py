@@ -51,7 +51,7 @@ class LinearQuadratic:
     n: int = 6
     seed: int = 0
     repeat: int = 0
-    compliance: float = 0.0
+    softness: float = 0.0
     integrator: str = "rk2"
 
     def __post_init__(self) -> None:
@@ -61,7 +61,7 @@ class LinearQuadratic:
         self.rows, self.offset = r.normal(size=(nx + nu + 2, nx + nu)), r.normal(size=nx + nu + 2)
         self.weight = r.uniform(0.5, 2.0, nx + nu + 2)
         self.end_rows, self.end_offset = r.normal(size=(nx, nx)), r.normal(size=nx)
-        # well conditioned by the inputs (ng ≤ nu), or the answer depends on the solver's small compliance
+        # well conditioned by the inputs (ng ≤ nu), or the answer depends on the solver's small softness
         turn = np.linalg.qr(r.normal(size=(nu, nu)))[0][:, :ng].T * r.uniform(0.5, 2.0, (ng, 1))
         self.e_rows, self.e_offset = np.hstack([r.normal(size=(ng, nx)), turn]), r.normal(size=ng)
         again = np.arange(self.repeat) % max(ng, 1)
@@ -79,7 +79,7 @@ class LinearQuadratic:
         ocp.add(Cost("end", Rows(self.nx, lambda s: dm(self.end_rows) @ s.x + dm(self.end_offset)), 3.0, at="terminal"))
         if len(self.e_offset):
             rows = Rows(len(self.e_offset), affine(self.e_rows, self.e_offset))
-            ocp.add(Constraint("equal", rows, compliance=self.compliance))
+            ocp.add(Constraint("equal", rows, softness=self.softness))
         return ocp
 
     def discrete(self, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,7 +112,7 @@ class LinearQuadratic:
             left.append(row), right.append(c), relax.append(np.zeros(nx))
             row = np.zeros((len(self.e_offset), size))
             row[:, z] = self.e_rows
-            left.append(row), right.append(-self.e_offset), relax.append(np.full(len(self.e_offset), self.compliance))
+            left.append(row), right.append(-self.e_offset), relax.append(np.full(len(self.e_offset), self.softness))
         last = slice(n * nz, size)
         hessian[last, last] += 3.0 * self.end_rows.T @ self.end_rows
         gradient[last] += 3.0 * self.end_rows.T @ self.end_offset
@@ -137,7 +137,13 @@ def pendulum(
     dynamics = ToyDynamics(4, 2, f, parameters=1, mode=1)
     ocp = OptimalControlProblem(dynamics, 1.2, n, first_interval=0.6 * 1.2 / n, integrator=integrator)
     ocp.add(
-        Cost("state", Rows(4, lambda s: s.x - s.reference, 4), [5, 20, 1, 1], at="all", terminal_weight=[50, 80, 5, 5])
+        Cost(
+            "state",
+            Rows(4, lambda s: s.x - s.reference, 4),
+            [5, 20, 1, 1],
+            at="path+terminal",
+            terminal_weight=[50, 80, 5, 5],
+        )
     )
     ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.02))
     ocp.add(Cost("tip", Rows(1, lambda s: s.x[0] + ca.sin(s.x[1])), 3.0, norm=SmoothL1(0.1)))
@@ -145,7 +151,9 @@ def pendulum(
         ocp.add(Constraint("tied", Rows(1, lambda s: s.u[1] - 0.3 * ca.sin(s.x[1]) - 0.1 * s.u[0])))
     barrier = RelaxedBarrier(0.05, 0.1)
     ocp.add(
-        Constraint("speed", Rows(2, lambda s: s.x[2:4]), sets.Box([-2, -3], [2, np.inf]), at="all", penalty=barrier)
+        Constraint(
+            "speed", Rows(2, lambda s: s.x[2:4]), sets.Box([-2, -3], [2, np.inf]), at="path+terminal", penalty=barrier
+        )
     )
     ocp.add(Constraint("force", Rows(1, lambda s: 2.0 * s.u[0] - 1.0), sets.Box(-15.0, 14.0), penalty=barrier))
     ocp.add(
@@ -156,7 +164,7 @@ def pendulum(
     solver = Solver(ocp, SQP(**{"iterations": 60, "backend": backend, **sqp}))
     times = np.array([0.0, 0.5, 1.0])
     solver.set_reference("state", Reference(times, np.array([[0.0, 0, 0, 0], [0.4, 0, 0.5, 0], [0.6, 0, 0, 0]])))
-    solver.guess(np.zeros(4))
+    solver.warm_start(np.zeros(4))
     return solver
 
 
@@ -231,7 +239,7 @@ def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp:
     states[:, 0], inputs[:, 0] = along, 0.2 * np.clip(t / 2.0, 0.0, 1.0)
     solver.set_reference("state", Reference(t, states))
     solver.set_reference("input", Reference(t, inputs))
-    solver.guess(model.home)
+    solver.warm_start(model.home)
     return solver
 
 
@@ -240,13 +248,13 @@ def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> Solver:
     model = robot("rezero")
     settings = MpcSettings(horizon=0.05 * n, intervals=n, first_interval=0.0, barrier_mu=1e-2)
     solver = Solver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
     solver.set_reference("hand", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(torque))
-    solver.guess(home, torque)
+    solver.warm_start(home, torque)
     return solver
 
 
@@ -262,6 +270,6 @@ def random_stage(solver: Solver, rng: np.random.Generator) -> tuple[np.ndarray, 
         start = problem.node.slices["reference.hand"].start
         p[start + 3 : start + 7] /= np.linalg.norm(p[start + 3 : start + 7])
     p[problem.node.slices["mode"]] = rng.integers(0, 2, d.mode.size)
-    w = solver.ws.w[: problem.constant.size].copy()
+    w = solver.constants.copy()
     w[problem.constant.slices["parameters"]] = rng.normal(size=d.parameters.size)
     return x, u, p, w

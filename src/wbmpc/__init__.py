@@ -37,7 +37,7 @@ _MODULES = {
     "Status": "wbmpc.solver",
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
-    "Observation": "wbmpc.mpc.mpc",
+    "Observation": "wbmpc.types",
     "Policy": "wbmpc.mpc.policy",
     "RealTimeSettings": "wbmpc.runtime.safety",
     "WallClock": "wbmpc.runtime.clock",
@@ -45,6 +45,7 @@ _MODULES = {
     "RealTimeRunner": "wbmpc.runtime.runner",
     "InputError": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",
+    "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
 __all__ = ["__version__", *_MODULES]

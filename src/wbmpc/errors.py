@@ -26,6 +26,10 @@ class EndedByUser(RunAborted):
     """The user ended a run: with Ctrl-C, or in a view. Nothing more of it follows. The command line exits with 130."""
 
 
+class NotWritten(RunAborted):
+    """Files of a run could not be written: the message names them, and where its figures are instead. Exits with 1."""
+
+
 class FallPredicted(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
@@ -40,6 +44,10 @@ class SensorFailure(RunAborted):
 
 class SolveFailed(WbmpcError):
     """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
+
+
+class SolverBusy(WbmpcError, RuntimeError):
+    """A solver or an MPC was called from a second thread while it works for another one."""
 
 
 class KernelError(WbmpcError):

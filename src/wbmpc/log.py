@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,12 @@ class Log:
         """Append a row."""
         self._times.setdefault(channel, []).append(float(t))
         self._rows.setdefault(channel, []).append(np.array(value, float))
+
+    def extend(self, other: Log, suffix: str, channels: Sequence[str] | None = None) -> None:
+        """Append the rows of another log as CHANNEL + ``suffix``: of all its ``channels``, or of these."""
+        for channel in other.channels if channels is None else channels:
+            self._times.setdefault(f"{channel}{suffix}", []).extend(other._times[channel])
+            self._rows.setdefault(f"{channel}{suffix}", []).extend(other._rows[channel])
 
     @property
     def channels(self) -> list[str]:

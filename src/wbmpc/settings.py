@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wbmpc.log import Log
-from wbmpc.mpc.mpc import MPC
-from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
+from wbmpc.configuration import reject_unread
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
@@ -19,16 +15,15 @@ Weight = Annotated[float, Field(ge=0)]
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values are frozen."""
+    """Base of all settings: unknown keys are errors, values are frozen; so are keys that nothing reads
+    (:class:`wbmpc.configuration.OnlyWith`)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def refuse_unread(self, where: str, *names: str) -> None:
-        """Raise :class:`ValueError` for the first of the settings of these names that is not its default: nothing uses it
-        ``where`` (such as "with legs=targets")."""
-        for name in names:
-            if getattr(self, name) != type(self).model_fields[name].default:
-                raise ValueError(f"{name}: nothing uses it {where}")
+    @model_validator(mode="after")
+    def _read(self) -> Self:
+        reject_unread(self)
+        return self
 
 
 class MpcSettings(Settings):
@@ -78,28 +73,3 @@ class ExperimentSettings(Settings):
     mpc: MpcSettings = MpcSettings()
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
-
-
-def finished(
-    name: str,
-    seed: int,
-    settings: ExperimentSettings,
-    ending: Ending,
-    mpc: MPC,
-    log: Log,
-    *,
-    metrics: Callable[[], dict[str, Metric]],
-    plots: Callable[[], Sequence[Plot | Drawing]],
-    idealisations: list[str],
-    faults: Sequence[str] = (),
-) -> RunResult:
-    """The result of a run however it ended, with the ``faults`` that it found in its robot. A run that ended before its first
-    record has neither figures nor plots."""
-    m = mpc.statistics
-    statistics = MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
-    reason = ending.reason or statistics.fault
-    figures, drawn = (metrics(), list(plots())) if log.channels else ({}, [])
-    return RunResult(
-        name, seed, not reason, reason, figures, statistics, log, drawn, idealisations,
-        settings.model_dump(mode="json"), ending.interrupted, list(faults),
-    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What plants take and give."""
+"""Messages that every robot has, and what a simulated robot is. Those of one base type are in its ``messages`` module."""
 
 from __future__ import annotations
 
@@ -6,34 +6,26 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
 
 
-def scale_wheels(wheel: ArrayLike, limit: float) -> tuple[Array, float]:
-    """Wheel speeds (n) [rad/s] scaled together to ``limit``, and the factor (at most 1).
-
-    The factor applies to the whole motion of the base: wheels that are clipped one by one drag each other.
-    """
-    wheel = np.asarray(wheel, float)
-    factor = min(1.0, limit / max(float(np.abs(wheel).max(initial=0.0)), 1e-12))
-    return wheel * factor, factor
-
-
 @dataclass(frozen=True)
-class SwerveCommand:
-    """Speeds of wheels (n), steering (n) and arm joints [rad/s]; brakes (n, or 0 for fixed legs), 1 = open."""
+class Observation:
+    """State ``x`` (nx) at time ``t`` [s]: for the MPC, the state predicted for the moment its policy comes into force."""
 
-    wheel: Array
-    steer: Array
-    arm: Array
-    brake: Array
+    t: float
+    x: np.ndarray
 
-    @classmethod
-    def stop(cls, modules: int = 4, arm: int = 6) -> SwerveCommand:
-        """Everything at rest, brakes closed."""
-        return cls(np.zeros(modules), np.zeros(modules), np.zeros(arm), np.zeros(modules))
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "t", float(self.t))
+            object.__setattr__(self, "x", np.asarray(self.x, float))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"observation: a time and a vector of numbers are needed ({error})") from error
 
 
 @dataclass(frozen=True)
@@ -46,60 +38,11 @@ class GlobalPose:
 
 
 @dataclass(frozen=True)
-class SwerveMeasurement:
-    """Positions [rad] as the encoders report them at ``time`` [s] (``leg`` is empty for fixed legs).
-
-    ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: inertial unit, axes of the base; at rest ``accel`` points up.
-    ``place``: a global pose that has just come in, older than the message.
-    """
-
-    time: float
-    leg: Array
-    steer: Array
-    wheel: Array
-    arm: Array
-    gyro: Array = field(default_factory=lambda: np.zeros(3))
-    accel: Array = field(default_factory=lambda: np.zeros(3))
-    place: GlobalPose | None = None
-
-
-@dataclass(frozen=True)
-class BallCommand:
-    """Torques [N m]: omni wheels, then arm joints. With ``stiffness`` [N m/rad] and ``damping`` [N m s/rad] the drives add
-    what these ask for about ``position`` [rad], which moves on with ``speed`` [rad/s]; none of the four: torque alone."""
-
-    torque: Array
-    position: Array = field(default_factory=lambda: np.zeros(0))
-    speed: Array = field(default_factory=lambda: np.zeros(0))
-    stiffness: Array = field(default_factory=lambda: np.zeros(0))
-    damping: Array = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True)
-class BallMeasurement:
-    """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealised, its state (16) with noise.
-
-    ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
-    force in the axes of the base, averages since the message before (the inertial unit integrates between messages);
-    ``force`` (3) [N]: of a sensor in the hand, in its axes, on the hand (none where there is no sensor).
-    """
-
-    time: float
-    state: Array
-    age: float
-    wheel: Array = field(default_factory=lambda: np.zeros(3))
-    arm: Array = field(default_factory=lambda: np.zeros(3))
-    gyro: Array = field(default_factory=lambda: np.zeros(3))
-    accel: Array = field(default_factory=lambda: np.zeros(3))
-    force: Array = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True)
 class Truth:
     """What really is.
 
     ``pose`` (x, y, yaw) of the base, yaw not wrapped; ``tilt`` [rad] of its z axis; ``tool`` (3) [m] and
-    ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is the floor; for a ball robot the ball's centre);
+    ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is ``-base.ground`` above the floor);
     ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
     layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
     ``slip_along`` (n, 2) its parts along the wheel and along its axle; ``wheel_force`` (n) [N], vertical forces of

@@ -17,8 +17,9 @@ import realtime
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.model.robot import load_robot
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, RezeroSettings
+from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 ROBOT = load_robot("rezero")
 NO_MPC: Any = SimpleNamespace(reference={}, reset=lambda *_: None)  # compiling one takes a second

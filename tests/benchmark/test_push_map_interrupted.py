@@ -19,8 +19,8 @@ import push_map
 from workers import Workers
 
 from wbmpc.errors import InputError
-from wbmpc.studies.minniti2019.push import Outcome
 from wbmpc.studies.minniti2019.push_map import MOST, Point
+from wbmpc.studies.minniti2019.push_once import Outcome
 
 
 def made_up(point: Point, impulse: float) -> Outcome:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import venv
 from collections.abc import Callable
 from pathlib import Path
@@ -18,22 +19,28 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from wbmpc.benchmark import closed_loop, crocoddyl_peer, race
+from wbmpc.benchmark import race
 from wbmpc.benchmark.child import within
-from wbmpc.benchmark.figure import write
-from wbmpc.benchmark.floor import operations, peak_gflops, riccati_operations
-from wbmpc.benchmark.lq import linearise, our_step, pack
+from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
 from wbmpc.benchmark.problems import Problem, zoo_bench
 from wbmpc.benchmark.program import Program, compiler
-from wbmpc.benchmark.qp import matrices, quadratic_race, step_problem
-from wbmpc.benchmark.scaling import limited_arm, slope
-from wbmpc.benchmark.table import text
-from wbmpc.benchmark.yardstick import yardstick
+from wbmpc.benchmark.test_problems.ballbot import ballbot
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 from wbmpc.kernel.compiled import Sizes
-from wbmpc.studies.test_problems.ballbot import ballbot
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from whole_race import closed_loop, crocoddyl_peer
+from whole_race import race as whole
+from whole_race.figure import write
+from whole_race.floor import operations, riccati_operations
+from whole_race.lq import linearise, our_step, pack
+from whole_race.qp import matrices, quadratic_race, step_problem
+from whole_race.scaling import limited_arm, slope
+from whole_race.tables import text
+from whole_race.yardstick import yardstick
 
 
 # ---------------------------------------------------------------------- operation counts
@@ -175,7 +182,7 @@ def test_a_start_beside_the_guess_moves_the_step() -> None:
     assert kernel is not None
     x, u = np.tile(problem.x0, (11, 1)), np.zeros((10, 1))
     lq = linearise(program, x, u, problem.x0 + np.array([0.3, -0.1]))
-    step = our_step(pack(kernel, lq, problem.solver.problem.compliance))
+    step = our_step(pack(kernel, lq, problem.solver.problem.softness))
     h, g, a, right = matrices(lq)
     z = step[2:]
     np.testing.assert_allclose(a @ z, right, atol=1e-10)
@@ -209,7 +216,7 @@ def test_without_its_environment_crocoddyl_is_left_out_with_a_sentence(
         raise subprocess.CalledProcessError(1, "pip install")
 
     monkeypatch.setattr(venv, "create", offline)
-    rows = race.crocoddyl_race()
+    rows = whole.crocoddyl_race()
     assert len(rows) == 3 and all("could not be installed" in r["error"] and not r["success"] for r in rows)
     assert list(tmp_path.glob("crocoddyl/ready")) == []
 
@@ -277,11 +284,11 @@ def test_the_run_is_one_object_of_known_structure(monkeypatch: pytest.MonkeyPatc
         "goal": 5.0,
     }
     monkeypatch.setattr(race, "size_race", lambda *_: [size])
-    monkeypatch.setattr(race, "crocoddyl_figures", lambda specs: "it could not be installed: offline")
+    monkeypatch.setattr(whole, "crocoddyl_figures", lambda specs: "it could not be installed: offline")
     arm = {"problem": "torque arm, 6 joints", "solver": "wbmpc SQP", "iteration_ms": 1.0, "joints": 6, "limits": 0}
     rows = [{**arm, "intervals": n, "iteration_ms": 0.01 * n} for n in (25, 50)]
     for name in ("over_intervals", "over_joints", "over_limits"):
-        monkeypatch.setattr(race.scaling, name, lambda *_, rows=rows: rows)
+        monkeypatch.setattr(whole.scaling, name, lambda *_, rows=rows: rows)
     loop = {
         "solver": "wbmpc SQP",
         "budget_ms": 1.0,
@@ -291,10 +298,10 @@ def test_the_run_is_one_object_of_known_structure(monkeypatch: pytest.MonkeyPatc
         "fell": 0,
         "success": True,
     }
-    monkeypatch.setattr(race.closed_loop, "closed_loop_race", lambda *_: [loop])
+    monkeypatch.setattr(whole.closed_loop, "closed_loop_race", lambda *_: [loop])
     seen: list[float] = []
     cores = os.sched_getaffinity(0)
-    figures = race.run_benchmark(2, lambda fraction, note: seen.append(fraction), peers=True)
+    figures = whole.run_whole_race(2, lambda fraction, note: seen.append(fraction))
     assert os.sched_getaffinity(0) == cores
     assert seen == sorted(seen) and seen[-1] <= 1.0
     assert [r["solver"] for r in figures["rows"]] == ["wbmpc SQP", "fatrop", "ipopt"] * 2

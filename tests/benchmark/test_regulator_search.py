@@ -17,7 +17,8 @@ import push_map
 import regulator_search
 from regulator_search import BODY, MODELLED, RAISE, ModelledRobot, race, search
 
-from wbmpc.studies.minniti2019.push import NEAR, Outcome
+from wbmpc.studies.minniti2019.push_once import Outcome
+from wbmpc.studies.minniti2019.recovery import NEAR
 
 
 @pytest.fixture(scope="module")

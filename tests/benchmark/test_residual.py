@@ -12,7 +12,7 @@ from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
 from wbmpc.benchmark.problems import zoo_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
-from wbmpc.studies.test_problems.small import cartpole, double_integrator
+from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 
 
 def test_multipliers_of_signed_rows_are_those_of_scipy() -> None:
@@ -65,7 +65,7 @@ def test_what_is_wrong_shows(limited) -> None:  # type: ignore[no-untyped-def]
     ).primal  # half a unit beyond a limit: a quarter of the range, what rows are in
     assert over == pytest.approx(0.25, abs=1e-6)
     calm, rest = np.zeros_like(u), [problem.x0]  # consistent, within the limits, not optimal
-    for h in np.diff(problem.solver.ws.grid):
+    for h in np.diff(problem.solver.trajectory().grid):
         rest.append(rest[-1] + h * np.array([rest[-1][1], 0.0]))
     found = measure(np.array(rest), calm, problem.x0)
     assert found.primal < 1e-12 and found.dual > 1e-3

@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import rezero_rivals as rivals
 
 from wbmpc.configuration import configure
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 
 
 def test_the_search_gives_every_controller_as_many_runs_and_the_best_of_them(

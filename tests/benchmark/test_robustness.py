@@ -16,8 +16,8 @@ from goals import goal_rows, goals_markdown, publish
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.studies import REGISTRY
-from wbmpc.studies.pankert2022.unified import SwerveUnifiedSettings
+from wbmpc.registry import REGISTRY
+from wbmpc.studies.pankert2022.unified_settings import SwerveUnifiedSettings
 
 METRIC = "hand_error_rms"
 

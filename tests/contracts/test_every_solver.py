@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
 import ipopt
 
 from toys import rezero_solver, robot
+from wbmpc.benchmark.test_problems import MAKERS
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
-from wbmpc.studies.test_problems import MAKERS
-from wbmpc.studies.test_problems.problem import TestProblem
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),
@@ -47,7 +47,7 @@ def rezero_with_a_force() -> TestProblem:
     from wbmpc.settings import MpcSettings
 
     settings = MpcSettings(horizon=0.5, intervals=10, first_interval=0.0, barrier_mu=1e-2)
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     u = np.concatenate([torque, np.zeros(3)])
     references = {
         **base.references, "body": Reference.constant(home),
@@ -87,9 +87,11 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
     solver.run(problem.x0)  # samples the references
     if near:
         noise = np.random.default_rng(0)
-        solver.guess(*(v + 0.01 * noise.normal(size=v.shape) for v in (solver.ws.x.copy(), solver.ws.u.copy())))
+        solver.warm_start(
+            *(v + 0.01 * noise.normal(size=v.shape) for v in (solver.trajectory().x, solver.trajectory().u))
+        )
     else:
-        solver.guess(problem.x, problem.u)
+        solver.warm_start(problem.x, problem.u)
     return ipopt.solve(solver, problem.x0)[:2]
 
 
@@ -112,8 +114,8 @@ def test_optimum(name: str, solver: str) -> None:
 def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: TestProblem) -> None:
     """Gaps, start and hard limits, evaluated anew."""
     np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
-    for k, h in enumerate(np.diff(made.ws.grid)):
-        step = ipopt._step(made, made.problem.x, made.problem.u, made.ws.p[k], h)
+    for k, h in enumerate(np.diff(made.trajectory().grid)):
+        step = ipopt._step(made, made.problem.x, made.problem.u, made.node_parameters[k], h)
         end = evaluate(step, made, x[k], u[k])
         np.testing.assert_allclose(end, x[k + 1], atol=1e-6)
     for row in made.problem.path.boxes:
@@ -132,7 +134,7 @@ def test_fatrop_agrees(name: str) -> None:
     problem = PROBLEMS[name][0]()
     made = problem.solver(SOLVERS["sqp-merit"])
     found = made.solve(problem.x0)
-    made.guess(problem.x, problem.u)
+    made.warm_start(problem.x, problem.u)
     x, u, _ = ipopt.solve(made, problem.x0, "fatrop")
     assert np.abs(found.x - x).max() < 5e-6 * (1.0 + np.abs(x).max())
     assert np.abs(found.u - u).max() < 5e-5 * (1.0 + np.abs(u).max())  # Fatrop stops at 1e-9

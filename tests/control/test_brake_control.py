@@ -10,9 +10,9 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
+from wbmpc.types import Observation
 
 SWERVE = robot("swerve-ur10")
 

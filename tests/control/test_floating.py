@@ -7,8 +7,8 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, refuse_floating_way
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.errors import InputError
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.stability import leg_angles
 from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 

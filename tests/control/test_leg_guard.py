@@ -12,12 +12,12 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_guard import LegGuard
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusAgent, SwervePilot
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import ModeSchedule
-from wbmpc.types import SwerveMeasurement
 
 PERIOD, CLOSES = 0.0025, 0.1
 SWERVE = robot("swerve-ur10")

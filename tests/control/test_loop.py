@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.mpc.mpc import Observation
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
+from wbmpc.types import Observation
 
 
 class FakeMPC:

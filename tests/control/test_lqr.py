@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
-from wbmpc.types import BallMeasurement
 
 PERIOD = 0.0025
 HAND, TWIST = np.array([30.0, 20.0, 10.0, 4.0, 3.0, 2.0]), np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
@@ -46,7 +46,7 @@ def place_and_turn(robot: RobotModel, q: np.ndarray) -> np.ndarray:
 def test_no_other_gain_costs_less(robot: RobotModel, gains: RegulatorGains) -> None:
     """Mean cost from random states near rest, of the gain and of gains near it."""
     arm = robot.home[robot.state["arm"]]
-    x, u = robot.equilibrium(arm)
+    x, u = robot.base.numeric.equilibrium(arm)
     n = robot.base.nq
     s, v = ca.SX.sym("s", x.size), ca.SX.sym("v", u.size)
     rates = ca.Function("rates", [s, v], [robot.dynamics()(s, v, ca.SX.zeros(robot.parameters.size), ca.SX(0, 1))])
@@ -73,7 +73,7 @@ def test_no_other_gain_costs_less(robot: RobotModel, gains: RegulatorGains) -> N
 
 def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGains) -> None:
     arm, force = robot.home[robot.state["arm"]], np.array([0.2, -0.3, -0.5])
-    (x0, u0), (x1, u1) = robot.equilibrium(arm), robot.equilibrium(arm, force=force)
+    (x0, u0), (x1, u1) = robot.base.numeric.equilibrium(arm), robot.base.numeric.equilibrium(arm, force=force)
     generalised = slopes(lambda q: robot.pose(np.concatenate([q, np.zeros(q.size)]))[0], x0[: robot.base.nq]).T @ force
     shift = gains.at_rest(arm) @ generalised
     away = np.concatenate([x1[3:5] - x0[3:5], u1 - u0])
@@ -82,7 +82,7 @@ def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGa
 
 
 def agent(robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float) -> LqrController:
-    u = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+    u = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
     out = LqrController(robot, None, u, PERIOD, 0.02, observer=False)  # type: ignore[arg-type]
     out.regulate(gains, lambda t: wanted, scheduled, most)
     return out
@@ -97,7 +97,7 @@ def asked(agent: LqrController, x: np.ndarray) -> np.ndarray:
 
 def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: RegulatorGains) -> None:
     """The same displacement seen from the robot asks for the same torques, whatever its heading."""
-    home = robot.equilibrium(robot.home[robot.state["arm"]])[0]
+    home = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[0]
     n, yaw = robot.base.nq, 0.7
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     x = home + 0.01 * np.random.default_rng(1).normal(size=home.size)
@@ -115,7 +115,7 @@ def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: Regulat
 
 
 def test_far_away_pulls_no_harder(robot: RobotModel, gains: RegulatorGains) -> None:
-    home = robot.equilibrium(robot.home[robot.state["arm"]])[0]
+    home = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[0]
     at = lambda far: asked(agent(robot, gains, False, home, 0.1), home + far * np.eye(home.size)[0])
     assert at(0.1) == pytest.approx(at(0.5))
     assert np.abs(at(0.05) - at(0.1)).max() > 1e-3

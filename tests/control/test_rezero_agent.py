@@ -14,11 +14,11 @@ from toys import robot
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.push import DEAD, PushEstimator
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import BallMeasurement
 
 PERIOD = 0.0025
 BALL = robot("rezero")

@@ -9,7 +9,7 @@ import pytest
 
 from toys import robot
 from wbmpc import lie
-from wbmpc.studies import REGISTRY
+from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.held_arm import ServoedArm
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse
@@ -47,7 +47,7 @@ def test_base_accelerates_as_the_whole_robot_with_that_arm(seed: int) -> None:
     a = rate[N:].ravel()
     np.testing.assert_allclose(a[5:], pace**2 * (goal - x[5:N]) - 2.0 * pace * x[N + 5 :])
     # the whole robot: whatever arm torques that takes, the disturbance as its parameter
-    needed = BALL.inverse_dynamics(x[:N], x[N:], a)
+    needed = BALL.base.numeric.inverse_dynamics(x[:N], x[N:], a)
     q, u = ca.SX.sym("q", N), ca.SX.sym("u", N - 2)
     given = BALL.base.generalised_force(q, u, ca.SX.zeros(BALL.parameters.size))
     force_of = ca.Function("force", [q, u], [given])

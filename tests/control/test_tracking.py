@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
-from wbmpc.types import BallCommand, BallMeasurement
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025
@@ -77,7 +77,7 @@ def test_bad_gains_are_named() -> None:
 
 def test_drives_close_the_loop_between_commands() -> None:
     """One command, held: the drives pull the elbow to where it says, against MuJoCo's gravity fed forward."""
-    home, torque = BALL.equilibrium(BALL.home[5:N])
+    home, torque = BALL.base.numeric.equilibrium(BALL.home[5:N])
     still = Perturbation(
         mass=0.0, inertia=0.0, com=0.0, joint_offset=0.0, drive_lag=0.002, drive_lag_spread=0.0
     )  # fmt: skip

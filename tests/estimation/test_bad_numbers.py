@@ -17,15 +17,14 @@ from wbmpc.bases.ball.estimator import HISTORY, BallEstimator, JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.base_slip import BaseSlipObserver
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.estimation.rocking import rockings
-from wbmpc.estimation.sensor_faults import EncoderMonitor
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
@@ -34,7 +33,7 @@ H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")
 FOUR = ring(4)
 KNOWN = WheelCalibration.unknown(FOUR)
-HOME, _ = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, _ = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOVING = np.concatenate([HOME[:8], np.ones(8)])
 ARM, UP, ZERO = HOME[ROBOT.state["arm"]], np.array([0.0, 0.0, 9.81]), np.zeros(3)
 
@@ -75,7 +74,7 @@ def rezero() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 
 def payload() -> tuple[Callable[..., Any], Callable[[], Any]]:
-    estimator = PayloadEstimator(ROBOT.tool_weight)
+    estimator = PayloadEstimator(ROBOT.base.numeric.tool_weight)
     return estimator.update, lambda: estimator.mass
 
 
@@ -108,7 +107,7 @@ def lean() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 
 WHOLE, ONE = (0.1 * np.ones(10), np.zeros(3), H), np.ones(2)
-WEIGHT, SURE = ROBOT.tool_weight(HOME[:8]), 1e-4 * np.eye(3)
+WEIGHT, SURE = ROBOT.base.numeric.tool_weight(HOME[:8]), 1e-4 * np.eye(3)
 #: Messages (one more is given before and after) and one of them made bad; the name that the error says.
 CASES = [
     (contact, [(0.0, 3.0)], (0.01, NAN), "force"),
@@ -239,16 +238,25 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: BallNoise(scale_time=0.0), "'scale_time' is too small"),
         (lambda: BallEstimator(ROBOT, HOME, balance=NAN), "'balance' must be finite"),
         (lambda: BallEstimator(ROBOT, HOME, balance=0.0), "'balance' must be positive"),
-        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(0, 0)), "'calm' needs positive"),
-        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, calm=(1,)), "'calm' needs 2"),  # type: ignore[arg-type]
-        (lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, gate=np.array([NAN])), "'gate' needs"),
         (
-            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.mass_matrix, 8, hold=-1.0),
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, calm=(0, 0)),
+            "'calm' needs positive",
+        ),
+        (
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, calm=(1,)),
+            "'calm' needs 2",
+        ),  # type: ignore[arg-type]
+        (
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, gate=np.array([NAN])),
+            "'gate' needs",
+        ),
+        (
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, hold=-1.0),
             "'hold' must not be negative",
         ),
-        (lambda: PayloadEstimator(ROBOT.tool_weight, rate=-1.0), "'rate' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.tool_weight, most=-3.0), "'most' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
+        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, rate=-1.0), "'rate' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, most=-3.0), "'most' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
         (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
         (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),
         (lambda: PushEstimator(ROBOT, ARM, NAN), "push estimator: 'brace' must be finite"),
@@ -258,7 +266,6 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
         (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
         (lambda: ContactMonitor(on=np.inf), "contact: 'on' must be finite"),
-        (lambda: BaseSlipObserver(np.inf), "drift observer: 'time_constant' must be finite"),
         (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
         (
             lambda: BallFilter(BallGeometry(0.1, np.eye(3), ZERO), [0, NAN], np.eye(3), BallNoise()),
@@ -266,10 +273,12 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         ),
         (lambda: rockings([0.0, 0.1], [0.0, 0.0], fast=0.0), "rocking: 'fast' must be positive"),
         (
-            lambda: MomentumObserver(ROBOT.mass_matrix, lambda q, v: ZERO).force(np.zeros((3, 8)), np.ones(8)),
+            lambda: MomentumObserver(ROBOT.base.numeric.mass_matrix, lambda q, v: ZERO).force(
+                np.zeros((3, 8)), np.ones(8)
+            ),
             "first update",
         ),
-        (lambda: MomentumObserver(ROBOT.mass_matrix, lambda q, v: ZERO).zero(), "first update"),
+        (lambda: MomentumObserver(ROBOT.base.numeric.mass_matrix, lambda q, v: ZERO).zero(), "first update"),
     ],
 )
 def test_what_no_estimator_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:

@@ -16,16 +16,16 @@ from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
 from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise, BallState
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
+from wbmpc.bases.base import InertialDescription
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.robots import InertialDescription
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 H, SEEDS = 0.0025, 50
 ROBOT = robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOUNT = np.array([0.0, 0.0, 0.3])
 GEOMETRY = BallGeometry(0.125, ROBOT.base.wheel_torque_map().T, MOUNT)
 

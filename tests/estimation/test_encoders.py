@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.estimation.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 
 H = 0.0025
 JOINTS = ["one", "two"]

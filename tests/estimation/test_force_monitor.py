@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
 from wbmpc.studies.minniti2019.door_control import DoorAgent
-from wbmpc.types import BallMeasurement
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 

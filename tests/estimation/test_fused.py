@@ -8,12 +8,12 @@ import pytest
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
 from wbmpc.estimation.odometry_filter import BIAS, OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import fit_twist
+from wbmpc.model.wheels import ModuleGeometry
 
 FOUR = ring(4)
 
@@ -109,7 +109,7 @@ def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: 
     assert consistent(pose, 3), np.mean(pose)
 
 
-def lasting_slip(geometry: SwerveGeometry, seed: int, speed: float, lasts: float) -> float:
+def lasting_slip(geometry: ModuleGeometry, seed: int, speed: float, lasts: float) -> float:
     """Normalised error squared after 5 s straight on with wheels that slip along their way by an Ornstein-Uhlenbeck process of this
     ``speed`` [m/s], which ``lasts`` [s], two parts in space: along by the wheel, across by its steering."""
     h, n, rng = 0.01, geometry.modules, np.random.default_rng(seed)

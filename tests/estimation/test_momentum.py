@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.door_control import SensorlessForce
-from wbmpc.types import BallCommand
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 FORCE = np.array([6.0, -3.0, 4.0])
 
 

@@ -15,8 +15,9 @@ from toys import Rows, robot
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.offset import OffsetObserver
 from wbmpc.model.ode import Ode
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
+from wbmpc.types import Observation
 
 H, NOISE = 0.02, 1e-3
 GRAVITY, LENGTH = 9.81, 0.5
@@ -60,7 +61,7 @@ def controller(system: Ode, goal: float, hold: float, limit: float = 100.0) -> M
     ocp = OptimalControlProblem(system, 1.0, 20, first_interval=H)
     target = np.zeros(system.state.size)
     target[0] = goal
-    ocp.add(Cost("state", Rows(target.size, lambda s: s.x - target), [100.0, 1.0][: target.size], at="all"))
+    ocp.add(Cost("state", Rows(target.size, lambda s: s.x - target), [100.0, 1.0][: target.size], at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u + s.parameters - hold), 1.0))
     ocp.add(Constraint("limit", Rows(1, lambda s: s.u), sets.Box(-limit, limit), hard=True))
     return MPC(ocp, rate=1.0 / H)

@@ -15,14 +15,14 @@ HOME = ROBOT.home[:N]
 
 def weighed(force: np.ndarray, seconds: float = 4.0, **settings: float) -> tuple[PayloadEstimator, np.ndarray]:
     """The estimator after ``seconds`` at home, and what is left of the disturbance."""
-    estimator = PayloadEstimator(ROBOT.tool_weight, **settings)
+    estimator = PayloadEstimator(ROBOT.base.numeric.tool_weight, **settings)
     for _ in range(round(seconds / H)):
         force = estimator.update(HOME, force, H)
     return estimator, force
 
 
 def test_the_weight_of_a_mass_is_found_and_taken_over() -> None:
-    weight = ROBOT.tool_weight(HOME)
+    weight = ROBOT.base.numeric.tool_weight(HOME)
     estimator, rest = weighed(1.3 * weight, seconds=8.0)
     assert estimator.mass == pytest.approx(1.3, abs=1e-3)
     np.testing.assert_allclose(rest, 0.0, atol=1e-3 * np.abs(weight).max())
@@ -34,14 +34,14 @@ def test_the_weight_of_a_mass_is_found_and_taken_over() -> None:
 def test_a_displaced_centre_of_mass_is_no_payload() -> None:
     """10 mm of 25 kg in the base turn the lean alone: of 2.5 N m, which 0.35 kg would give, little is taken for a mass."""
     pitched = np.zeros(N)
-    pitched[3] = np.sign(ROBOT.tool_weight(HOME)[3]) * 2.5
-    assert abs(ROBOT.tool_weight(HOME)[3]) * 0.3 < 2.5
+    pitched[3] = np.sign(ROBOT.base.numeric.tool_weight(HOME)[3]) * 2.5
+    assert abs(ROBOT.base.numeric.tool_weight(HOME)[3]) * 0.3 < 2.5
     assert 0.0 < weighed(pitched)[0].mass < 0.1
     assert weighed(pitched, spread=(0.6, 0.6))[0].mass > 0.15
 
 
 def test_no_mass_is_negative_and_none_is_beyond_what_can_be() -> None:
-    weight = ROBOT.tool_weight(HOME)
+    weight = ROBOT.base.numeric.tool_weight(HOME)
     lifted, rest = weighed(-0.5 * weight)
     assert lifted.mass == 0.0
     np.testing.assert_array_equal(rest, -0.5 * weight)
@@ -54,10 +54,10 @@ def test_an_arm_that_cannot_tell_weighs_nothing() -> None:
     """Of 1.3 kg an arm of vertical axes feels nothing: what is left is the lean, as of 13 mm beside the middle. Straight up nobody
     feels anything: 0.3 N m of the base would be kilograms."""
     for q, keep, force in (
-        (HOME, lambda w: np.where(np.arange(N) < 5, w, 0.0), 1.3 * ROBOT.tool_weight(HOME)),
-        (ROBOT.equilibrium([0.0, 0.0, 0.0])[0][:N], lambda w: w, np.eye(N)[3] * -0.3),
+        (HOME, lambda w: np.where(np.arange(N) < 5, w, 0.0), 1.3 * ROBOT.base.numeric.tool_weight(HOME)),
+        (ROBOT.base.numeric.equilibrium([0.0, 0.0, 0.0])[0][:N], lambda w: w, np.eye(N)[3] * -0.3),
     ):
-        estimator = PayloadEstimator(lambda q, keep=keep: keep(ROBOT.tool_weight(q)))  # type: ignore[misc]
+        estimator = PayloadEstimator(lambda q, keep=keep: keep(ROBOT.base.numeric.tool_weight(q)))  # type: ignore[misc]
         np.testing.assert_array_equal(estimator.update(q, force, 0.1), force)
         assert estimator.mass == 0.0
 

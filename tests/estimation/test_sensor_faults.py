@@ -12,9 +12,9 @@ import pytest
 from test_ball_filter import HOME, ROBOT, TORQUE, regulator
 
 from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand, BallMeasurement
 
 H, COUNT = 0.0025, 2.0 * np.pi / 2**17
 #: When [s] the faults begin, and when they are looked at last.

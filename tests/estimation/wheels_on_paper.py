@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.swerve.model import SwerveGeometry
+from wbmpc.model.wheels import ModuleGeometry
 
 
-def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> SwerveGeometry:
+def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> ModuleGeometry:
     """Modules on a circle of 0.5 m, legs of 0.3 m that point outwards."""
     angle = 2.0 * np.pi * np.arange(modules) / modules + 0.3
-    return SwerveGeometry(
+    return ModuleGeometry(
         hinge=0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1),
         leg_length=np.full(modules, 0.3),
         leg_heading=angle,
@@ -33,7 +33,7 @@ class Drawn:
     """One base on its way. ``slip`` [m/√s]: intensity of each wheel's displacement, along and across; ``zero`` [rad],
     ``radius`` (relative): standard deviations of what the encoders hide; gyro as in a data sheet; ``seed`` of all."""
 
-    geometry: SwerveGeometry
+    geometry: ModuleGeometry
     seed: int
     slip: float = 0.0
     zero: float = 0.0

@@ -46,7 +46,7 @@ def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:
     nx, nu, ng = s.nx, s.nu, s.ng
     h = r.normal(size=(nx + nu, nx + nu + 2))
     p = r.normal(size=(nx, nx + 2))
-    # well-conditioned rows, or the answer depends on the kernel's small compliance
+    # well-conditioned rows, or the answer depends on the kernel's small softness
     turn = np.linalg.qr(r.normal(size=(nu, nu)))[0][:, :ng].T * r.uniform(0.5, 2.0, (ng, 1))
     return (
         r.normal(size=(nx, nx)), r.normal(size=nx), r.normal(size=(nx, nu)), h @ h.T, r.normal(size=nx + nu),

@@ -29,7 +29,7 @@ class Spinning(ToyDynamics):
 def spinning(integrator: str) -> Solver:
     """No reference, quadratic costs."""
     ocp = OptimalControlProblem(Spinning(), 1.0, 9, integrator=integrator)
-    ocp.add(Cost("state", Rows(5, lambda s: s.x), 1.0, at="all"))
+    ocp.add(Cost("state", Rows(5, lambda s: s.x), 1.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(4, lambda s: s.u), 0.1))
     return Solver(ocp, SQP(iterations=1))
 

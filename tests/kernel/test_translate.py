@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import pytest
@@ -12,18 +15,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbmpc.errors import KernelError
-from wbmpc.kernel.ir import BOOL, INT, INT2, INTS, LANES, MASK, NONE, NUM, NUM2, NUM3, NUMS, VEC, PointerCall
+from wbmpc.kernel.ir import LANES, Floats, Integers, Mask, PointerCall, Vector
 from wbmpc.kernel.library import Library
 from wbmpc.solver import compilation, receding  # noqa: F401  the library of the driver
 
 LIBRARY = Library("test")
 compiled = LIBRARY.compiled
 SCALE, LIMIT = 3, 0.25
+
+
+class Entry(IntEnum):
+    FIRST = 0
+    THIRD = 2
+
+
+@dataclass(frozen=True)
+class Constants:
+    factor: float = 0.5
+    repeats: int = 3
+
+
+CONSTANTS = Constants()
+
+
 call1 = PointerCall(1)
 
 
-@compiled(NUM, NUM, NUM, INT)
-def arithmetic(a, b, n):  # type: ignore[no-untyped-def]
+@compiled
+def arithmetic(a: float, b: float, n: int) -> float:
     x = a * b - a / (1.0 + b * b) + n
     x += SCALE * LIMIT
     x -= n % 3 + n // 2
@@ -31,22 +50,22 @@ def arithmetic(a, b, n):  # type: ignore[no-untyped-def]
     return y + (-a) ** 2 + abs(b) ** 1.5 - -n
 
 
-@compiled(NUM, NUM, NUM)
-def functions(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def functions(a: float, b: float) -> float:
     """A docstring, and functions of NumPy."""
     c = np.sqrt(abs(a)) + np.log(1.0 + abs(b)) + np.exp(-abs(a)) + np.floor(b)
     return min(c, a, b) + max(a, b, 1.0) + float(int(abs(c)))
 
 
-@compiled(BOOL, NUM, NUM, INT)
-def logic(a, b, n):  # type: ignore[no-untyped-def]
+@compiled
+def logic(a: float, b: float, n: int) -> bool:
     if (not (a < b <= 2.0) and (n == 2 or a != b)) or np.isinf(a):
         return n > 1
     return np.isfinite(a) and a >= b
 
 
-@compiled(NUM3, NUMS, INTS, INT)
-def loops(m, o, n):  # type: ignore[no-untyped-def]
+@compiled
+def loops(m: Floats, o: Integers, n: int) -> tuple[float, float, float]:
     total, last, found = 0.0, 0, -1.0
     for i in range(n):
         if i == 3:
@@ -67,26 +86,26 @@ def loops(m, o, n):  # type: ignore[no-untyped-def]
     return total, float(last), found
 
 
-@compiled(NUM2, NUM, NUM)
-def pair(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def pair(a: float, b: float) -> tuple[float, float]:
     return b, a
 
 
-@compiled(NUM, NUM, NUM, NUM2)
-def swapped(a, b, both):  # type: ignore[no-untyped-def]
+@compiled
+def swapped(a: float, b: float, both: tuple[float, float]) -> float:
     a, b = b, a
     c, d = pair(a, b)
     e, f = both
     return c + 10.0 * d + 100.0 * e + 1000.0 * f
 
 
-@compiled(NUM, NUM, NUM)
-def calls(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def calls(a: float, b: float) -> float:
     return swapped(a, b, (a, 2)) + arithmetic(a, b, 2)
 
 
-@compiled(INT2, INT, BOOL)
-def whole(n, yes):  # type: ignore[no-untyped-def]
+@compiled
+def whole(n: int, yes: bool) -> tuple[int, int]:
     m = n
     if yes:
         m = min(n, 3)
@@ -95,21 +114,21 @@ def whole(n, yes):  # type: ignore[no-untyped-def]
     return m, 1 if yes else 0
 
 
-@compiled(NONE, NUMS, INT)
-def fill(m, n):  # type: ignore[no-untyped-def]
+@compiled
+def fill(m: Floats, n: int) -> None:
     if n < 0:
         return
     for i in range(n):
         m[i] = i
 
 
-@compiled((VEC, MASK), VEC, VEC)
-def both(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def both(a: Vector, b: Vector) -> tuple[Vector, Mask]:
     return a * b - 1.0, (a > b) & (b <= 0.5)
 
 
-@compiled(NUM3, NUMS, INT)
-def vectors(m, n):  # type: ignore[no-untyped-def]
+@compiled
+def vectors(m: Floats, n: int) -> tuple[float, float, float]:
     biggest, total, agreed = 0.0, 0.0, 0
     for i in range(0, n, LANES):
         a, b = m[i : i + LANES], m[n + i : n + i + LANES]
@@ -170,22 +189,62 @@ def test_eight_numbers_at_a_time(blocks: int, seed: int) -> None:
     np.testing.assert_allclose(a, b, rtol=1e-13)
 
 
-def _slice(m):  # type: ignore[no-untyped-def]
+def _slice(m: Floats) -> Vector:
     return m[0:3]
 
 
-def _vector_of_integers(o):  # type: ignore[no-untyped-def]
-    return o[0 : 0 + LANES]
+def _vector_of_integers(o: Integers) -> Vector:
+    return o[0 : 0 + LANES]  # type: ignore[index,return-value]
 
 
-@pytest.mark.parametrize(
-    ("function", "kind", "message"), [(_slice, NUMS, "slice"), (_vector_of_integers, INTS, "only numbers")]
-)
-def test_other_slices_are_refused(function, kind: str, message: str) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(("function", "message"), [(_slice, "slice"), (_vector_of_integers, "only numbers")])
+def test_other_slices_are_rejected(function: Callable[..., Vector], message: str) -> None:
     library = Library("bad")
-    library.compiled(VEC, kind)(function)
+    library.compiled(function)
     with pytest.raises(KernelError, match=message):
         library.source()
+
+
+@compiled
+def fields(m: Floats) -> float:
+    m[Entry.FIRST] = 2.0 * m[Entry.THIRD]
+    return m[1 + Entry.FIRST]
+
+
+def test_named_fields_are_their_indices() -> None:
+    """Truth: the members' values, and the same function as ordinary Python."""
+    compiled_m, python_m = np.arange(1.0, 5.0), np.arange(1.0, 5.0)
+    assert fields(compiled_m) == fields.python(python_m) == 2.0
+    np.testing.assert_array_equal(compiled_m, [6.0, 2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(compiled_m, python_m)
+
+
+@compiled
+def scaled(a: float) -> float:
+    for _ in range(CONSTANTS.repeats):
+        a *= CONSTANTS.factor
+    return a
+
+
+def test_fields_of_frozen_settings_are_constants() -> None:
+    """Truth: 0.5³."""
+    assert scaled(4.0) == scaled.python(4.0) == 0.5
+
+
+def _bad_annotation(a: complex) -> float:
+    return 0.0
+
+
+def test_types_that_cannot_be_translated_are_rejected() -> None:
+    with pytest.raises(
+        KernelError, match=r"_bad_annotation: annotation 'complex' cannot be translated; valid: float, int"
+    ):
+        Library("bad").compiled(_bad_annotation)
+
+
+def test_arguments_by_name_are_rejected() -> None:
+    with pytest.raises(KernelError, match="by position"):
+        fill(m=np.zeros(4), n=2)
 
 
 def test_no_result_and_early_return() -> None:
@@ -206,40 +265,49 @@ def outside(a: float) -> float:
     return a
 
 
-def _unknown_function(a):  # type: ignore[no-untyped-def]
+def _unknown_function(a: float) -> float:
     return outside(a)
 
 
-def _unknown_statement(a):  # type: ignore[no-untyped-def]
-    with a:
+def _unknown_statement(a: float) -> float:
+    with a:  # type: ignore[attr-defined]
         return a
 
 
-def _unknown_name(a):  # type: ignore[no-untyped-def]
-    return a + missing  # noqa: F821
+def _unknown_name(a: float) -> float:
+    return a + missing  # type: ignore[name-defined]  # noqa: F821
 
 
-def _list(a):  # type: ignore[no-untyped-def]
+def _list(a: float) -> float:
     b = [a]
-    return b
+    return b  # type: ignore[return-value]
 
 
-def _other_type(a):  # type: ignore[no-untyped-def]
+def _other_type(a: float) -> float:
     n = 1
-    n = a
+    n = a  # type: ignore[assignment]
     return n
+
+
+def _no_field(a: float) -> float:
+    return a + CONSTANTS.offset  # type: ignore[attr-defined]
+
+
+def _no_member(a: float) -> float:
+    return a + Entry.SECOND  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     ("function", "message"),
     [
         (_unknown_function, "not compiled"), (_unknown_statement, "statement"), (_unknown_name, "neither a local name"),
-        (_list, "expression"), (_other_type, "cannot make F into I"),
+        (_list, "expression"), (_other_type, "cannot make F into I"), (_no_member, "Entry has no member"),
+        (_no_field, "Constants has no field"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_translated_is_named(function, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_what_cannot_be_translated_is_named(function: Callable[..., float], message: str) -> None:
     library = Library("bad")
-    library.compiled(NUM, NUM)(function)
+    library.compiled(function)
     with pytest.raises(KernelError, match=message) as caught:
         library.source()
     assert function.__name__ in str(caught.value)
@@ -281,5 +349,5 @@ def test_the_driver_is_whole_whichever_function_comes_first() -> None:
 
 def test_every_function_of_the_driver_is_in_the_library() -> None:
     names = {f.signature.symbol for f in compilation.LIBRARY.functions}
-    assert {"receding_receding_solve", "driver_solve", "riccati_backward", "rows_rows_step"} <= names
+    assert {"receding_receding_solve", "driver_solve", "riccati_backward", "inequalities_rows_step"} <= names
     assert len(names) == len(compilation.LIBRARY.functions)

@@ -17,11 +17,11 @@ from wbmpc.solver import SQP, Solver, Status
 
 def arm_problem(dynamics, robot) -> OptimalControlProblem:
     ocp = OptimalControlProblem(dynamics, 2.0, 40)
-    ocp.add(Cost("posture", residuals.State(robot), {"arm": 10.0, "base": 1.0}, at="all"))
+    ocp.add(Cost("posture", residuals.State(robot), {"arm": 10.0, "base": 1.0}, at="path+terminal"))
     ocp.add(
         Cost(
             "speed",
-            residuals.Input(robot, tracked=False),
+            residuals.Input(robot, reference=None),
             {"base": 1.0, "leg": 1.0, "steer": 1.0, "wheel": 0.01, "arm": 0.1},
         )
     )
@@ -45,7 +45,7 @@ def test_acceleration_limits_hold_and_the_arm_arrives() -> None:
     solver = Solver(ocp, SQP(iterations=100))
     solver.set_reference("posture", Reference.constant(goal_of(robot)))
     start = np.concatenate([robot.home, np.zeros(6)])
-    solver.guess(start)
+    solver.warm_start(start)
     solution = solver.solve(start)
     assert solution.status is Status.CONVERGED
     acceleration = solution.u[:, dynamics.input["arm_rate"]]

@@ -12,9 +12,10 @@ from toys import robot
 from wbmpc.bases.ball.balance import Balance, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
 from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
-from wbmpc.ocp.residuals import CapturePoint, JointEffort, Symbols
+from wbmpc.ocp.residuals import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver
@@ -173,14 +174,14 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
         cost = RezeroCost(hand=HandCost(limit=10.0), lean=share)
         settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-3)
         solver = Solver(
-            rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(mu=1e-3))
+            rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(barrier=1e-3))
         )
-        home, torque = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+        home, torque = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
         place, quaternion = ROBOT.pose(home)
         for name, value in (("body", home), ("twist", np.zeros(6)), ("torque", torque)):
             solver.set_reference(name, Reference.constant(value))
         solver.set_reference("hand", Reference.poses([0.0], [place + [1.5, 0.0, 0.0]], quaternion))
-        solver.guess(home, torque)
+        solver.warm_start(home, torque)
         found = solver.solve(home)
         balance = Balance.of(ROBOT, ROBOT.home[ROBOT.state["arm"]])
         x = ca.SX.sym("x", 16)

@@ -195,7 +195,9 @@ def test_payload_is_a_mass_at_the_tool(mass: float) -> None:
         forces = [
             numeric([loaded.base.generalised_force(*names[:3])], *names)(still, u, w, [])[0] for w in (same, 0 * same)
         ]
-        np.testing.assert_allclose((forces[0] - forces[1]).ravel(), mass * loaded.tool_weight(x[:N]), atol=1e-9)
+        np.testing.assert_allclose(
+            (forces[0] - forces[1]).ravel(), mass * loaded.base.numeric.tool_weight(x[:N]), atol=1e-9
+        )
 
 
 @settings(max_examples=20, deadline=None)
@@ -207,7 +209,7 @@ def test_disturbance_is_a_generalised_force(seed: int) -> None:
     (with_push,) = DERIVATIVE(x, u, ROBOT.parameters.vector({"disturbance": push}), [])
     (without,) = DERIVATIVE(x, u, ROBOT.parameters.vector({}), [])
     change = (with_push - without).ravel()[N:]
-    np.testing.assert_allclose(ROBOT.mass_matrix(x[:N]) @ change, push, atol=1e-9)
+    np.testing.assert_allclose(ROBOT.base.numeric.mass_matrix(x[:N]) @ change, push, atol=1e-9)
 
 
 @settings(max_examples=20, deadline=None)
@@ -240,14 +242,14 @@ def test_moment_on_the_hand_does_the_work_of_its_turning() -> None:
         turned = [ROBOT.pose(np.concatenate([q + s * h * np.eye(N)[k], np.zeros(N)]))[1] for s in (-1.0, 1.0)]
         turn = lie.quaternion_log(lie.quaternion_multiply(turned[1], lie.quaternion_conjugate(turned[0])))
         work.append(moment @ turn / (2.0 * h))
-    np.testing.assert_allclose(ROBOT.tool_moment(q, moment), work, atol=1e-6)
+    np.testing.assert_allclose(ROBOT.base.numeric.tool_moment(q, moment), work, atol=1e-6)
 
 
 def test_mass_matrix_and_inverse_dynamics_agree() -> None:
     """Truth: M a + h is linear in a with slope M."""
     q, v, a = np.split(np.random.default_rng(2).normal(size=24), 3)
-    change = ROBOT.inverse_dynamics(q, v, a) - ROBOT.inverse_dynamics(q, v, np.zeros(N))
-    np.testing.assert_allclose(ROBOT.mass_matrix(q) @ a, change, atol=1e-9)
+    change = ROBOT.base.numeric.inverse_dynamics(q, v, a) - ROBOT.base.numeric.inverse_dynamics(q, v, np.zeros(N))
+    np.testing.assert_allclose(ROBOT.base.numeric.mass_matrix(q) @ a, change, atol=1e-9)
 
 
 @pytest.mark.parametrize("contact", ["none", "force", "wrench"])
@@ -279,9 +281,9 @@ def test_jacobian_equals_differences_and_automatic_differentiation(contact: str)
 @pytest.mark.parametrize("arm", [(0.0, 1.0, 0.8), (1.2, -0.7, 1.1)])
 def test_equilibrium_rests_and_balances_moments(arm, force) -> None:
     """Truth: statics about the ball's contact point, with the centre of mass computed by MuJoCo."""
-    x, u = ROBOT.equilibrium(arm, yaw=0.4, force=force)
+    x, u = ROBOT.base.numeric.equilibrium(arm, yaw=0.4, force=force)
     elsewhere = load_robot("rezero", contact="wrench", contact_frame="base")
-    np.testing.assert_allclose(elsewhere.equilibrium(arm, yaw=0.4, force=force)[0], x, atol=1e-9)
+    np.testing.assert_allclose(elsewhere.base.numeric.equilibrium(arm, yaw=0.4, force=force)[0], x, atol=1e-9)
     np.testing.assert_allclose(x[[0, 1, 2, 5, 6, 7]], [0, 0, 0.4, *arm], atol=0)
     (f,) = DERIVATIVE(x, u, ROBOT.parameters.vector({"force": force}), [])
     np.testing.assert_allclose(f, 0, atol=1e-8)
@@ -308,21 +310,21 @@ def test_home_is_the_equilibrium_within_the_limits() -> None:
 def test_functions_of_numbers_in_several_threads() -> None:
     """Truth: CasADi's own call of the same function. Threads do not write into each other's arguments."""
     q = [random_state(np.random.default_rng(k))[:N] for k in range(4)]
-    ROBOT.mass_matrix(q[0])
-    expected = [np.array(ROBOT._numeric["M"].function(v)) for v in q]
+    ROBOT.base.numeric.mass_matrix(q[0])
+    expected = [np.array(ROBOT.base.numeric._numeric["M"].function(v)) for v in q]
 
     def all_equal(k: int) -> bool:
-        return all(np.array_equal(ROBOT.mass_matrix(q[k]), expected[k]) for _ in range(2000))
+        return all(np.array_equal(ROBOT.base.numeric.mass_matrix(q[k]), expected[k]) for _ in range(2000))
 
     with ThreadPoolExecutor(4) as pool:
         assert all(pool.map(all_equal, range(4)))
     with pytest.raises(InputError, match="M: 8 numbers are needed, got 1"):
-        ROBOT.mass_matrix(0.0)
+        ROBOT.base.numeric.mass_matrix(0.0)
 
 
 def test_figures_of_the_source() -> None:
     """Truth: published masses; m + I / r² = 3.712 kg on x and y; about 25 kg in all."""
-    mass = ROBOT.mass_matrix(ROBOT.home[:N])
+    mass = ROBOT.base.numeric.mass_matrix(ROBOT.home[:N])
     spin = 0.0166 / 0.125**2
     np.testing.assert_allclose(2.65 + spin, 3.712, atol=1e-3)
     np.testing.assert_allclose(mass[0, 0], 2.65 + spin + 18.66 + 3.7, atol=1e-9)

@@ -93,6 +93,7 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"limits": {"velocities": {"one": 1.0}}}, ("'limits.velocities'", "did you mean 'limits.velocity'")),
         ({"limits": {"velocity": {"three": 1.0}}}, ("'three'", "limits.velocity")),
         ({"limits": {"velocity": {"one": 2.0}, "drive_velocity": {"one": 1.0}}}, ("'one'", "no less than that")),
+        ({"limits": {"wheel_effort": 2.0}}, ("'limits.wheel_effort'", "type fixed", "valid: velocity")),
         (
             {"limits": {"velocity": {"one": 1.0}, "drive_velocity": {"one": 2.0}}},
             ("steering joint", "limits.drive_velocity"),
@@ -220,7 +221,7 @@ SWERVE = (Path(load_description("swerve-ur10").source)).read_text()
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (b"name: \xff\xfe", "cannot be read as text in UTF-8"),
+        (b"name: \xff\xfe", "not a text file in UTF-8"),
         (b"1: 2\nname: r", "unknown key '1'; valid: name, model, base"),
     ],
 )

@@ -11,7 +11,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, place_of
 
 ROBOT = load_robot("rezero", contact="force")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 HAND = ROBOT.pose(HOME)[0]
 
 

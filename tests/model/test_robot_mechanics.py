@@ -107,7 +107,7 @@ def test_a_robot_stands_on_the_tyres_of_the_plant(tmp_path: Path) -> None:
     robot = load_robot(path)
     plant = SwervePlant(robot.description, None, Perturbation.none(), 0, settle=0.3)
     assert plant.truth().wheel_force.sum() == pytest.approx(plant.weight, rel=0.02)
-    assert plant.data.qpos[2] == pytest.approx(robot.base.height, abs=1e-3)
+    assert plant.data.qpos[2] == pytest.approx(robot.base.body_height, abs=1e-3)
 
 
 def test_a_urdf_has_its_limits_in_the_yaml_and_its_friction_in_the_plant(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ from toys import robot
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.robots import load_description
 from wbmpc.settings import MpcSettings
+from wbmpc.types import Observation
 
 SETTINGS = MpcSettings(horizon=2.0, intervals=16)
 

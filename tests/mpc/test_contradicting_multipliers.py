@@ -9,9 +9,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.types import Observation
 
 AL = AugmentedLagrangian(1e3)
 row = lambda f: Rows(1, f)
@@ -20,7 +21,7 @@ row = lambda f: Rows(1, f)
 def problem(*terms: Constraint) -> OptimalControlProblem:
     """ẍ = u0 + u1 + u2 to the origin."""
     ocp = OptimalControlProblem(ToyDynamics(2, 3, lambda x, u, w, m: ca.vertcat(x[1], ca.sum1(u))), 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(3, lambda s: s.u), 0.1))
     for term in terms:
         ocp.add(term)
@@ -45,7 +46,7 @@ CONTRADICTIONS = {
     "state": pair(lambda s: s.x[1]),
     "end": pair(lambda s: s.x[0], at="terminal"),
     "path and end": [
-        Constraint("still", row(lambda s: s.x[1]), at="all"),
+        Constraint("still", row(lambda s: s.x[1]), at="path+terminal"),
         Constraint("there", row(lambda s: s.x[0] - 2.0), at="terminal", **BOTH),  # type: ignore[arg-type]
     ],
     "bounds": [
@@ -117,8 +118,8 @@ LEGITIMATE = {
     ],
     "place on the path": [Constraint("here", row(lambda s: s.x[0]))],
     "speed on the path and end": [
-        Constraint("still", row(lambda s: s.x[1]), at="all"),
-        Constraint("twice", row(lambda s: 2.0 * s.x[1]), at="all"),
+        Constraint("still", row(lambda s: s.x[1]), at="path+terminal"),
+        Constraint("twice", row(lambda s: 2.0 * s.x[1]), at="path+terminal"),
     ],
 }
 

@@ -11,30 +11,31 @@ import pytest
 from realtime_toys import START, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.runtime.clock import VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 #: From this time [s] on the second row counts too.
 LATER = 2.0
 
 
-def contradictory(size: float = 1.0, compliance: float = 0.0) -> OptimalControlProblem:
+def contradictory(size: float = 1.0, softness: float = 0.0) -> OptimalControlProblem:
     """ẍ = u0 + u1 + u2; u0 = ``size``, and in mode "both" u0 = 2 ``size`` too."""
     dynamics = ToyDynamics(2, 3, lambda x, u, w, m: ca.vertcat(x[1], ca.sum1(u)))
     ocp = OptimalControlProblem(dynamics, 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(3, lambda s: s.u), 0.1))
     ocp.add(Constraint("one", Rows(1, lambda s: s.u[0] - size)))
-    ocp.add(Constraint("two", Rows(1, lambda s: s.u[0] - 2.0 * size), modes=("both",), compliance=compliance))
+    ocp.add(Constraint("two", Rows(1, lambda s: s.u[0] - 2.0 * size), modes=("both",), softness=softness))
     return ocp
 
 
-def make(size: float = 1.0, event: float = LATER, compliance: float = 0.0) -> MPC:
-    mpc = MPC(contradictory(size, compliance), rate=50.0, first_iterations=10)
+def make(size: float = 1.0, event: float = LATER, softness: float = 0.0) -> MPC:
+    mpc = MPC(contradictory(size, softness), rate=50.0, first_iterations=10)
     mpc.set_schedule(ModeSchedule((Mode("one"), Mode("both")), (event,)))
     mpc.reset(START)
     return mpc
@@ -76,7 +77,7 @@ def test_from_the_start_it_is_refused() -> None:
 
 
 def test_a_wish_is_no_contradiction() -> None:
-    mpc = make(compliance=0.01)
+    mpc = make(softness=0.01)
     for k in range(150):
         mpc.update(Observation(0.02 * k, START))
     assert mpc.statistics.failures == 0

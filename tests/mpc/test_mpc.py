@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
-from wbmpc.mpc.mpc import MPC, STUCK, Observation
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
+from wbmpc.mpc.mpc import MPC, STUCK
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
-from wbmpc.solver import SQP, Solver
+from wbmpc.solver import SQP, Solver, Trajectory
 from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
+from wbmpc.types import Observation
 
 REAL_TIME = SQP(iterations=1, compute_kkt=False, min_step=0.2, accept_min_step=True)
 START = np.array([0.1, 0.3, 0.0, 0.0])
@@ -35,7 +38,7 @@ def test_first_policy_is_the_iterated_solution() -> None:
     policy = mpc.update(Observation(3.0, START))
     solver = Solver(mpc.ocp, SQP(iterations=200))
     solver.set_reference("state", Reference.constant(np.zeros(4)))
-    solver.guess(np.zeros(4))
+    solver.warm_start(np.zeros(4))
     found = solver.solve(START)
     np.testing.assert_allclose(policy.u, found.u, atol=1e-5)
     np.testing.assert_allclose(policy.times, 3.0 + found.times)
@@ -79,14 +82,15 @@ def test_closed_loop_reaches_its_goal() -> None:
 
 
 class Poison:
-    """Spoils the solver's trajectories at the chosen updates."""
+    """A guess beyond all bounds at the chosen updates: what is computed from it overflows."""
 
     def __init__(self, *times: float) -> None:
         self.times = times
 
-    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        if any(abs(t - bad) < 1e-9 for bad in self.times):
-            solver.ws.x[:] = np.nan
+    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
+        if not any(abs(t - bad) < 1e-9 for bad in self.times):
+            return None
+        return replace(trajectory, x=np.full_like(trajectory.x, 1e200))
 
 
 def test_failed_solve_keeps_the_last_policy() -> None:
@@ -104,29 +108,26 @@ def test_failed_solve_keeps_the_last_policy() -> None:
 
 def test_failing_from_the_start_is_an_abort() -> None:
     mpc = make(Poison(0.0))
-    with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(state 'x\.0' at node 0"):
+    with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(the dynamics at node 0\)"):
         mpc.update(Observation(0.0, START))
 
 
-@pytest.mark.parametrize("part", ["gain", "x", "u"])
+@pytest.mark.parametrize("part", ["feedback gain", "planned state"])
 def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the solver's status says, and wherever in the horizon it is."""
+    """Whatever the solver's status says (which part it finds: tests/solver/test_trajectory.py)."""
     mpc = make()
     last = mpc.update(Observation(0.0, START))
     honest = mpc.solver.run
 
     def spoilt(*arguments):  # type: ignore[no-untyped-def]
         outcome = honest(*arguments)
-        {"gain": mpc.solver.ws.k, "x": mpc.solver.ws.x, "u": mpc.solver.ws.u}[part][-1] = np.nan
+        monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: part)
         return outcome
 
     monkeypatch.setattr(mpc.solver, "run", spoilt)
     assert mpc.update(Observation(0.02, START)) is last
     assert (mpc.statistics.solves, mpc.statistics.failures) == (2, 1)
-    assert (
-        mpc.fault
-        == f"failed: the { {'gain': 'feedback gain', 'x': 'planned state', 'u': 'planned input'}[part] } is not finite"
-    )
+    assert mpc.fault == f"failed: the {part} is not finite"
     mpc.reset(START)
     with pytest.raises(RunAborted, match=r"the first solve failed: .*not finite"):
         mpc.update(Observation(0.04, START))
@@ -204,23 +205,19 @@ def test_observations_are_checked() -> None:
 
 
 # ---------------------------------------------------------------------- steering guess
-def swerve_workspace(n: int = 240):  # type: ignore[no-untyped-def]
-    from types import SimpleNamespace
-
+def swerve_plan(n: int = 240) -> tuple[RobotModel, Trajectory]:
     model = robot("swerve-ur10")
-    ws = SimpleNamespace(
-        grid=np.linspace(0.0, 6.0, n + 1), x=np.tile(model.home, (n + 1, 1)), u=np.zeros((n, model.input.size))
-    )
-    return model, SimpleNamespace(ws=ws)
+    x, u = np.tile(model.home, (n + 1, 1)), np.zeros((n, model.input.size))
+    return model, Trajectory(0.0, np.linspace(0.0, 6.0, n + 1), x, u)
 
 
 @pytest.mark.parametrize("twist", [(0.0, 0.2, 0.0), (0.15, -0.15, 0.0), (0.0, 0.0, 0.3), (0.1, 0.1, 0.2)])
 def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> None:
-    model, solver = swerve_workspace()
+    model, plan = swerve_plan()
     preview = lambda t, pose: np.tile(twist, (len(t), 1))
     guess = SteeringGuess(model, preview)
-    guess(solver, 0.0, model.home)
-    base, steer, wheel = (solver.ws.u[:, model.input[g]] for g in ("base", "steer", "wheel"))
+    guess(0.0, model.home, plan)
+    base, steer, wheel = (plan.u[:, model.input[g]] for g in ("base", "steer", "wheel"))
     moving = np.abs(base).max(axis=1) > 1e-9
     assert moving.any() and not moving[0]
     first = int(np.argmax(moving))
@@ -231,7 +228,7 @@ def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> Non
     # wheels stand along the velocity of their axes, and turn as fast as that rolls (rigid-body motion)
     g = model.base.geometry
     for k in range(first + 1, len(base)):
-        x = solver.ws.x[k]
+        x = plan.x[k]
         v = wheel_velocities(g, x[model.state["leg"]], twist)
         heading = g.wheel_heading + x[model.state["leg"]] + x[model.state["steer"]]
         along = v[:, 0] * np.cos(heading) + v[:, 1] * np.sin(heading)
@@ -239,71 +236,72 @@ def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> Non
         assert np.abs(side).max() < 0.03 * np.abs(along).max()
         np.testing.assert_allclose(wheel[k] * g.wheel_radius, along, atol=1e-9)
     # states follow the inputs
-    x = solver.ws.x[:, model.state["steer"]]
-    np.testing.assert_allclose(np.diff(x, axis=0), steer * np.diff(solver.ws.grid)[:, None], atol=1e-12)
+    x = plan.x[:, model.state["steer"]]
+    np.testing.assert_allclose(np.diff(x, axis=0), steer * np.diff(plan.grid)[:, None], atol=1e-12)
 
 
 def test_guess_comes_once_per_standstill() -> None:
-    model, solver = swerve_workspace()
+    model, plan = swerve_plan()
     guess = SteeringGuess(model, lambda t, pose: np.tile([0.0, 0.2, 0.0], (len(t), 1)))
-    guess(solver, 0.0, model.home)
-    solver.ws.u[:] = 0.0
-    guess(solver, 0.1, model.home)
-    assert np.abs(solver.ws.u).max() == 0.0  # done: not again at the same standstill
-    solver.ws.u[0, 1] = 0.2
-    guess(solver, 0.2, model.home)
-    assert np.abs(solver.ws.u[1:]).max() == 0.0  # moving: nothing to guess
-    solver.ws.u[0, 1] = 0.0
-    guess(solver, 0.3, model.home)
-    assert np.abs(solver.ws.u).max() > 0.1  # at rest again: armed again
+    guess(0.0, model.home, plan)
+    plan.u[:] = 0.0
+    assert guess(0.1, model.home, plan) is None
+    assert np.abs(plan.u).max() == 0.0  # done: not again at the same standstill
+    plan.u[0, 1] = 0.2
+    guess(0.2, model.home, plan)
+    assert np.abs(plan.u[1:]).max() == 0.0  # moving: nothing to guess
+    plan.u[0, 1] = 0.0
+    assert guess(0.3, model.home, plan) is plan
+    assert np.abs(plan.u).max() > 0.1  # at rest again: armed again
 
 
 def test_a_plan_that_is_stuck_at_the_end_of_a_range_is_written_on_with_a_stop() -> None:
     """The direction turns at 0.7 rad/s; the plan follows until its wheels are at their ends, and stays there."""
-    model, solver = swerve_workspace()
-    ws, part, g = solver.ws, model.state["steer"], model.base.geometry
+    model, plan = swerve_plan()
+    part, g = model.state["steer"], model.base.geometry
     begin = 0.0
     turned = lambda t: 0.7 * (t - begin)
     around = lambda t, pose: 0.2 * np.stack([np.cos(turned(t)), np.sin(turned(t)), 0.0 * t], axis=1)
     high = model.limits.state_upper[part]
-    wanted = model.home[part] + 0.7 * ws.grid[:, None]
-    ws.x[:, part], ws.u[:, model.input["base"]] = np.minimum(wanted, high), around(ws.grid[:-1], None)
-    before, guess = ws.x.copy(), SteeringGuess(model, around)
-    guess(solver, 0.0, model.home)
+    wanted = model.home[part] + 0.7 * plan.grid[:, None]
+    plan.x[:, part], plan.u[:, model.input["base"]] = np.minimum(wanted, high), around(plan.grid[:-1], None)
+    before, guess = plan.x.copy(), SteeringGuess(model, around)
+    guess(0.0, model.home, plan)
     stuck = int(np.argmax((wanted > high).any(axis=1)))
     assert 0 < stuck < 200
     # a direction is lost at 0.3 rad; nothing is touched long before
-    assert np.array_equal(ws.x[: stuck - 30], before[: stuck - 30])
-    steer, base = ws.x[:, part], ws.u[:, model.input["base"]]
+    assert np.array_equal(plan.x[: stuck - 30], before[: stuck - 30])
+    steer, base = plan.x[:, part], plan.u[:, model.input["base"]]
     assert np.all((steer >= model.limits.state_lower[part] - 1e-9) & (steer <= high + 1e-9))
     rolls = np.hypot(*base[:, :2].T) > 1e-9
     stop = np.flatnonzero(~rolls)
     # one stop, no longer than half a turn takes, after which wheels roll along the velocity of their axes
     assert np.all(np.diff(stop) == 1) and 0.5 < (stop[-1] - stop[0]) * 6.0 / 240 < 1.5
     for k in range(stop[-1] + 1, 240):
-        v = wheel_velocities(g, ws.x[k, model.state["leg"]], base[k])
-        heading = g.wheel_heading + ws.x[k, model.state["leg"]] + steer[k]
+        v = wheel_velocities(g, plan.x[k, model.state["leg"]], base[k])
+        heading = g.wheel_heading + plan.x[k, model.state["leg"]] + steer[k]
         assert np.abs(v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)).max() < 0.05 * 0.2
-    again, begin = ws.x.copy(), 0.7  # the same motion from later on, as for a plan that was shifted
-    guess(solver, 0.7, model.home)
-    assert np.array_equal(ws.x, again)  # it can go on as it is
+    again, begin = plan.x.copy(), 0.7  # the same motion from later on, as for a plan that was shifted
+    guess(0.7, model.home, plan)
+    assert np.array_equal(plan.x, again)  # it can go on as it is
 
 
 def test_guess_waits_for_a_motion() -> None:
-    model, solver = swerve_workspace()
+    model, plan = swerve_plan()
     later = lambda t, pose: np.where(t[:, None] > 5.0, [[0.0, 0.2, 0.0]], 0.0)
     guess = SteeringGuess(model, later)
-    guess(solver, 0.0, model.home)
-    assert np.abs(solver.ws.u).max() == 0.0
-    guess(solver, 4.5, model.home)
-    assert np.abs(solver.ws.u).max() > 0.1
+    guess(0.0, model.home, plan)
+    assert np.abs(plan.u).max() == 0.0
+    guess(4.5, model.home, plan)
+    assert np.abs(plan.u).max() > 0.1
 
 
 def test_a_plan_that_no_solve_can_go_on_from_is_given_up() -> None:
     """Both the iterate and the last good plan are at 1e200: a resumed solve overflows, one from the observation does not."""
     mpc = make()
     policy = mpc.update(Observation(0.0, START))
-    mpc.solver.ws.x[:], policy.x[:] = 1e200, 1e200
+    policy.x[:] = 1e200
+    mpc.solver.warm_start(policy.x, policy.u)
     for k in (1, 2):
         assert mpc.update(Observation(0.02 * k, START)) is policy and mpc.fault
     fresh = mpc.update(Observation(0.06, START))
@@ -328,27 +326,28 @@ def test_refused_again_and_again_the_next_solve_goes_on_from_its_own_iterate(mon
     mpc, left = make(), []
     last = mpc.update(Observation(0.0, START))
     with monkeypatch.context() as m:
-        refuse(mpc, m, lambda: left.append(mpc.solver.ws.x.copy()))
+        refuse(mpc, m, lambda: left.append(mpc.solver.trajectory().x))
         for k in range(1, STUCK + 2):
             assert mpc.update(Observation(0.02 * k, START + 0.3)) is last  # none of them is used
             assert np.abs(left[-1] - last.x).max() > 0.01
             held = left[-1] if k >= STUCK else last.x
-            np.testing.assert_array_equal(mpc.solver.ws.x, held, err_msg=f"refusal {k}")
+            np.testing.assert_array_equal(mpc.solver.trajectory().x, held, err_msg=f"refusal {k}")
     fresh = mpc.update(Observation(0.02 * k + 0.02, START + 0.3))
     assert not mpc.fault and fresh is not last and mpc.statistics.failures == STUCK + 1
     refuse(mpc, monkeypatch)
     assert mpc.update(Observation(0.02 * k + 0.04, START)) is fresh  # a row anew
-    np.testing.assert_array_equal(mpc.solver.ws.x, fresh.x)
+    np.testing.assert_array_equal(mpc.solver.trajectory().x, fresh.x)
 
 
 def test_what_is_not_finite_is_never_gone_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
     mpc = make()
     last = mpc.update(Observation(0.0, START))
     bad = iter([*[False] * STUCK, True])
-    refuse(mpc, monkeypatch, lambda: mpc.solver.ws.x.fill(np.nan) if next(bad) else None)
+    spoil = lambda: monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: "planned state" if next(bad) else "")
+    refuse(mpc, monkeypatch, spoil)
     for k in range(1, STUCK + 2):
         assert mpc.update(Observation(0.02 * k, START)) is last
-    np.testing.assert_array_equal(mpc.solver.ws.x, last.x)
+    np.testing.assert_array_equal(mpc.solver.trajectory().x, last.x)
 
 
 def test_a_policy_refuses_what_is_not_finite() -> None:
@@ -367,7 +366,7 @@ def follower(align: bool = True) -> MPC:
     """1 s in 4 intervals: 3 inner nodes."""
     dynamics = ToyDynamics(1, 1, lambda x, u, w, m: u * m[0], mode=1)
     ocp = OptimalControlProblem(dynamics, 1.0, 4, align_events=align)
-    ocp.add(Cost("state", Rows(1, lambda s: s.x - 1.0), 10.0, at="all"))
+    ocp.add(Cost("state", Rows(1, lambda s: s.x - 1.0), 10.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     mpc = MPC(ocp, rate=10.0)
     mpc.reset(np.zeros(1))

@@ -11,7 +11,7 @@ import pytest
 
 from realtime_toys import ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
 from wbmpc.ocp.sets import Box
@@ -19,15 +19,16 @@ from wbmpc.runtime.clock import VirtualClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
+from wbmpc.types import Observation
 
 FASTEST, HARDEST = 0.5, 2.0
 RANGE = 2.0 * FASTEST
 
 
-def trolley(backend: str = "compiled", at: str = "all") -> OptimalControlProblem:
+def trolley(backend: str = "compiled", at: str = "path+terminal") -> OptimalControlProblem:
     """ẍ = u to the origin, |ẋ| ≤ FASTEST, |u| ≤ HARDEST."""
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     ocp.add(Constraint("force", Rows(1, lambda s: s.u), Box(-HARDEST, HARDEST), hard=True))
     ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), Box(-FASTEST, FASTEST), hard=True, at=at))  # type: ignore[arg-type]
@@ -51,27 +52,27 @@ def drive(mpc: MPC, speed: float, steps: int = 60) -> list[Policy]:
     return policies
 
 
-@pytest.mark.parametrize("at", ["path", "terminal", "all"])
+@pytest.mark.parametrize("at", ["path", "terminal", "path+terminal"])
 def test_plans_outside_are_counted_and_named(at: str) -> None:
     """1.5 m/s: the force brings it back within 0.5 s; at the end of the horizon it never was outside."""
     mpc = MPC(trolley(at=at))
     policies = drive(mpc, 1.5)
     found = np.array([outside(p.x[-2:] if at == "terminal" else p.x) for p in policies])
-    np.testing.assert_allclose([p.passed for p in policies], found, atol=1e-12)
+    np.testing.assert_allclose([p.limit_violation for p in policies], found, atol=1e-12)
     s = mpc.statistics
-    assert s.passed == (found > 0.0).sum() and s.worst_passed == found.max()
-    assert (s.passed == 0) == (at == "terminal")
-    if s.passed:
-        assert 15 <= s.passed <= 35 and found.argmax() == 10
+    assert s.limit_violations == (found > 0.0).sum() and s.worst_limit_violation == found.max()
+    assert (s.limit_violations == 0) == (at == "terminal")
+    if s.limit_violations:
+        assert 15 <= s.limit_violations <= 35 and found.argmax() == 10
         start = f"hard limit missed: speed.all[0] <= 0.5 by {RANGE * found.max():.3g} at node 1, where its slack gives way, at 0.2"
-        assert s.passed_where.startswith(start)
-        assert "speed.all[0] <= 0.5" in mpc.where_passed() or mpc.passed == 0.0
+        assert s.worst_limit_violation_message.startswith(start)
+        assert "speed.all[0] <= 0.5" in mpc.limit_violation_message() or mpc.limit_violation == 0.0
 
 
 def test_none_is_counted_where_all_are_inside() -> None:
     mpc = MPC(trolley())
     policies = drive(mpc, 0.45)
-    assert mpc.statistics.passed == 0 and all(p.passed == 0.0 for p in policies)
+    assert mpc.statistics.limit_violations == 0 and all(p.limit_violation == 0.0 for p in policies)
     assert max(np.abs(p.x[:, 1]).max() for p in policies) < FASTEST + 1e-3
 
 
@@ -82,12 +83,12 @@ def test_plans_start_where_the_robot_is(speed: float) -> None:
     for k, x in enumerate(([0.0, 0.0], [0.0, 0.0], [0.0, speed], [0.02 * speed, 0.98 * speed])):
         for s in solvers:
             s.run(np.array(x), 0.02 * k, 0.02 if k else 0.0)
-    first, twin = (s.ws for s in solvers)
+    first, twin = (s.trajectory() for s in solvers)
     assert np.abs(first.x[0] - x).max() < 0.05 * abs(speed)
     assert first.u[0, 0] * np.sign(speed) < 0.95 * -HARDEST  # it brakes
     near = 1e-9 if abs(speed) < 2.0 else 2e-3  # six times the limit: roundings grow, and differ among processors
     np.testing.assert_allclose(twin.x, first.x, atol=near)
-    np.testing.assert_allclose(solvers[1].passed, solvers[0].passed, atol=near)
+    np.testing.assert_allclose(solvers[1].limit_violation, solvers[0].limit_violation, atol=near)
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
@@ -96,7 +97,7 @@ def test_the_sentence_of_a_solve(backend: str) -> None:
     for _ in range(3):
         found = solver.solve(np.array([0.0, -1.5]))
     assert found.status is Status.ITERATION_LIMIT and found.usable
-    assert solver.passed == pytest.approx(outside(found.x), abs=1e-12) and solver.passed > 0.4
+    assert solver.limit_violation == pytest.approx(outside(found.x), abs=1e-12) and solver.limit_violation > 0.4
     assert "hard limit missed: speed.all[0] >= -0.5 by 0.9" in str(
         found
     ) and "node 1, where its slack gives way" in str(found)
@@ -115,11 +116,11 @@ def test_plans_that_start_elsewhere_are_counted() -> None:
         found.append(float((np.abs(policy.x[0] - x) / (1.0 + np.abs(x))).max()))
         x = mpc.solver.simulate(x, policy.u[0], 0.02)
     counted = np.array(found) > 1e-3
-    assert mpc.statistics.apart == counted.sum() > 0 and not counted[:10].any()
-    assert mpc.statistics.worst_apart == pytest.approx(max(found), abs=1e-12) and max(found) > 0.05
+    assert mpc.statistics.initial_state_mismatches == counted.sum() > 0 and not counted[:10].any()
+    assert mpc.statistics.worst_initial_state_mismatch == pytest.approx(max(found), abs=1e-12) and max(found) > 0.05
     whole = MPC(trolley())
     drive(whole, 1.5)
-    assert whole.statistics.apart == 0 and whole.statistics.worst_apart == 0.0
+    assert whole.statistics.initial_state_mismatches == 0 and whole.statistics.worst_initial_state_mismatch == 0.0
 
 
 def runner_of(settings: SQP | None = None) -> tuple[RealTimeRunner, list[float]]:
@@ -135,7 +136,7 @@ def runner_of(settings: SQP | None = None) -> tuple[RealTimeRunner, list[float]]
     mpc.reset(start)
     runner = RealTimeRunner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTimeSettings(), clock)
     seen: list[float] = []
-    runner.watch = lambda t, late, plans: seen.append(plans.current.passed)  # type: ignore[union-attr,func-returns-value]
+    runner.watch = lambda t, late, plans: seen.append(plans.current.limit_violation)  # type: ignore[union-attr,func-returns-value]
     return runner, seen
 
 
@@ -143,15 +144,15 @@ def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
     runner, seen = runner_of()
     report = runner.run(2.0)
-    assert not runner.stopped and 15 <= report.passed <= 40
-    assert report.worst_passed == max(seen) > 0.3
-    assert report.passed_where.startswith("hard limit missed: speed.all[0] <= 0.5 by ")
-    assert f"{report.passed} plans outside hard limits, worst " in str(report)
-    assert report.apart == 0 and "start elsewhere" not in str(report)
+    assert not runner.stopped and 15 <= report.limit_violations <= 40
+    assert report.worst_limit_violation == max(seen) > 0.3
+    assert report.worst_limit_violation_message.startswith("hard limit missed: speed.all[0] <= 0.5 by ")
+    assert f"{report.limit_violations} plans outside hard limits, worst " in str(report)
+    assert report.initial_state_mismatches == 0 and "start elsewhere" not in str(report)
 
 
 def test_the_runner_tells_of_plans_that_start_elsewhere(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
     report = runner_of(NEVER_MORE)[0].run(2.0)
-    assert report.apart >= 20 and 0.05 < report.worst_apart < 1.0
-    assert f"{report.apart} plans start elsewhere, worst by " in str(report)
+    assert report.initial_state_mismatches >= 20 and 0.05 < report.worst_initial_state_mismatch < 1.0
+    assert f"{report.initial_state_mismatches} plans start elsewhere, worst by " in str(report)

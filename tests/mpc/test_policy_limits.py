@@ -12,7 +12,7 @@ import pytest
 from realtime_toys import Force, Measured, ToyAgent, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import InputLimits
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
@@ -22,6 +22,7 @@ from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.runtime.shared_memory import Mailbox, Sizes, TimedPolicy
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint
+from wbmpc.types import Observation
 
 PERIOD, LOWER, UPPER = 1.0 / 400.0, -0.6, 0.9
 #: From here the plan is far from its bounds: at them the gains of these inputs are nearly zero.
@@ -32,7 +33,7 @@ def trolley(*more: Constraint) -> OptimalControlProblem:
     """ẍ = u0 + u1 to the origin, LOWER ≤ u0 ≤ UPPER."""
     dynamics = ToyDynamics(2, 2, lambda x, u, w, m: ca.vertcat(x[1], u[0] + u[1]))
     ocp = OptimalControlProblem(dynamics, 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all", terminal_weight=[50.0, 10.0]))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal", terminal_weight=[50.0, 10.0]))
     ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
     ocp.add(Constraint("bounds", Rows(1, lambda s: s.u[0]), Box(LOWER, UPPER), hard=True))
     for constraint in more:
@@ -103,7 +104,7 @@ def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
     policy = mpc.update(Observation(2.0, START))
     box = Mailbox(Sizes.of(mpc.ocp).policy())
     box.write(
-        observed=0.0, valid_from=0.0, ready=0.0, observation=1, passed=0.0, times=policy.times, x=policy.x, u=policy.u,
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, limit_violation=0.0, times=policy.times, x=policy.x, u=policy.u,
         gain=policy.gain, lower=mpc.limits.lower, upper=mpc.limits.upper, matrix=mpc.limits.matrix, offset=mpc.limits.offset,
         active=np.zeros((20, 0)),
     )  # fmt: skip
@@ -225,7 +226,7 @@ def test_rows_travel_with_the_policy(several: MPC) -> None:
     assert sizes.rows == 3
     box = Mailbox(sizes.policy())
     box.write(
-        observed=0.0, valid_from=0.0, ready=0.0, observation=1, passed=0.0, times=policy.times, x=policy.x, u=policy.u,
+        observed=0.0, valid_from=0.0, ready=0.0, observation=1, limit_violation=0.0, times=policy.times, x=policy.x, u=policy.u,
         gain=policy.gain, lower=several.limits.lower, upper=several.limits.upper, matrix=several.limits.matrix,
         offset=several.limits.offset, active=policy.active,
     )  # fmt: skip
@@ -264,7 +265,7 @@ def test_a_row_at_its_limit_leaves_a_pole_its_balance() -> None:
     """A base whose two drives are at the sum's limit, a pole on an input of its own, pushed: it comes back under feedback alone."""
     system = ToyDynamics(3, 3, lambda x, u, w, m: ca.vertcat(u[0] + u[1], x[2], 16.0 * x[1] + u[2]))
     ocp = OptimalControlProblem(system, 2.0, 50)
-    ocp.add(Cost("error", Rows(3, lambda s: s.x - np.array([5.0, 0.0, 0.0])), [10.0, 10.0, 1.0], at="all"))
+    ocp.add(Cost("error", Rows(3, lambda s: s.x - np.array([5.0, 0.0, 0.0])), [10.0, 10.0, 1.0], at="path+terminal"))
     ocp.add(Cost("effort", Rows(3, lambda s: s.u), 0.01))
     ocp.add(Constraint("sum", Rows(1, lambda s: s.u[0] + s.u[1]), Box(-1.0, 1.0), hard=True))
     mpc = MPC(ocp, rate=50.0)

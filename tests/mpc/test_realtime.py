@@ -22,7 +22,7 @@ from toys import Rows, ToyDynamics, rezero_solver, swerve_solver
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, sets
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.compilation import LIBRARY
-from wbmpc.solver.memory_layout import HELD_BY
+from wbmpc.solver.memory_layout import StateField
 from wbmpc.solver.receding import receding_solve
 
 SOLVES = 1000
@@ -93,15 +93,15 @@ def everything() -> OptimalControlProblem:
     row = lambda f, n=0: Rows(1, f, n)
     dynamics = ToyDynamics(2, 3, lambda x, u, w, m: ca.vertcat(x[1], ca.sum1(u)))
     ocp = OptimalControlProblem(dynamics, 1.0, 8, first_interval=0.02, align_events=True, modes=("one", "two"))
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal"))
     ocp.add(Cost("input", Rows(3, lambda s: s.u), 0.1))
     ocp.add(Constraint("bounds", Rows(3, lambda s: s.u), sets.Box(-2.0, 2.0), hard=True))
     ocp.add(Constraint("plane", row(lambda s: 2.5 - s.u[0] - s.u[1]), sets.NonNegative(), hard=True, modes=("two",)))
     ocp.add(Constraint("reach", row(lambda s: 2.1 + s.reference - s.u[2], 1), sets.NonNegative(), hard=True))
     ocp.add(Constraint("disc", row(lambda s: 6.0 - ca.sumsqr(s.u)), sets.NonNegative(), hard=True))
-    ocp.add(Constraint("speed", row(lambda s: s.x[1]), sets.Box(-0.5, 0.5), at="all", hard=True))
+    ocp.add(Constraint("speed", row(lambda s: s.x[1]), sets.Box(-0.5, 0.5), at="path+terminal", hard=True))
     ocp.add(Constraint("power", row(lambda s: s.x[1] * s.u[0]), sets.Box(-1.0, 1.0), hard=True))
-    ocp.add(Constraint("wish", row(lambda s: s.u[0] - s.u[1]), compliance=10.0))
+    ocp.add(Constraint("wish", row(lambda s: s.u[0] - s.u[1]), softness=10.0))
     ocp.add(Constraint("beyond", row(lambda s: s.u[2] - 4.0), penalty=AugmentedLagrangian(10.0), modes=("two",)))
     ocp.add(Constraint("end", row(lambda s: s.x[0] - 0.1), at="terminal"))
     return ocp
@@ -130,7 +130,7 @@ def real_time(name: str) -> tuple[Solver, Callable[[], object]]:
         return limited()
     make = rezero_solver if name == "rezero" else swerve_solver
     solver = make(n=15, **vars(SQP.real_time()))
-    x0, clock = solver.ws.x[0].copy(), [0.0]
+    x0, clock = solver.trajectory().x[0], [0.0]
 
     def solve() -> None:
         clock[0] += 0.001
@@ -146,7 +146,7 @@ def test_solves_allocate_nothing(name: str) -> None:
     assert native == 0
     assert python < 2000  # numbers that have replaced others; a leak would be 24 kB or more
     assert peak < 4096  # numbers of a call that go when it ends
-    assert np.isfinite(solver.ws.x).all()
+    assert np.isfinite(solver.trajectory().x).all()
 
 
 def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
@@ -159,9 +159,9 @@ def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
     def told(*given: Any) -> tuple[int, int]:
         code, count = run(*given)
         status.add(solver.status(code))
-        seen["passed"] += solver.passed > 0.0
-        seen["held"] += solver.ws.state[HELD_BY] >= 0.0
-        seen["fine"] += solver.passed == 0.0 and code == 1
+        seen["passed"] += solver.limit_violation > 0.0
+        seen["held"] += solver.ws.state[StateField.BLOCKING_ROW] >= 0.0
+        seen["fine"] += solver.limit_violation == 0.0 and code == 1
         return code, count
 
     solver.run = told  # type: ignore[method-assign]
@@ -238,7 +238,7 @@ def lateness(action: Callable[[], object], seconds: float) -> float:
 def test_solves_hold_no_interpreter_lock() -> None:
     """Ticks beside long solves are nearly as regular as beside a thread that sleeps; with the lock held they are not."""
     solver = swerve_solver(n=60, **vars(SQP.real_time(10)))
-    x0 = solver.ws.x[0].copy()
+    x0 = solver.trajectory().x[0]
     solver.run(x0)
     start = time.perf_counter()
     solver.run(x0)

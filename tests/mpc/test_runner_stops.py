@@ -25,9 +25,9 @@ from realtime_toys import (
     virtual,
 )
 from wbmpc.errors import RunAborted
-from wbmpc.mpc.mpc import Observation
 from wbmpc.runtime.clock import VirtualClock, follow
 from wbmpc.runtime.runner import RealTimeRunner
+from wbmpc.types import Observation
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.swerve.model import aligned_steering, wheel_velocities
 from wbmpc.bases.swerve.steering_planner import MOVING, NODES, STOP, SteeringGuess, plan_steering
+from wbmpc.model.wheels import aligned_steering, wheel_velocities
 
 MODEL = robot("swerve-ur10")
 G, RATE = MODEL.base.geometry, 3.0

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.pankert2022.fixed import SwerveFixedSettings
+from wbmpc.solver import Trajectory
+from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.types import Observation
 
 MODEL = robot("swerve-fixed-ur10")
 LIMITS, RATE = (-3.0, 3.0), 5.0
@@ -111,12 +109,12 @@ def test_a_plan_that_reverses_a_wheel_on_the_other_side_is_led_back(wheel: int, 
     u[:, MODEL.input["base"]] = twists(grid[:-1])
     sound, first = x.copy(), MODEL.state["steer"].start + wheel
     guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
-    solver: Any = SimpleNamespace(ws=SimpleNamespace(grid=grid, x=x, u=u), begins=0.0, set_reference=lambda *_: None)
-    guess(solver, 0.0, x[0].copy())
+    plan = Trajectory(0.0, grid, x, u)
+    assert guess(0.0, x[0].copy(), plan) is None
     assert np.array_equal(x, sound)  # a sound plan is left alone
     x[:, first] += side * np.pi * np.clip((grid - 2.7) / 0.6, 0.0, 1.0)
     guess = WheelFlipGuess(MODEL, lambda t, _: twists(t))
-    guess(solver, 0.0, x[0].copy())
+    assert guess(0.0, x[0].copy(), plan) is plan
     assert guess.turns == ()
     assert np.abs(x[:, first]).max() < 3.0
     late = np.flatnonzero(grid[:-1] > 3.5)
@@ -136,7 +134,7 @@ def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:
     poses = np.vstack([np.zeros(3), np.cumsum(0.5 * (twists[1:] + twists[:-1]) * t[1], axis=0)])
     preview = lambda s, _: np.stack([np.interp(s, t, twists[:, i]) for i in range(3)], axis=1)
     guess = WheelFlipGuess(MODEL, preview)
-    mpc = swerve_mpc(MODEL, MpcSettings(), SwerveFixedSettings().cost, guess, scrubbing=True)
+    mpc = swerve_mpc(MODEL, MpcSettings(), SwerveFixedSettings().cost, guess, allow_side_slip=True)
     for name, group, values in (("state", "base", poses), ("input", "base", twists)):
         layout, home = (MODEL.state, MODEL.home) if name == "state" else (MODEL.input, np.zeros(MODEL.input.size))
         table = np.tile(home, (t.size, 1))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, robot, swerve_solver
+from wbmpc.bases.ball.residuals import BallSpin
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, residuals, sets
 
 MAKERS = {
@@ -72,7 +73,7 @@ def gauss_newton(solver, place: str, stage) -> np.ndarray:  # type: ignore[no-un
     z = np.concatenate([x, u]) if place == "path" else x
     total, nx = np.zeros((z.size, z.size)), problem.nx
     for cost in solver.ocp.costs:
-        if cost.at not in (place, "all"):
+        if cost.at not in (place, "path+terminal"):
             continue
         residual = ca.Function(
             "r", [problem.x, problem.u, problem.p, problem.w], [cost.residual(problem.symbols(cost.name))]
@@ -132,6 +133,6 @@ def test_spin_of_the_ball_is_the_vertical_part_of_the_wheels_torque() -> None:
     u = ca.SX.sym("u", ball.input.size)
     empty = ca.SX(0, 1)
     symbols = residuals.Symbols(ca.SX(ball.state.size, 1), u, empty, empty, empty, empty, u)
-    spin = ca.Function("spin", [u], [residuals.BallSpin(ball)(symbols)])
+    spin = ca.Function("spin", [u], [BallSpin(ball)(symbols)])
     torque = np.array([1.0, 2.5, -0.5, 7.0, 8.0, 9.0])
     assert float(spin(torque)) == pytest.approx(0.125 / 0.064 * np.sin(np.pi / 4) * 3.0)

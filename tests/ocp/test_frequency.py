@@ -14,7 +14,7 @@ from wbmpc.model.augment import DriveLag, FrequencyShaping, InputFilter
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.filters import FilterMemory
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import (
     Constraint,
     Cost,
@@ -26,6 +26,7 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 FILTERS = [InputFilter(4.0, 30.0), InputFilter(9.0, 50.0, 2.0)]
 A = np.array([[0.0, 1.0, 0.0], [-3.0, -0.2, 1.0], [0.5, 0.0, -1.0]])
@@ -45,7 +46,7 @@ def problem(dynamics, target, rest, most: float = np.inf, intervals: int = 40) -
     """State and input against a target; the input within ``most``."""
     ocp = OptimalControlProblem(dynamics, 2.0, intervals, integrator="rk4")
     n, m = dynamics.state.size, dynamics.input.size
-    ocp.add(Cost("state", residuals.Expression(n, lambda s: s.x - ca.DM(target)), 10.0, at="all"))
+    ocp.add(Cost("state", residuals.Expression(n, lambda s: s.x - ca.DM(target)), 10.0, at="path+terminal"))
     ocp.add(Cost("effort", residuals.Expression(m, lambda s: s.u - ca.DM(rest)), 0.3))
     if np.isfinite(most):
         ocp.add(Constraint("limits", residuals.Expression(m, lambda s: s.u), sets.Box(-most, most), hard=True))
@@ -115,7 +116,7 @@ def test_no_transient_from_rest() -> None:
     aware = frequency_aware(problem(pendulum(), [angle, 0.0], [torque]), {"u": InputFilter(3.0, 25.0)})
     x, u = aware.dynamics.equilibrium(np.array([angle, 0.0]), np.array([torque]))
     solver = Solver(aware, SQP(iterations=100))
-    solver.guess(x, u)
+    solver.warm_start(x, u)
     solution = solver.solve(x)
     np.testing.assert_allclose(solution.x[:, 0], angle, atol=1e-7)
     np.testing.assert_allclose(solution.u, u[0], atol=1e-6)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, pendulum, robot, swerve_solver
+from wbmpc.bases.ball.residuals import CapturePoint
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import (
@@ -27,6 +28,7 @@ from wbmpc.ocp import (
 from wbmpc.solver import SQP, Solver
 from wbmpc.solver.reference_direction import barrier
 from wbmpc.solver.workspace import box_table
+from wbmpc.studies.minniti2019.door_residuals import PanelContact
 from wbmpc.trajectory import geometric_grid
 
 POINTS = np.array([-3.0, -0.5, -0.02, 0.0, 0.01, 0.05, 0.0999, 0.1001, 0.3, 2.0, 50.0])
@@ -141,7 +143,7 @@ def test_bad_boxes(box: sets.Box, message: str) -> None:
 def test_bad_constraints() -> None:
     for more, message in (
         ({"hard": True, "penalty": AugmentedLagrangian()}, "exclude each other"),
-        ({"compliance": -1.0}, "compliance"),
+        ({"softness": -1.0}, "softness"),
         ({"slack": 0.0}, "slack must be positive"),
     ):
         with pytest.raises(InputError, match=message):
@@ -172,10 +174,10 @@ def test_bad_constraints() -> None:
             r"axes.* 'world'\?\); valid: world, reference",
         ),
         (lambda: residuals.Limits(robot("rezero"), "inputs"), r"did you mean 'input'\?\); valid: state, input, both"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 0.0), "capture point: pole must be positive"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
-        (lambda: residuals.CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
-        (lambda: residuals.PanelContact(None, -1.0), "panel contact: rate must not be negative"),
+        (lambda: CapturePoint(robot("rezero"), 0.0), "capture point: pole must be positive"),
+        (lambda: CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
+        (lambda: CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
+        (lambda: PanelContact(None, -1.0), "panel contact: rate must not be negative"),
         (lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan), "'least' must be finite"),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
         (lambda: residuals.FrameWrench(robot("rezero"), "tool"), "loaded with contact='force' or contact='wrench'"),
@@ -188,7 +190,7 @@ def test_bad_constraints() -> None:
         (lambda: Cost("a", ROW, terminal_weight=-1.0), "terminal weight: must be finite and not negative, got -1$"),
         (lambda: Cost("a", ROW, modes="open"), "modes must be a tuple of names"),
         (lambda: Cost("a", ROW, modes=()), "at least one"),
-        (lambda: Constraint("a", ROW, compliance=np.nan), "compliance"),
+        (lambda: Constraint("a", ROW, softness=np.nan), "softness"),
         (lambda: problem(Cost("a", ROW), Cost("a", ROW)), "already there"),
         (lambda: problem(Cost("hand", ROW)).term("hnd"), r"did you mean 'hand'\?"),
         (lambda: Transcription(problem(Cost("a", Rows(3, lambda s: s.u)))).values, "its size says 3"),
@@ -327,13 +329,13 @@ def test_solver_input_is_checked() -> None:
         (lambda: s.set_schedule(ModeSchedule((Mode("a", {"n": [1.0]}),))), "unknown group 'n'"),
         (lambda: s.solve(np.array([0.0, np.nan, 0.0, 0.0])), "'x.1' is not finite"),
         (lambda: s.solve(np.zeros(3)), "4 numbers are needed"),
-        (lambda: s.guess(np.zeros(3)), "guess of x"),
-        (lambda: s.guess(np.zeros(4), np.zeros(5)), "guess of u"),
+        (lambda: s.warm_start(np.zeros(3)), "warm start, x"),
+        (lambda: s.warm_start(np.zeros(4), np.zeros(5)), "warm start, u"),
     ):
         with pytest.raises(InputError, match=message):
             call()
     s.set_weight("state", {"all": [1.0, 2.0, 3.0, 4.0]}, "terminal")
-    np.testing.assert_array_equal(s.ws.w[s.problem.constant.slices["terminal.state"]], [1, 2, 3, 4])
+    np.testing.assert_array_equal(s.constants[s.problem.constant.slices["terminal.state"]], [1, 2, 3, 4])
 
 
 def test_a_weight_changed_is_a_weight_given() -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies import REGISTRY
-from wbmpc.types import SwerveCommand
 
 
 def test_torque_rises_and_falls_within_the_delay() -> None:

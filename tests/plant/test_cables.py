@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 BALL = robot("rezero")
 
 
 def test_a_ball_on_a_cable_is_as_much_higher_as_the_cable() -> None:
-    home, torque = BALL.equilibrium(BALL.home[5:8])
+    home, torque = BALL.base.numeric.equilibrium(BALL.home[5:8])
     state = home.copy()
     state[0] = 0.1  # a cable lies there
     for height in (0.005, 0.01):
@@ -35,7 +35,7 @@ def test_a_ball_on_a_cable_is_as_much_higher_as_the_cable() -> None:
 
 
 def test_between_cables_nothing_changes() -> None:
-    home, torque = BALL.equilibrium(BALL.home[5:8])
+    home, torque = BALL.base.numeric.equilibrium(BALL.home[5:8])
     ends = []
     for height in (0.0, 0.005):
         plant = BallPlant(BALL.description, home, torque, Perturbation(cables=height), 0)

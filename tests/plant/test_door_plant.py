@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.errors import InputError
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant, ForceSensor
-from wbmpc.types import BallCommand
 
 ROBOT = robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 HAND = ROBOT.pose(HOME)[0]
 
 
@@ -60,7 +60,7 @@ def test_sticking_door_gives_way_once_and_locked_one_never() -> None:
 def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
     """At the model's equilibrium under 8 N on its hand the robot presses 8 N on a locked door; the sensor's reading is that
     force and the tip's weight; the panel feels the opposite."""
-    state, torque = ROBOT.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
+    state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
     hand = ROBOT.pose(state)[0]
     door = Door((hand[0] + 0.0395, hand[1] + 0.7), locked=True)
     ideal = Perturbation.none(drive_lag=0.0)
@@ -86,7 +86,7 @@ def computed_anew(p: DoorPlant, before: mujoco.MjData) -> np.ndarray:
 
 def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -> None:
     """Whatever is asked of the plant in between: that looks for the contacts of the next step, which have no forces yet."""
-    state, torque = ROBOT.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
+    state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
     hand = ROBOT.pose(state)[0]
     p = DoorPlant(
         ROBOT.description, Door((hand[0] + 0.0405, hand[1] + 0.7)), state, torque, Perturbation.none(drive_lag=0.0)

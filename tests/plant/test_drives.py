@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
@@ -16,12 +17,11 @@ from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
 ROBOT = load_robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def drives(n: int = 1, limit: float = 1e3, lag: float = 0.0, step: float = STEP) -> ElasticDrives:

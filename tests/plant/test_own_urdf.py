@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import SwerveCommand
 
 PLACES = {"lf": (0.4, 0.3), "rf": (0.4, -0.3), "lb": (-0.4, 0.3), "rb": (-0.4, -0.3)}
 

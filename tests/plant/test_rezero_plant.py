@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbmpc import lie
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant, body_rates, minimal_state
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.types import BallCommand
 
 ROBOT = load_robot("rezero")
-HOME, TORQUE = ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 IDEAL = Perturbation.none(drive_lag=0.0)
 
 
@@ -208,15 +208,15 @@ def test_bad_torques_are_refused(bad):
 def test_planner_and_plant_share_no_numbers() -> None:
     """Doubling the plant's masses leaves the planner's mass matrix as it was; the plant's were not the planner's before."""
     robot = load_robot("rezero")
-    home, torque = robot.equilibrium([0.0, 1.0, 0.8])
-    before = robot.mass_matrix(home[:8])
+    home, torque = robot.base.numeric.equilibrium([0.0, 1.0, 0.8])
+    before = robot.base.numeric.mass_matrix(home[:8])
     plant = BallPlant(robot.description, home, torque, seed=3)
     planned = sum(link.mass for link in robot.tree.links)
     assert abs(float(plant.model.body_mass.sum()) - planned) > 1e-3
     plant.model.body_mass[:] *= 2.0
     plant.model.body_inertia[:] *= 2.0
-    np.testing.assert_array_equal(robot.mass_matrix(home[:8]), before)
-    np.testing.assert_array_equal(load_robot("rezero").mass_matrix(home[:8]), before)
+    np.testing.assert_array_equal(robot.base.numeric.mass_matrix(home[:8]), before)
+    np.testing.assert_array_equal(load_robot("rezero").base.numeric.mass_matrix(home[:8]), before)
 
 
 def test_inertial_unit_reads_what_mujocos_own_sensors_read() -> None:

@@ -333,7 +333,7 @@ def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., An
 
 def test_the_bodys_posture_moves_no_hand() -> None:
     """Forward kinematics of the body's references is where the hand is led, at rest: on a way, at steps and when it is carried."""
-    planner, x = Planner(ROBOT, Speeds()), ROBOT.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
+    planner, x = Planner(ROBOT, Speeds()), ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
     position, turned = ROBOT.pose(x)
     goal = position + [0.3, 0.1, 0.08]
     way = planner.to_hand(x, 1.0, goal, turned)

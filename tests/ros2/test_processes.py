@@ -15,7 +15,7 @@ import pytest
 from needs import MISSING, needs_dds
 
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.pankert2022.track import SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 pytestmark = needs_dds
 if not MISSING:

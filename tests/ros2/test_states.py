@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
-from wbmpc.bases.swerve.model import rolling_inverse_kinematics
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
 
 pytestmark = needs_dds
 if not MISSING:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import RelaxedBarrier
-from wbmpc.ocp.constraint_classification import Kind, Place
+from wbmpc.ocp.constraint_classification import Kind, RowGroup
 from wbmpc.solver import Solver
 
 
@@ -31,10 +31,10 @@ def _step(solver: Solver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
     return end
 
 
-def _own_rows(place: Place, z: ca.SX, general: ca.SX, first: bool) -> tuple[list[ca.SX], list[float]]:
+def _own_rows(group: RowGroup, z: ca.SX, general: ca.SX, first: bool) -> tuple[list[ca.SX], list[float]]:
     """Hard rows h >= 0 and equality rows h = 0 at one node, with their upper bounds (infinite, 0)."""
-    values = [r.sign * z[r.place] + r.offset for r in place.boxes] + ca.vertsplit(general)
-    kept = [(v, r) for v, r in zip(values, place.rows, strict=True) if not (first and r.state_only)]
+    values = [r.sign * z[r.variable] + r.offset for r in group.boxes] + ca.vertsplit(general)
+    kept = [(v, r) for v, r in zip(values, group.rows, strict=True) if not (first and r.state_only)]
     return [v for v, _ in kept], [0.0 if r.kind == Kind.EQUAL else np.inf for _, r in kept]
 
 

@@ -32,7 +32,7 @@ def compare(solver: Solver, x0: np.ndarray, tolerance: float = 1e-6, near: bool 
     if near:
         r = np.random.default_rng(0)
         x_start, u_start = (v + 0.02 * r.normal(size=v.shape) for v in (found.x, found.u))
-    solver.guess(x_start, u_start)
+    solver.warm_start(x_start, u_start)
     x, u, cost = ipopt.solve(solver, x0)
     assert np.abs(found.x - x).max() < tolerance
     assert np.abs(found.u - u).max() < tolerance
@@ -102,10 +102,13 @@ def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     """Hand, input and joint terms only, so that both bases mean the same; rk4 makes both integrators exact enough."""
     model = robot("swerve-ur10", orientation=orientation)
     ocp = OptimalControlProblem(model.dynamics(), 1.5, n, integrator="rk4")
-    ocp.add(Cost("hand", residuals.FramePose(model, model.tool), [100.0] * 3 + [20.0] * 3, at="all"))
+    ocp.add(Cost("hand", residuals.FramePose(model, model.tool), [100.0] * 3 + [20.0] * 3, at="path+terminal"))
     ocp.add(
         Cost(
-            "joints", residuals.State(model, ["leg", "steer", "arm"]), {"leg": 1.0, "steer": 0.1, "arm": 0.5}, at="all"
+            "joints",
+            residuals.State(model, ["leg", "steer", "arm"]),
+            {"leg": 1.0, "steer": 0.1, "arm": 0.5},
+            at="path+terminal",
         )
     )
     weights = {"base": 0.5, "leg": 1.0, "steer": 0.05, "wheel": 0.001, "arm": 0.1}
@@ -113,13 +116,13 @@ def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     ocp.add(Constraint("rolling", residuals.Rolling(model)))
     ocp.add(Constraint("brakes", residuals.LockedJoints(model)))
     box = sets.Box(model.limits.input_lower, model.limits.input_upper)
-    ocp.add(Constraint("speeds", residuals.Input(model, tracked=False), box, penalty=RelaxedBarrier(1e-3, 0.02)))
+    ocp.add(Constraint("speeds", residuals.Input(model, reference=None), box, penalty=RelaxedBarrier(1e-3, 0.02)))
     solver = Solver(ocp, SQP(iterations=300))
     position, quaternion = model.pose(model.home)
     solver.set_reference("hand", Reference.poses([0.0], [position + np.array([0.4, 0.2, 0.05])], quaternion))
     parts = [model.home[model.state[g]] for g in ("leg", "steer", "arm")]
     solver.set_reference("joints", Reference.constant(np.concatenate(parts)))
-    solver.guess(model.home, np.eye(1, model.input.size).ravel() * 0.2)
+    solver.warm_start(model.home, np.eye(1, model.input.size).ravel() * 0.2)
     return solver
 
 
@@ -150,7 +153,7 @@ def test_linearised_dynamics_are_the_derivative_of_the_step(kind: str) -> None:
     x = 0.3 * r.normal(size=nx)
     if kind == "quaternion":
         x[2:7], u[:3] = [0.3, np.cos(0.4), 0.0, 0.0, np.sin(0.4)], [1.0, -0.5, 4.0]
-    solver.guess(x, u)
+    solver.warm_start(x, u)
     backward(solver.ws.memory, solver.ws.table, True)
     s, start = solver.kernel.sizes, solver.ws.table[OFFSETS + BLOCKS.index("ab")]
     ab = solver.ws.memory[start : start + nx * s.lz].reshape(nx, s.lz)

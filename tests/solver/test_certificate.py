@@ -10,9 +10,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
+from wbmpc.types import Observation
 
 SOLVERS = {"sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR()}
 START = np.array([1.0, 0.0])
@@ -27,7 +28,7 @@ def cart(*terms: Cost | Constraint, dynamics: ToyDynamics | None = None, costs: 
     model = dynamics or ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0]))
     ocp = OptimalControlProblem(model, 1.0, 20)
     if costs:
-        ocp.add(Cost("state", Rows(2, lambda s: s.x), 1.0, at="all"))
+        ocp.add(Cost("state", Rows(2, lambda s: s.x), 1.0, at="path+terminal"))
         ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     for term in terms:
         ocp.add(term)
@@ -65,7 +66,7 @@ def test_what_cannot_be_moved_cannot_get_there() -> None:
 def test_a_limit_with_a_slack_is_never_infeasible(iterations: int, status: Status) -> None:
     """A trolley at twice its hard speed limit: with an L1 slack there is always a solution, however long it takes."""
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, 200)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x - ca.DM([1.0, 0.0])), [10.0, 1.0], at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x - ca.DM([1.0, 0.0])), [10.0, 1.0], at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-2.0, 2.0), hard=True))
     ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), sets.Box(-1.0, 1.0), hard=True))
@@ -76,7 +77,7 @@ def test_a_limit_with_a_slack_is_never_infeasible(iterations: int, status: Statu
 
 @pytest.mark.parametrize("algorithm", SOLVERS)
 def test_a_state_limit_that_gives_way_is_named(algorithm: str) -> None:
-    held = Constraint("held", Rows(1, lambda s: s.x[0]), sets.Box(-0.5, 0.5), at="all", hard=True)
+    held = Constraint("held", Rows(1, lambda s: s.x[0]), sets.Box(-0.5, 0.5), at="path+terminal", hard=True)
     found = solve(cart(WITHIN, held), SOLVERS[algorithm], np.array([2.0, 0.0]))
     assert found.status is Status.RELAXED
     assert "held.all[0] by 1.5 at node 1" in str(found)
@@ -131,7 +132,7 @@ def test_a_cost_without_a_lower_bound_ends() -> None:
         gradient = staticmethod(lambda r: -r)
         curvature = staticmethod(lambda r: ca.SX.ones(r.shape))
 
-    ocp = cart(Cost("away", Rows(1, lambda s: s.x[0]), 100.0, norm=Concave(), at="all"))
+    ocp = cart(Cost("away", Rows(1, lambda s: s.x[0]), 100.0, norm=Concave(), at="path+terminal"))
     for settings in (SQP(iterations=500), ILQR(iterations=500)):
         found = solve(ocp, settings)
         assert found.status is Status.DIVERGED, found
@@ -165,10 +166,10 @@ def test_a_first_solve_of_an_mpc_that_fails_says_why() -> None:
 
 def test_a_guess_beyond_all_numbers_is_told_and_the_next_one_solves() -> None:
     solver = Solver(cart(), SQP())
-    solver.guess(np.full((21, 2), 1e300))
+    solver.warm_start(np.full((21, 2), 1e300))
     assert solver.solve(START).status is Status.NOT_FINITE
-    solver.guess(np.zeros(2))
-    solver.forget()
+    solver.warm_start(np.zeros(2))
+    solver.reset()
     assert solver.solve(START).status is Status.CONVERGED
 
 

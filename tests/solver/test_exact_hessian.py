@@ -12,7 +12,7 @@ from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.inequalities import start_rows
-from wbmpc.solver.memory_layout import MU, STATE, THETA, H
+from wbmpc.solver.memory_layout import STATE, H, StateField
 from wbmpc.solver.riccati import backward
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
@@ -21,7 +21,7 @@ START = np.array([0.2, 0.5, 0.3, -0.4])
 def hessians(solver: Solver) -> list[np.ndarray]:
     """[x; u] blocks of all nodes at the present iterate, from the solver's memory."""
     m, o, s = solver.ws.memory, solver.ws.table, solver.kernel.sizes
-    m[o[STATE] + MU], m[o[STATE] + THETA] = 0.1, 1.0
+    m[o[STATE] + StateField.BARRIER], m[o[STATE] + StateField.SECOND_ORDER_SHARE] = 0.1, 1.0
     start_rows(m, o, 0.01, False, False)
     backward(m, o, True)
     keep = [i for i in range(s.nz) if i != s.nx]
@@ -42,9 +42,9 @@ def test_it_is_the_hessian_of_the_lagrangian() -> None:
     solver = Solver(base.ocp, SQP(hessian="exact"), use_cache=False)
     solver.set_reference("state", base.references["state"])
     x, u = 0.5 * rng.normal(size=(6, 4)), rng.normal(size=(5, 2))
-    solver.guess(x, u)
+    solver.warm_start(x, u)
     solver.run(START)  # samples the references; the iterate is put back
-    solver.guess(x, u)
+    solver.warm_start(x, u)
     blocks = hessians(solver)
     t, p, w = solver.problem, solver.ws.p, solver.ws.w
     s, z, lam, nu = t.x, t.z, ca.SX.sym("l", 4), ca.SX.sym("n", 1)
@@ -73,7 +73,10 @@ def curved(hessian: str) -> Solver:
     ocp = OptimalControlProblem(dynamics, 1.0, 8)
     ocp.add(
         Cost(
-            "far", Rows(2, lambda s: ca.vertcat(s.x[0] ** 2 + s.x[1] - 2.0, ca.exp(0.5 * s.x[1]) - 3.0)), 5.0, at="all"
+            "far",
+            Rows(2, lambda s: ca.vertcat(s.x[0] ** 2 + s.x[1] - 2.0, ca.exp(0.5 * s.x[1]) - 3.0)),
+            5.0,
+            at="path+terminal",
         )
     )
     ocp.add(Cost("u", Rows(1, lambda s: s.u), 0.1))
@@ -95,7 +98,7 @@ def test_same_optimum_with_curved_rows_and_no_more_iterations() -> None:
 
 
 def curved_at(solver: Solver, x0: np.ndarray) -> Solver:
-    solver.guess(x0)
+    solver.warm_start(x0)
     return solver
 
 
@@ -123,7 +126,7 @@ def test_robot_and_hard_rows(algorithm: type[SQP]) -> None:
     exact = Solver(plain.ocp, SQP(iterations=200, hessian="exact"))
     for name, reference in plain.references.items():
         exact.set_reference(name, reference)
-    exact.guess(plain.ws.x, plain.ws.u)
+    exact.warm_start(plain.ws.x, plain.ws.u)
     np.testing.assert_allclose(exact.solve(model.home).u, plain.solve(model.home).u, atol=1e-5)
 
 
@@ -139,7 +142,7 @@ def test_what_it_does_not_go_with() -> None:
 def double_well() -> OptimalControlProblem:
     """ẋ = u, cost (x² − 1)² / 2 + 0.005 u²: from 0, staying there is stationary, and either well is better."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 4.0, 40)
-    ocp.add(Cost("well", Rows(1, lambda s: s.x**2 - 1.0), 1.0, at="all"))
+    ocp.add(Cost("well", Rows(1, lambda s: s.x**2 - 1.0), 1.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.01))
     ocp.add(Constraint("speed", Rows(1, lambda s: s.u), sets.Box(-5.0, 5.0), hard=True))
     return ocp
@@ -148,7 +151,7 @@ def double_well() -> OptimalControlProblem:
 def test_a_saddle_is_told() -> None:
     """Truth: the cost of a motion into a well, which is lower."""
     solver = Solver(double_well(), SQP(hessian="exact"))
-    solver.guess(np.zeros(1))
+    solver.warm_start(np.zeros(1))
     saddle = solver.solve(np.zeros(1))
     assert saddle.status is Status.CONVERGED and np.abs(saddle.x).max() < 1e-9
     assert saddle.detail == (
@@ -158,7 +161,7 @@ def test_a_saddle_is_told() -> None:
     gains = saddle.gain
     np.testing.assert_array_equal(solver.ws.k[:, :, :1], gains)  # looking has changed nothing
     ramp = np.minimum(solver.ocp.grid, 1.0)
-    solver.guess(ramp[:, None], np.where(solver.ocp.grid[:-1] < 1.0, 1.0, 0.0)[:, None])
+    solver.warm_start(ramp[:, None], np.where(solver.ocp.grid[:-1] < 1.0, 1.0, 0.0)[:, None])
     well = solver.solve(np.zeros(1))
     assert well.status is Status.CONVERGED and well.detail == "" and well.cost < 0.5 * saddle.cost
     assert abs(well.x[-1, 0]) == pytest.approx(1.0, abs=1e-2)

@@ -23,7 +23,7 @@ def double_integrator(*constraints: Constraint, n: int = 20, horizon: float = 2.
     """Position and speed, force as input; the cost pulls to the origin."""
     dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0]))
     ocp = OptimalControlProblem(dynamics, horizon, n)
-    ocp.add(Cost("x", Rows(2, lambda s: s.x), [10, 1], at="all", terminal_weight=[100, 10]))
+    ocp.add(Cost("x", Rows(2, lambda s: s.x), [10, 1], at="path+terminal", terminal_weight=[100, 10]))
     ocp.add(Cost("u", Rows(1, lambda s: s.u), 0.1))
     for c in constraints:
         ocp.add(c)
@@ -59,7 +59,7 @@ def quadratic_program(solver: Solver, x0: np.ndarray) -> tuple[np.ndarray, np.nd
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_double_integrator_against_osqp(backend: str) -> None:
-    ocp = double_integrator(box("force", "u", 1.0), box("speed", "x", 0.6, at="all"))
+    ocp = double_integrator(box("force", "u", 1.0), box("speed", "x", 0.6, at="path+terminal"))
     solver = Solver(ocp, SQP(backend=backend), use_cache=False)
     found = solver.solve(np.array([1.0, 0.2]))
     x, u = quadratic_program(solver, np.array([1.0, 0.2]))
@@ -99,7 +99,7 @@ def test_nonlinear_problem_against_ipopt(algorithm: type[SQP], line_search: str)
     solver = hardened_pendulum(algorithm(iterations=300, line_search=line_search))
     found = solver.solve(START)
     assert found.status is Status.CONVERGED, found
-    solver.guess(START)
+    solver.warm_start(START)
     x, u, cost = ipopt.solve(solver, START)
     np.testing.assert_allclose(found.x, x, atol=1e-6)
     np.testing.assert_allclose(found.u, u, atol=1e-5)
@@ -261,7 +261,7 @@ def test_dense_terminal_equality_of_a_nonlinear_problem() -> None:
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_state_equality_along_the_path(backend: str) -> None:
-    line = Constraint("line", Rows(1, lambda s: s.x[0] + s.x[1] - 1.5), at="all")
+    line = Constraint("line", Rows(1, lambda s: s.x[0] + s.x[1] - 1.5), at="path+terminal")
     solver = Solver(double_integrator(line), SQP(backend=backend), use_cache=False)
     found = solver.solve(np.array([1.0, 0.5]))
     assert found.status is Status.CONVERGED, found
@@ -303,7 +303,7 @@ def test_equalities_hold_beside_saturated_inputs() -> None:
         a, b = rng.normal(size=(nx, nx)), rng.normal(size=(nx, nu))
         dynamics = ToyDynamics(nx, nu, lambda x, u, w, m, a=a, b=b: ca.DM(a) @ x + ca.DM(b) @ u)
         ocp = OptimalControlProblem(dynamics, 1.0, 4)
-        ocp.add(Cost("x", Rows(nx, lambda s: s.x), at="all"))
+        ocp.add(Cost("x", Rows(nx, lambda s: s.x), at="path+terminal"))
         ocp.add(Cost("u", Rows(nu, lambda s: s.u), list(curvature)))
         ocp.add(Constraint("rows", Rows(ng, lambda s, c=c, d=d, e=e: ca.DM(c) @ s.x + ca.DM(d) @ s.u + ca.DM(e))))
         solver = Solver(ocp, SQP(iterations=1, compute_kkt=False, accept_min_step=True), use_cache=False)
@@ -315,14 +315,14 @@ def test_equalities_hold_beside_saturated_inputs() -> None:
 def test_bad_settings() -> None:
     for make, message in (
         (lambda: InteriorPoint("fast"), "interior point mode"),  # type: ignore[arg-type]
-        (lambda: InteriorPoint(mu=0.0), "mu must be positive"),
-        (lambda: InteriorPoint(tau=1.0), "tau"),
+        (lambda: InteriorPoint(barrier=0.0), "barrier must be positive"),
+        (lambda: InteriorPoint(fraction_to_boundary=1.0), "fraction_to_boundary"),
         (lambda: SQP(line_search="none"), "line search"),  # type: ignore[arg-type]
         (lambda: SLQ(step=0.0), "step must be positive"),
         (lambda: ILQR(iterations=0), "ILQR: iterations"),
         (lambda: SQP(tolerance=0.0), "tolerance"),
         (lambda: SQP(tolerance=np.inf), "tolerance must be positive and finite"),
-        (lambda: InteriorPoint(mu=np.inf), "mu must be positive and finite"),
+        (lambda: InteriorPoint(barrier=np.inf), "barrier must be positive and finite"),
     ):
         with pytest.raises(InputError, match=message):
             make()
@@ -337,7 +337,7 @@ def test_a_start_far_outside_a_limit_with_many_nodes(n: int, speed: float, slack
     From a guess that is inside this took up to 439 iterations, beyond the default.
     """
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 1.0, n)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-1.0, 1.0), hard=True))
     ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), sets.Box(-0.5, 0.5), hard=True, slack=slack))
@@ -361,16 +361,16 @@ def test_a_limit_of_a_few_micrometres_that_gives_way_is_told() -> None:
     """A box of ±3 µm, entered at 9 µm/s with a drive of 3 µm/s²: whatever it does, it stops 13.5 µm further."""
     unit = 3e-6
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 2.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x / unit), at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x / unit), at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u / unit), 0.1))
-    ocp.add(Constraint("place", Rows(1, lambda s: s.x[:1]), sets.Box(-unit, unit), hard=True, at="all"))
+    ocp.add(Constraint("place", Rows(1, lambda s: s.x[:1]), sets.Box(-unit, unit), hard=True, at="path+terminal"))
     ocp.add(Constraint("force", Rows(1, lambda s: s.u), sets.Box(-unit, unit), hard=True))
     found = Solver(ocp).solve(np.array([0.0, 3.0 * unit]))
     assert found.violations["place"].value > unit
     assert found.status is Status.RELAXED and "place" in found.detail
 
 
-@pytest.mark.parametrize("at", ["path", "all"])
+@pytest.mark.parametrize("at", ["path", "path+terminal"])
 def test_a_constraint_without_rows_changes_nothing(at: str) -> None:
     nothing = Constraint("nothing", Rows(0, lambda s: ca.SX(0, 1)), sets.NonNegative(), hard=True, at=at)  # type: ignore[arg-type]
     with_it, without = (

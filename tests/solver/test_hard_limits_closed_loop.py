@@ -77,13 +77,13 @@ def ball_robot(variant: str) -> Excess:
     settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=0.3)
     settings, sqp = settings_for(variant, settings)
     solver = Solver(rezero_problem(model, settings, RezeroCost()), sqp)
-    home, torque = model.equilibrium(model.home[model.state["arm"]])
+    home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(torque))
     solver.set_reference("hand", Reference.poses([0.0], [position], quaternion))
-    solver.guess(home, torque)
+    solver.warm_start(home, torque)
     speed, arm = model.state["base_velocity"], model.state["arm_velocity"]
 
     def push(t: float, x: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ def swerve_robot(variant: str) -> Excess:
             states[:, leg] -= np.sign(model.home[leg]) * 0.35 * np.clip(t - start, 0.0, end - start)
     solver.set_reference("state", Reference(t, states))
     solver.set_reference("input", Reference.constant(np.zeros(model.input.size)))
-    solver.guess(model.home)
+    solver.warm_start(model.home)
 
     def push(t: float, x: np.ndarray) -> np.ndarray:
         jump = {20: 1.0, 70: -1.0}.get(round(t / 0.02), 0.0)

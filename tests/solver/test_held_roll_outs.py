@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
+from wbmpc.types import Observation
 
 LIMIT, RANGE = 4.0, 8.0
 TOLERANCE = 1e-3 * RANGE
@@ -22,7 +23,7 @@ def swing_up(*limits: Constraint, n: int = 30) -> OptimalControlProblem:
     """A pendulum, hanging at 0, to be turned up by a motor that is too weak to lift it directly."""
     dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], -9.81 * ca.sin(x[0]) + u[0]))
     ocp = OptimalControlProblem(dynamics, 2.0, n)
-    ocp.add(Cost("up", Rows(2, lambda s: s.x - ca.DM([np.pi, 0.0])), [5.0, 0.5], at="all"))
+    ocp.add(Cost("up", Rows(2, lambda s: s.x - ca.DM([np.pi, 0.0])), [5.0, 0.5], at="path+terminal"))
     ocp.add(Cost("motor", Rows(1, lambda s: s.u), 0.05))
     for limit in limits:
         ocp.add(limit)
@@ -66,7 +67,7 @@ def test_a_row_of_two_inputs_is_held_too() -> None:
     """|u₁ + u₂| ≤ 4 is no bound of a variable."""
     dynamics = ToyDynamics(2, 2, lambda x, u, w, m: ca.vertcat(x[1], -9.81 * ca.sin(x[0]) + u[0] + 2 * u[1]))
     ocp = OptimalControlProblem(dynamics, 2.0, 30)
-    ocp.add(Cost("up", Rows(2, lambda s: s.x - ca.DM([np.pi, 0.0])), [5.0, 0.5], at="all"))
+    ocp.add(Cost("up", Rows(2, lambda s: s.x - ca.DM([np.pi, 0.0])), [5.0, 0.5], at="path+terminal"))
     ocp.add(Cost("motors", Rows(2, lambda s: s.u), 0.05))
     ocp.add(Constraint("sum", Rows(1, lambda s: s.u[0] + s.u[1]), sets.Box(-LIMIT, LIMIT), hard=True))
     solver, rng = Solver(ocp, ILQR.real_time()), np.random.default_rng(1)

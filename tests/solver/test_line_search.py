@@ -28,7 +28,7 @@ def solve(residual: Callable[[ca.SX], ca.SX], start: float, chosen: SQP, row: Co
     if row is not None:
         ocp.add(row)
     solver = Solver(ocp, chosen)
-    solver.guess(np.array([[0.0], [start]]), np.array([[start]]))
+    solver.warm_start(np.array([[0.0], [start]]), np.array([[start]]))
     return solver.solve(np.zeros(1))
 
 
@@ -81,14 +81,14 @@ def test_forced_steps_that_overshoot_become_shorter(backend: str) -> None:
     """Full steps go from u to −3u; what is left after two of them tells that a quarter is right."""
     forced = SQP.real_time(12, min_step=1.0, backend=backend)
     solver = Solver(overshooting(), forced)
-    solver.guess(np.zeros((2, 1)), np.array([[1e-3]]))
+    solver.warm_start(np.zeros((2, 1)), np.array([[1e-3]]))
     found = solver.solve(np.zeros(1))
     np.testing.assert_allclose(found.log[:2, 3], [4e-3, 12e-3], rtol=1e-3)
     np.testing.assert_allclose(found.log[1:3, 4], 0.25, rtol=1e-3)
     assert abs(found.u[0, 0]) < 1e-9
-    solver.guess(np.zeros((2, 1)), np.array([[1e-3]]))
+    solver.warm_start(np.zeros((2, 1)), np.array([[1e-3]]))
     assert solver.solve(np.zeros(1)).log[0, 4] < 0.3  # the next solve starts from what this one found
-    solver.forget()
+    solver.reset()
     assert solver.solve(np.zeros(1)).log[0, 4] == 1.0
 
 

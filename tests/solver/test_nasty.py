@@ -52,7 +52,7 @@ def cart(
 ) -> OptimalControlProblem:
     """ẍ = u to the origin within 1 s; ``scale`` of the costs."""
     ocp = OptimalControlProblem(dynamics or ToyDynamics(2, 1, INTEGRATOR), 1.0, intervals)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), scale, at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), scale, at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1 * scale))
     for term in terms:
         ocp.add(term)
@@ -80,7 +80,7 @@ def test_the_unit_of_the_costs_does_not_matter(algorithm: str, scale: float) -> 
     [
         (AT_LEAST, lambda s: s.u + 0.5, {"hard": True}),
         (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {}),
-        (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {"compliance": 1e-2}),
+        (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {"softness": 1e-2}),
         (ZERO, lambda s: s.x[0] - 0.3, {"at": "terminal"}),
         (AT_LEAST, lambda s: s.u + 0.5, {"penalty": 1e2}),
         (ZERO, lambda s: s.u + 0.5 + 0.1 * s.x[1], {"penalty": 1e2}),
@@ -89,8 +89,8 @@ def test_the_unit_of_the_costs_does_not_matter(algorithm: str, scale: float) -> 
 )
 def test_the_unit_of_a_row_does_not_matter(algorithm: str, scale: float, inside: sets.Set, f, more) -> None:  # type: ignore[no-untyped-def]
     given = dict(more)
-    if "compliance" in given:  # residual = compliance · multiplier: the unit squared
-        given["compliance"] = given["compliance"] * scale**2
+    if "softness" in given:  # residual = softness · multiplier: the unit squared
+        given["softness"] = given["softness"] * scale**2
     if "penalty" in given:  # ρ is per squared unit
         given["penalty"] = AugmentedLagrangian(given["penalty"] / scale**2)
         more = {"penalty": AugmentedLagrangian(more["penalty"])}
@@ -124,13 +124,13 @@ def test_a_row_that_is_small_here_and_large_there_is_doubted() -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-@pytest.mark.parametrize("compliance", [1e-6, 1e-2])
-def test_a_soft_equality_converges_to_its_own_optimum(backend: str, compliance: float) -> None:
-    """r = u + 1/2 with compliance c: the same as a cost of (1/c) r² / 2 per interval (docs/explanation/solver.md)."""
-    soft = solve(cart(row("soft", lambda s: s.u + 0.5, ZERO, compliance=compliance)), SQP(backend=backend))  # type: ignore[arg-type]
-    want = solve(cart(cost("soft", lambda s: s.u + 0.5, 20.0 / compliance)), SQP())
+@pytest.mark.parametrize("softness", [1e-6, 1e-2])
+def test_a_soft_equality_converges_to_its_own_optimum(backend: str, softness: float) -> None:
+    """r = u + 1/2 with softness c: the same as a cost of (1/c) r² / 2 per interval (docs/explanation/solver.md)."""
+    soft = solve(cart(row("soft", lambda s: s.u + 0.5, ZERO, softness=softness)), SQP(backend=backend))  # type: ignore[arg-type]
+    want = solve(cart(cost("soft", lambda s: s.u + 0.5, 20.0 / softness)), SQP())
     assert soft.status is want.status is Status.CONVERGED and soft.detail == ""
-    assert soft.violations["soft"].value > 0.01 * compliance
+    assert soft.violations["soft"].value > 0.01 * softness
     np.testing.assert_allclose(soft.u, want.u, atol=1e-8)
 
 
@@ -142,7 +142,9 @@ def test_limits_do_not_push_where_costs_are_in_a_tiny_unit(backend: str, scale: 
     found = solve(cart(limit, scale=scale), SQP(backend=backend))  # type: ignore[arg-type]
     assert found.status is Status.CONVERGED
     np.testing.assert_allclose(found.u, solve(cart(limit), SQP()).u, atol=2e-3)
-    chosen = solve(cart(limit, scale=scale), SQP(interior_point=InteriorPoint(mu=1e-9)))  # what is asked for is done
+    chosen = solve(
+        cart(limit, scale=scale), SQP(interior_point=InteriorPoint(barrier=1e-9))
+    )  # what is asked for is done
     assert (np.abs(chosen.u - found.u).max() > 0.1) == (scale < 1e-6)
 
 
@@ -152,7 +154,7 @@ def test_an_input_that_only_a_barrier_looks_at_diverges_by_name(algorithm: str) 
     """−μ ln u has no least value; its gradient is below 1e-8 from u = 7e4 on."""
     two = ToyDynamics(2, 2, INTEGRATOR)
     ocp = OptimalControlProblem(two, 1.0, 20)
-    ocp.add(Cost("state", Rows(2, lambda s: s.x), 1.0, at="all"))
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), 1.0, at="path+terminal"))
     ocp.add(cost("input", lambda s: s.u[0], 0.1))
     ocp.add(row("positive", lambda s: s.u[1]))
     found = solve(ocp, SOLVERS[algorithm])
@@ -204,11 +206,11 @@ def test_contradictions_of_multipliers_are_named(algorithm: str, terms: tuple[Co
 
 
 WISH = row("wish", lambda s: s.x[0] - 100, penalty=RelaxedBarrier(1e-3, 1e-2))
-SOFT = row("soft", lambda s: s.u - 100, ZERO, compliance=1e3)
+SOFT = row("soft", lambda s: s.u - 100, ZERO, softness=1e3)
 
 
 @everywhere
-@pytest.mark.parametrize("wish", [WISH, SOFT], ids=["barrier", "compliance"])
+@pytest.mark.parametrize("wish", [WISH, SOFT], ids=["barrier", "softness"])
 @pytest.mark.parametrize(
     ("terms", "named"),
     [
@@ -237,9 +239,9 @@ def test_wishes_are_never_the_culprit(
     "term",
     [
         row("kink", lambda s: ca.fabs(s.x[0]) * ca.sign(s.x[1] - 0.3) - 100, penalty=RelaxedBarrier(1.0, 1e-2)),
-        row("soft", lambda s: s.u - 100 + ca.sin(3 * s.x[0]), ZERO, compliance=1e3),
+        row("soft", lambda s: s.u - 100 + ca.sin(3 * s.x[0]), ZERO, softness=1e3),
     ],
-    ids=["barrier", "compliance"],
+    ids=["barrier", "softness"],
 )
 def test_a_problem_of_wishes_alone_is_feasible(algorithm: str, backend: str, term: Constraint) -> None:
     """Whatever becomes of the iteration: every motion of the model meets what must hold. The twin, which is slow, has fewer nodes

@@ -28,7 +28,7 @@ class Step:
 
 def one_step(lq: LinearQuadratic, backend: str = "compiled") -> Step:
     solver = Solver(lq.problem(), SQP(iterations=1, compute_kkt=False, backend=backend), use_cache=False)
-    solver.guess(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
+    solver.warm_start(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
     nx = lq.nx
     if backend == "interpreted":
         found = solver.twin.iterate(lq.x0)
@@ -48,7 +48,7 @@ def check_against_kkt(lq: LinearQuadratic, step: Step, tolerance: float = 1e-7) 
     assert np.abs(step.gain - gain).max() < 10 * tolerance * scale
 
 
-# the same examples every time: how exact the compliance lets it be depends on the numbers drawn
+# the same examples every time: how exact the softness lets it be depends on the numbers drawn
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(1, 9), st.integers(1, 9), st.data())
 def test_against_dense_kkt(nx: int, nu: int, data: st.DataObject) -> None:
@@ -120,9 +120,9 @@ def test_dependent_consistent_rows(backend: str, repeat: int) -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_compliance(backend: str) -> None:
-    """A soft row may be compliance times its multiplier: −c I in the KKT matrix."""
-    lq = LinearQuadratic(4, 3, 2, seed=5, compliance=0.3)
+def test_softness(backend: str) -> None:
+    """A soft row may be softness times its multiplier: −c I in the KKT matrix."""
+    lq = LinearQuadratic(4, 3, 2, seed=5, softness=0.3)
     check_against_kkt(lq, one_step(lq, backend))
     rigid = LinearQuadratic(4, 3, 2, seed=5)
     assert np.abs(lq.kkt(lq.x0)[1] - rigid.kkt(lq.x0)[1]).max() > 1e-3

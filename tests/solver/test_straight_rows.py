@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.types import Observation
 
 #: What an input may be outside [range of the row].
 SHARE, PLANES = 1e-3, 6
@@ -22,7 +23,7 @@ def planes(seed: int) -> tuple[OptimalControlProblem, np.ndarray]:
     b = r.normal(size=(4, 3))
     f = lambda x, u, w, m: ca.DM(a) @ x + ca.DM(b) @ u + 0.3 * x * u[0]
     ocp = OptimalControlProblem(ToyDynamics(4, 3, f, parameters=PLANES), 1.0, 12)
-    ocp.add(Cost("x", Rows(4, lambda s: s.x), 10.0, at="all"))
+    ocp.add(Cost("x", Rows(4, lambda s: s.x), 10.0, at="path+terminal"))
     ocp.add(Cost("u", Rows(3, lambda s: s.u), 0.01))
     rows = Rows(PLANES, lambda s: s.parameters - ca.DM(slopes) @ s.u)
     ocp.add(Constraint("planes", rows, sets.NonNegative(), hard=True))

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.receding import align
 from wbmpc.solver.riccati import backward
+from wbmpc.types import Observation
 
 
 class Ball(ToyDynamics):
@@ -34,7 +35,7 @@ UP, DOWN = Mode("up", {"m": [1.0]}), Mode("down")
 
 def ball(align_events: bool = True, n: int = 10, solver: SQP | None = None) -> Solver:
     ocp = OptimalControlProblem(Ball(), 1.0, n, align_events=align_events)
-    ocp.add(Cost("height", Rows(2, lambda s: s.x - s.reference, 2), [20.0, 1.0], at="all"))
+    ocp.add(Cost("height", Rows(2, lambda s: s.x - s.reference, 2), [20.0, 1.0], at="path+terminal"))
     ocp.add(Cost("thrust", Rows(1, lambda s: s.u), 0.01))
     made = Solver(ocp, solver or SQP(iterations=100), use_cache=False)
     made.set_reference("height", Reference.constant([1.0, 0.0]))
@@ -121,7 +122,7 @@ def test_sensitivity_through_a_jump_is_the_derivative() -> None:
     rng = np.random.default_rng(0)
     solver.run(np.array([1.0, 0.0]))
     k = int(np.argmin(np.abs(solver.ws.grid - 0.437))) - 1
-    solver.guess(rng.normal(size=(11, 2)), rng.normal(size=(10, 1)))
+    solver.warm_start(rng.normal(size=(11, 2)), rng.normal(size=(10, 1)))
     s = solver.kernel.sizes
 
     def block() -> np.ndarray:

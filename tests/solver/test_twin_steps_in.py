@@ -11,9 +11,10 @@ import pytest
 
 from toys import Rows, ToyDynamics
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status, solver
+from wbmpc.types import Observation
 
 KNOTS = np.linspace(-3.0, 3.0, 13)
 PARABOLA = ca.interpolant("parabola", "bspline", [KNOTS], KNOTS**2)
@@ -24,7 +25,7 @@ def cart(drag=lambda v: v**2, *more: Cost | Constraint, curve=lambda x: x**2, **
     """ẍ = u − drag, with a cost of ``curve`` of the place."""
     model = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0] - 0.1 * drag(x[1])))
     ocp = OptimalControlProblem(model, 1.0, 8, **grid)  # type: ignore[arg-type]
-    ocp.add(Cost("curve", Rows(1, lambda s: curve(s.x[0])), 2.0, at="all"))
+    ocp.add(Cost("curve", Rows(1, lambda s: curve(s.x[0])), 2.0, at="path+terminal"))
     ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
     for term in more:
         ocp.add(term)

@@ -11,8 +11,8 @@ import pytest
 
 from toys import robot
 from wbmpc.cli import main
+from wbmpc.registry import REGISTRY
 from wbmpc.stability import assess, slope_gravity
-from wbmpc.studies import REGISTRY
 
 SWERVE = robot("swerve-ur10")
 
@@ -71,7 +71,7 @@ def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     ("arguments", "words"),
     [
         (["nobody"], "unknown robot"),
-        (["rezero"], "swerve base"),
+        (["rezero"], "stands on 3 feet or more"),
         (["swerve-ur10", "--configuration", "Z"], "unknown configuration"),
         (["swerve-ur10", "--configuration", "1,2"], "4 angles"),
         (["swerve-ur10", "--wrench", "1,2"], "3 or 6"),

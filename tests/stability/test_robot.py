@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.augment import InputRate
@@ -27,7 +28,6 @@ from wbmpc.stability import (
     support_triangles,
     zero_moment_point,
 )
-from wbmpc.types import SwerveCommand
 
 SWERVE = robot("swerve-ur10")
 STANCE = StanceOf(SWERVE)
@@ -51,7 +51,7 @@ def floating(model: RobotModel, x: np.ndarray) -> tuple[mujoco.MjModel, mujoco.M
     d = mujoco.MjData(m)
     yaw = x[model.state["base"]][2]
     d.qpos[3:7] = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
-    d.qpos[2] = model.base.height
+    d.qpos[2] = model.base.body_height
     for group in ("leg", "steer", "wheel", "arm"):
         for name, value in zip(model.state.groups.get(group, ()), x[model.state[group]], strict=True):
             d.qpos[m.joint(name).qposadr[0]] = value
@@ -239,7 +239,7 @@ def test_residual_with_accelerations_has_the_inertia_of_the_arm() -> None:
 
 # ---------------------------------------------------------------------- bad input
 def test_bad_input_is_one_sentence() -> None:
-    with pytest.raises(InputError, match="swerve base"):
+    with pytest.raises(InputError, match="stands on 3 feet or more"):
         assess(robot("rezero"))
     with pytest.raises(InputError, match="unknown configuration 'Y'"):
         leg_angles(SWERVE, "Y")

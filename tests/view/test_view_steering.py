@@ -15,7 +15,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep
 from wbmpc.view.session import _ball, _swerve
-from wbmpc.view.steering import Steering, no_orders
+from wbmpc.view.steering import MOST_WEIGHTS, Steering, no_orders
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
@@ -214,12 +214,12 @@ def test_weights_act_without_compiling() -> None:
     assert firm.mpc.solver.kernel is not None
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
     assert far[1] > 1.5 * far[0]
-    again = soft.mpc.solver.ws.w.copy()
+    again = soft.mpc.solver.constants.copy()
     steering = Steering(soft, np.zeros(3))
     steering._weights = factors
     steering.apply(0.0, no_orders(), NOWHERE)
-    assert not np.array_equal(soft.mpc.solver.ws.w, again)
-    np.testing.assert_array_equal(soft.mpc.solver.ws.w, firm.mpc.solver.ws.w)
+    assert not np.array_equal(soft.mpc.solver.constants, again)
+    np.testing.assert_array_equal(soft.mpc.solver.constants, firm.mpc.solver.constants)
 
 
 def test_orders_before_a_run_are_not_for_it() -> None:
@@ -230,3 +230,31 @@ def test_orders_before_a_run_are_not_for_it() -> None:
     steering.apply(0.0, orders, NOWHERE)
     assert not running.plant.data.xfrc_applied.any()
     assert not steering.has_legs
+
+
+@pytest.mark.parametrize(("make", "name"), [(_swerve, "swerve-ur10"), (_ball, "rezero")])
+def test_orders_that_cannot_be_done_change_nothing(make: Any, name: str) -> None:
+    """Not finite, no quaternion, far away: the references stay, the reason is given, and the loop goes on to its end."""
+    running = drive(make, name, 0.01, [])
+    rejected: list[str] = []
+    steering = Steering(running, np.zeros(3), rejected.append)
+    position, turn = running.agent.robot.pose(running.agent.robot.home)
+    before = running.mpc.reference["hand"]
+    bad: list[dict[str, Any]] = [
+        {"goals": 1, "goal": [np.nan, *position[1:], *turn]}, {"goals": 2, "goal": [*position, 0.0, 0, 0, 0]},
+        {"goals": 3, "goal": [1e9, 0.0, 1.0, *turn]}, {"pushes": 1, "push": [np.nan, 0.0, 0.0], "push_time": 1.0},
+        {"pushes": 2, "push": [10.0, 0.0, 0.0], "push_time": np.inf}, {"base_goals": 1, "base_goal": [np.nan, 0.0, 0.0]},
+        {"weights": np.full(MOST_WEIGHTS, np.nan)}, {"weights": np.zeros(MOST_WEIGHTS)},
+    ]  # fmt: skip
+    if steering.has_legs:
+        bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
+    orders = no_orders()
+    weights = running.mpc.solver.ws.w.copy()
+    for k, wrong in enumerate(bad):
+        for key, value in wrong.items():
+            orders[key][...] = value
+        steering.apply(0.1 * k, orders, NOWHERE)
+        steering.apply(0.1 * k + 0.05, orders, NOWHERE)  # said once, not at every tick
+        assert len(rejected) == k + 1, wrong
+    assert running.mpc.reference["hand"] is before
+    np.testing.assert_array_equal(running.mpc.solver.ws.w, weights)

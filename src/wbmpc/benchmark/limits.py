@@ -33,7 +33,8 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
         del given.ocp.terms[term.name]
     solver = Solver(given.ocp, settings)
     solver.references, solver.schedule = given.references, given.schedule
-    solver.guess(given.ws.x, given.ws.u)
+    start = given.trajectory(copy=False)
+    solver.warm_start(start.x, start.u)
     return solver
 
 

@@ -34,22 +34,24 @@ def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP
     for name, reference in solver.references.items():
         single.set_reference(name, reference)
     single.set_schedule(solver.schedule)
-    single.guess(x, u)
+    single.warm_start(x, u)
     return single
 
 
 def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
     """Least processor time [ms] of ``repeat`` solves of at most so many iterations from the common guess, and where they end."""
     solver = problem.solver
-    few = single_iteration(solver, solver.ws.x, solver.ws.u, replace(solver.settings, iterations=iterations))
+    start = solver.trajectory(copy=False)
+    few = single_iteration(solver, start.x, start.u, replace(solver.settings, iterations=iterations))
 
     def solve() -> None:
-        few.guess(problem.x0, problem.u0)
-        few.forget()
+        few.warm_start(problem.x0, problem.u0)
+        few.reset()
         few.run(problem.x0)
 
     times = milliseconds(solve, repeat)
-    return float(times.min()), few.ws.x.copy(), few.ws.u.copy()
+    found = few.trajectory()
+    return float(times.min()), found.x, found.u
 
 
 def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
@@ -57,13 +59,13 @@ def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[st
     five solves to convergence, with the certificate's residuals."""
     solver, total = problem.solver, np.inf
     for _ in range(6):  # the first does not count
-        solver.guess(problem.x0, problem.u0)
-        solver.forget()
+        solver.warm_start(problem.x0, problem.u0)
+        solver.reset()
         start = time.process_time()
         solver.run(problem.x0)
         total = min(total, time.process_time() - start)
-    solver.guess(problem.x0, problem.u0)
-    solver.forget()
+    solver.warm_start(problem.x0, problem.u0)
+    solver.reset()
     solution = solver.solve(problem.x0)
     single = single_iteration(solver, solution.x, solution.u)
     times = milliseconds(lambda: single.run(problem.x0), repeat)

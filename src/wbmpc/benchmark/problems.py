@@ -9,12 +9,12 @@ import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
+from wbmpc.benchmark.test_problems.problem import TestProblem
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.paths import SinePath
-from wbmpc.studies.test_problems.problem import TestProblem
 
 Limits = Literal["hard", "soft"]
 
@@ -74,7 +74,7 @@ def rezero_bench(
     horizon = horizon or (0.02 * intervals if intervals > 40 else 1.3)
     mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)
     solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
     solver.set_reference("hand", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))

@@ -14,7 +14,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.kernel.cache import cache_directory
+from wbmpc.benchmark.libraries import library_folder
+from wbmpc.kernel.cache import trusted_file
 from wbmpc.ocp import RelaxedBarrier, Transcription
 from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
 from wbmpc.solver import Solver
@@ -37,12 +38,12 @@ def sampled(solver: Solver) -> Samples:
     """What the solver's references and modes are at the nodes."""
     from wbmpc.solver.receding import sample
 
-    t, grid = solver.problem, np.asarray(solver.ws.grid)
+    t, grid, tables = solver.problem, solver.trajectory().grid, solver.tables()
     width = max(t.node.size, 1)
     flat = np.zeros(grid.size * width)
     for k, time in enumerate(grid):
-        sample(*solver.tables(), float(time), flat, k * width)
-    return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.ws.w[: t.constant.size], np.diff(grid))
+        sample(tables.numbers, tables.integers, float(time), flat, k * width)
+    return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.constants, np.diff(grid))
 
 
 # ---------------------------------------------------------------------- stage functions
@@ -76,7 +77,7 @@ def _normalised(t: Transcription, x: ca.SX) -> ca.SX:
 
 def _box_rows(rows: list[Row], z: ca.SX) -> ca.SX:
     """h of the rows of single variables."""
-    return ca.vertcat(*[r.sign * z[r.place] + r.offset for r in rows]) if rows else ca.SX(0, 1)
+    return ca.vertcat(*[r.sign * z[r.variable] + r.offset for r in rows]) if rows else ca.SX(0, 1)
 
 
 def _nonzeros(m: ca.SX) -> ca.SX:
@@ -323,11 +324,10 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) 
     code = generator.dump()
     flags = ("-O1" if len(code) > LARGE else "-O2", *COMPILER_FLAGS)
     key = hashlib.sha256((code + found + " ".join(flags)).encode()).hexdigest()[:32]
-    folder = cache_directory() / "peers"
+    folder = library_folder()
     library = folder / f"{key}.so"
-    if library.exists():
+    if trusted_file(library):
         return library
-    folder.mkdir(parents=True, exist_ok=True)
     source, partial = folder / f"{key}.c", folder / f"{key}.part.so"
     source.write_text(code)
     command = [found, *flags, "-o", str(partial), str(source), "-lm"]
@@ -335,5 +335,6 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) 
         subprocess.run(command, check=True, capture_output=True, timeout=seconds)
     except subprocess.SubprocessError as error:
         return f"the C compiler failed: {str(error)[:200]}"
+    partial.chmod(0o700)
     partial.replace(library)
     return library

@@ -8,18 +8,14 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from wbmpc.benchmark import closed_loop, scaling
-from wbmpc.benchmark.crocoddyl_peer import ball_robot_spec, crocoddyl_figures, lq_spec, torque_arm_spec
-from wbmpc.benchmark.floor import matrix_product_speed, peak_gflops, profile
 from wbmpc.benchmark.limits import iteration_times
+from wbmpc.benchmark.machine_speed import matrix_product_speed, peak_gflops
 from wbmpc.benchmark.ours import ours, several_iterations
 from wbmpc.benchmark.peers import PEERS, peer, prepare
 from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
 from wbmpc.benchmark.program import compiler
-from wbmpc.benchmark.qp import quadratic_race
 from wbmpc.benchmark.residual import Measure, to_equal_residual
 from wbmpc.benchmark.sizes import size_race
-from wbmpc.benchmark.yardstick import yardstick
 from wbmpc.report import versions
 
 #: Both robots; with open brakes the swerve robot's rows do not depend on each other, which Fatrop asks for.
@@ -71,19 +67,6 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
     return rows
 
 
-def crocoddyl_race() -> list[dict[str, Any]]:
-    """Nearest problems that crocoddyl can express; see :mod:`wbmpc.benchmark.crocoddyl_peer`."""
-    specs = {
-        "torque arm, 6 joints, N = 50 (same problem, quadrature of the cost apart)": torque_arm_spec(6, 50),
-        "ball robot, N = 65 (nearest: every joint actuated, no limits)": ball_robot_spec(65),
-        "swerve, N = 100 (linear-quadratic, no rows: a lower bound)": lq_spec(21, 21, 100),
-    }
-    figures = crocoddyl_figures(list(specs.values()))
-    if isinstance(figures, str):
-        return [{"problem": name, "solver": "crocoddyl", "success": False, "error": figures} for name in specs]
-    return [{"problem": name, "solver": "crocoddyl", **f} for name, f in zip(specs, figures, strict=True)]
-
-
 def _fastest(rows: list[dict[str, Any]], key: str) -> dict[str, Any] | None:
     """The fastest peer: it has a time, and a right answer where that was looked at."""
     peers = [r for r in rows if not r["solver"].startswith("wbmpc") and r.get(key)]
@@ -116,14 +99,14 @@ def goals(figures: dict[str, Any]) -> list[dict[str, Any]]:
     return out
 
 
-def run_benchmark(repeat: int = 200, progress: Progress | None = None, peers: bool = False) -> dict[str, Any]:
-    """All figures as one object. ``peers``: also crocoddyl (installed into the cache directory when it is not there), the QP
-    solvers, the C yardstick, the floor, the scaling and the closed loop (minutes)."""
-    done, parts = 0, 8 if peers else 3
+def run_benchmark(repeat: int = 200, progress: Progress | None = None) -> dict[str, Any]:
+    """The solver against IPOPT and Fatrop on both robots, its time beside OCS2's on problems of the same sizes, and what hard
+    limits cost: all figures as one object. ``repeat``: timed iterations per problem."""
+    done = 0
 
     def note(text: str) -> None:
         if progress is not None:
-            progress(min(done / parts, 1.0), text)
+            progress(done / 3, text)
 
     figures: dict[str, Any] = {"versions": versions(), "compiler": compiler()}
     with one_core() as core:
@@ -138,28 +121,5 @@ def run_benchmark(repeat: int = 200, progress: Progress | None = None, peers: bo
         done = 2
         note("hard limits")
         figures["limits"] = iteration_times()
-        done = 3
-        if peers:
-            note("crocoddyl")
-            figures["crocoddyl"] = crocoddyl_race()
-            done = 4
-            figures |= {"quadratic": [], "yardstick": [], "floor": []}
-            for make in ROBOTS:
-                problem = make(limits="soft")
-                note(f"{problem.name}: a quadratic problem")
-                figures["quadratic"] += quadratic_race(problem)
-                note(f"{problem.name}: C")
-                figures["yardstick"].append(yardstick(problem, repeat))
-                note(f"{problem.name}: floor")
-                figures["floor"].append(profile(problem, repeat))
-            done = 5
-            figures["scaling"] = {
-                "intervals": scaling.over_intervals(repeat, PEERS, note),
-                "joints": scaling.over_joints(repeat, PEERS, note),
-                "limits": scaling.over_limits(repeat, PEERS, note),
-            }
-            done = 7
-            figures["closed_loop"] = closed_loop.closed_loop_race(("wbmpc SQP", *PEERS), note)
-            done = 8
     figures["goals"] = goals(figures)
     return figures

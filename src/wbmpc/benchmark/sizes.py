@@ -7,7 +7,7 @@ from typing import Any
 
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.problems import zoo_bench
-from wbmpc.studies.test_problems import MAKERS
+from wbmpc.benchmark.test_problems import MAKERS
 
 #: Milliseconds of one SQP iteration of OCS2 (C++, one thread, quiet, on an AMD Zen 5) on problems of the same sizes, not
 #: the same problems; and how many times faster we want to be.

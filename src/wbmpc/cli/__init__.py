@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import wraps
@@ -18,7 +18,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
-from wbmpc.cli.directories import run_directory
+from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
@@ -39,14 +39,14 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.terminal import table as plain_table
-from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
-from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknown_name
+from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
+from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from wbmpc.experiment import Experiment
     from wbmpc.result import MpcStatistics, RunResult
-    from wbmpc.studies import Experiment
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
@@ -76,11 +76,20 @@ class _Session:
     def registry(self) -> Mapping[str, Experiment]:
         if self.given is not None:
             return self.given
-        from wbmpc.studies import REGISTRY
+        from wbmpc.registry import REGISTRY
 
         return REGISTRY
 
+    def open(self, name: str) -> Experiment:
+        """The experiment of a name, or of a Python file that a user wrote."""
+        if name.endswith(".py"):
+            from wbmpc.registry import load_file
+
+            return load_file(Path(name))
+        return self.find(name)
+
     def find(self, name: str) -> Experiment:
+        """The experiment of a name."""
         if name not in self.registry:
             raise unknown_name("experiment", name, self.registry)
         return self.registry[name]
@@ -134,17 +143,19 @@ def _execute(
     out: Path | None,
     show: bool,
     view: View | None = None,
+    record_limit: str = RECORD_LIMIT,
 ) -> tuple[RunResult, dict[str, str]]:
     """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
 
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
-    experiment = session.find(name)
-    settings = configure(experiment.config_type, assignments, name)
+    experiment = session.open(name)
+    name = experiment.name
+    settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
     try:
         while True:
-            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view)
+            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
             if view is None or not view.wants_reset:
                 return result, files
             view.anew()
@@ -162,6 +173,7 @@ def _attempt(
     out: Path | None,
     show: bool,
     view: View | None,
+    limit: int,
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
@@ -172,7 +184,7 @@ def _attempt(
     with run_directory(out, name, seed) as directory:
         _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
         _LOG.info("settings: %s", json.dumps(plain))
-        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain))
+        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), limit)
         # the view first: if it cannot open, nothing has been written
         watchers = (recorder,) if view is None else (view, recorder)
         try:
@@ -188,6 +200,8 @@ def _attempt(
                     result.idealisations = [*result.idealisations, STEERED]
                 recorder.close(outcome(result))
                 files = write_run(result, directory)
+                if recorder.failure:
+                    raise NotWritten(f"{recorder.failure}; the run's other files are in {directory}")
             if pressed():
                 raise KeyboardInterrupt
         finally:
@@ -261,20 +275,32 @@ def list_experiments(
 
     registry = context.obj.registry
     if as_json:
-        names = [{"name": e.name, "summary": e.summary} for e in registry.values()]
+        names = [{"name": n, "summary": summary} for n, summary in _summaries(registry)]
         typer.echo(json.dumps({"experiments": names, "robots": available_robots()}))
         return
     typer.echo("experiments:")
-    for e in registry.values():
-        typer.echo(f"  {e.name:{max(map(len, registry))}s}  {e.summary}")
+    for n, summary in _summaries(registry):
+        typer.echo(f"  {n:{max(map(len, registry))}s}  {summary}")
     typer.echo("robots:\n  " + "\n  ".join(available_robots()))
+
+
+def _summaries(registry: Mapping[str, Experiment]) -> Iterator[tuple[str, str]]:
+    """Name and summary of each; one of another package that cannot be imported does not hide the others."""
+    for name in registry:
+        try:
+            yield name, registry[name].summary
+        except InputError as error:
+            yield name, f"({error})"
 
 
 @app.command()
 def run(
     context: typer.Context,
     name: Annotated[
-        str, typer.Argument(help="Name of the experiment (see 'wbmpc list').", autocompletion=experiment_names)
+        str,
+        typer.Argument(
+            help="Name of the experiment (see 'wbmpc list'), or a Python file.", autocompletion=experiment_names
+        ),
     ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     assignments: Annotated[
@@ -288,10 +314,12 @@ def run(
     show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
     host: Host = LOCAL,
     port: Port = 8080,
+    no_token: NoToken = False,
+    record_limit: RecordLimit = RECORD_LIMIT,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
-    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
+    shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
 
 
 @app.command()
@@ -314,30 +342,24 @@ def demo(
 @app.command()
 def bench(
     context: typer.Context,
-    peers: Annotated[
-        bool, typer.Option("--peers", help="The whole race: more peers, C, scaling, floor, closed loop (minutes).")
-    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Directory for race.json, race.txt and race.html (plots).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory for race.json and race.txt.")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:
     """Time the solver against others on the same discretised problems, on one core."""
     from wbmpc.benchmark import run_benchmark
+    from wbmpc.benchmark.table import text, write
 
     tell = not (as_json or context.obj.quiet)
     with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:
         with progress_bar("bench", tell) as bar:
             show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
-            figures = run_benchmark(repeat, show, peers)
+            figures = run_benchmark(repeat, show)
         if directory is not None:
-            from wbmpc.benchmark.figure import write
-
-            figures["files"] = write(figures, directory)
+            figures["files"] = write(figures, directory, text(figures))
     if as_json:
         typer.echo(json.dumps(figures, allow_nan=False))
     else:
-        from wbmpc.benchmark.table import text
-
         typer.echo(text(figures))
 
 

@@ -34,6 +34,12 @@ class Termination:
         raise KeyboardInterrupt
 
 
+def terminated() -> bool:
+    """Whether SIGTERM has come, for commands that end as wanted by Ctrl-C but not by SIGTERM."""
+    handler = signal.getsignal(signal.SIGTERM)
+    return isinstance(handler, Termination) and handler.came
+
+
 @contextmanager
 def terminable() -> Iterator[Termination]:
     """Handle SIGTERM, unless somebody else does or this is not the main thread."""
@@ -76,7 +82,7 @@ def console() -> Console:
 
 def experiment_names(incomplete: str) -> list[str]:
     """For the shell's completion."""
-    from wbmpc.studies import REGISTRY
+    from wbmpc.registry import REGISTRY
 
     return [name for name in REGISTRY if name.startswith(incomplete)]
 

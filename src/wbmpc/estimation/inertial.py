@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.robots import InertialDescription
+from wbmpc.bases.base import InertialDescription
 
 Array = NDArray[np.float64]
 #: A gyro or an accelerometer whose three numbers were the same to the bit so often in a row, and for so long [s], has stopped:
@@ -57,3 +57,7 @@ class InertialGate:
     def refuse(self) -> None:
         """A message that jumps does not count."""
         self._jumped = True
+
+    def forget(self) -> None:
+        """After a gap the next message may be any: it is no jump."""
+        self._given, self._counted, self._jumped = None, False, False

@@ -1,4 +1,4 @@
-"""What is known of a swerve base's wheels: zeros of the steering encoders and radii, and its file."""
+"""What is known of a base's steered wheels: zeros of the steering encoders and radii, and its file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
 
 @dataclass(frozen=True)
 class WheelCalibration:
-    """Corrections of a swerve base with n modules: true angle = measured − zero.
+    """Corrections of n steered wheels: true angle = measured − zero.
 
     ``steer_zero``, ``leg_zero`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
     zeros [rad] and of the radii (relative), in this order. The heading of a wheel shows only the sum of both zeros:
@@ -51,7 +52,7 @@ class WheelCalibration:
     @classmethod
     def unknown(
         cls,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         zero: float = ZERO_STD,
         radius: float = RADIUS_STD,
         common_radius: float = COMMON_RADIUS_STD,
@@ -64,7 +65,7 @@ class WheelCalibration:
         return cls(np.zeros(n), np.zeros(n), np.full(n, geometry.wheel_radius), covariance)
 
     @classmethod
-    def exact(cls, geometry: SwerveGeometry) -> WheelCalibration:
+    def exact(cls, geometry: ModuleGeometry) -> WheelCalibration:
         """The description's numbers, without any doubt."""
         return cls.unknown(geometry, 0.0, 0.0, 0.0)
 
@@ -73,7 +74,7 @@ class WheelCalibration:
         """Number of modules n."""
         return len(self.steer_zero)
 
-    def rise(self, geometry: SwerveGeometry) -> float:
+    def rise(self, geometry: ModuleGeometry) -> float:
         """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tyre's sink
         a rolling radius holds half.)"""
         return float(np.mean(self.wheel_radius)) - geometry.wheel_radius
@@ -101,14 +102,14 @@ class WheelCalibration:
         scale[scale == 0.0] = 1.0
         correlation = self.covariance / np.outer(scale, scale)
         correlation[np.diag_indices_from(correlation)] = 1.0
-        head = "# Wheels of a swerve base: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
+        head = "# Steered wheels: zeros [rad] (true angle = measured - zero), radii [m], relative std of the radii.\n"
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
         path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
 
     @classmethod
-    def load(cls, path: Path | str, geometry: SwerveGeometry, modules: list[str]) -> WheelCalibration:
+    def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
         """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
         Raises :class:`InputError` naming the key."""
         rows, given = _read(Path(path), modules)
@@ -149,10 +150,7 @@ def _read(path: Path, modules: list[str]) -> tuple[dict[str, dict[str, object]],
     """By module, in the file's order, what it says; and its correlation (None if there is none)."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; 'wbmpc calibrate' writes one")
-    try:
-        data = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    data = load_yaml(path)
     rows = data.get("modules") if isinstance(data, Mapping) else None
     if not isinstance(rows, Mapping):
         raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")

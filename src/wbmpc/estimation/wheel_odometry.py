@@ -1,4 +1,4 @@
-"""Wheel odometry of swerve bases from positions that were measured together.
+"""Wheel odometry of bases on steered wheels from positions that were measured together.
 
 Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), section III-B: least squares for the twist over all wheels, leg
 motion subtracted. Here with increments of positions instead of speeds (nothing is lost between two samples), angles at
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import each, numbers, positive
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -74,7 +74,7 @@ class Increment:
 
 
 def fit_twist(
-    geometry: SwerveGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+    geometry: ModuleGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
 ) -> Increment:
     """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
 
@@ -126,7 +126,7 @@ def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
 
 
 class WheelOdometry:
-    """Planar pose of a swerve base by dead reckoning.
+    """Planar pose of a base on steered wheels by dead reckoning.
 
     ``pose`` (x, y, yaw) starts at ``pose0``, yaw not wrapped; ``increment`` (dx, dy, dyaw): integral of the body twist
     over the last update; ``residual`` (n, 2) [m]: by what each wheel's displacement differs from it. Calibration:
@@ -136,7 +136,7 @@ class WheelOdometry:
 
     def __init__(
         self,
-        geometry: SwerveGeometry,
+        geometry: ModuleGeometry,
         pose0: ArrayLike = (0.0, 0.0, 0.0),
         *,
         wheel_radius: ArrayLike | None = None,
@@ -183,11 +183,11 @@ class WheelOdometry:
 
 
 class ReleaseOdometry:
-    """The odometry of leggedrobotics/swerve_steering, as a baseline: angles of steering and legs are refreshed every
+    """The odometry of the release of Pankert et al. 2022, as a baseline: angles of steering and legs are refreshed every
     ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
     :class:`InputError` for times that are not positive."""
 
-    def __init__(self, geometry: SwerveGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
+    def __init__(self, geometry: ModuleGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
         positive("odometry", period=period, refresh=refresh)
         self._fit = WheelOdometry(geometry, pose0)
         self.pose = self._fit.pose

@@ -1,7 +1,7 @@
 """Between matrices of single nodes and numbers of eight nodes side by side: transpositions, and the chain rule for eight nodes.
 
 A group is eight neighbouring entries of a node's matrix. Lanes beyond the last node of a block repeat it: they read and write
-the same numbers at the same places, so that no mask is needed.
+the same numbers at the same addresses, so that no mask is needed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _transposed(names: list[str], lines: list[str]) -> list[str]:
 
 
 def _lane_pointers() -> list[str]:
-    """%q0 … %q7: the eight nodes' places, ``%stride`` bytes apart; from lane ``%last`` on always the same."""
+    """%q0 … %q7: the eight nodes' addresses, ``%stride`` bytes apart; from lane ``%last`` on always the same."""
     lines = []
     for i in range(LANES):
         lines.append(f"%l{i} = call i64 @llvm.smin.i64(i64 {i}, i64 %last)")
@@ -148,9 +148,9 @@ def groups_of(offsets: Iterable[int]) -> list[int]:
 
 
 def compact(offsets: Sequence[Sequence[int]], groups: list[int]) -> list[list[int]]:
-    """Places in a matrix as places among its groups, one group after the other."""
+    """Offsets in a matrix as offsets among its groups, one group after the other."""
     rank = {g: i for i, g in enumerate(groups)}
-    return [[LANES * rank[o // LANES] + o % LANES for o in places] for places in offsets]
+    return [[LANES * rank[o // LANES] + o % LANES for o in row] for row in offsets]
 
 
 def sensitivity_pattern(jacobian: np.ndarray, stages: int, quaternions: Iterable[int]) -> np.ndarray:

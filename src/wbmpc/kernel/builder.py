@@ -1,4 +1,4 @@
-"""LLVM IR of one function in the making: lines, labels, places of variables, conversions."""
+"""LLVM IR of one function in the making: lines, labels, stack slots of variables, conversions."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_COMPLIANCE = 1e-12
+RELATIVE_SOFTNESS = 1e-12
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
 _SINGLE = (
@@ -76,7 +76,7 @@ class Sizes:
 
     @property
     def first(self) -> int:
-        """Place of the first input in the extended node vector."""
+        """Index of the first input in the extended node vector."""
         return self.nx + 1
 
     @property
@@ -136,24 +136,24 @@ class Kernel:
 def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, OutputMap]:
     """Where each function's non-zeros go in the solver's matrices."""
     nx, lx, lz, lg = sizes.nx, sizes.lx, sizes.lz, sizes.lg
-    place = lambda c: c if c < nx else c + 1
+    extended = lambda c: c if c < nx else c + 1
 
     def entries(name: str, output: int) -> list[tuple[int, int]]:
         rows, columns = functions[name].sparsity_out(output).get_triplet()
         return list(zip(rows, columns, strict=True))
 
     def symmetric(r: int, c: int, ld: int) -> list[int]:
-        out = [place(c) * ld + place(r)]
-        return out + [place(r) * ld + place(c)] if c < nx and r != c else out
+        out = [extended(c) * ld + extended(r)]
+        return out + [extended(r) * ld + extended(c)] if c < nx and r != c else out
 
     def gradient(i: int, ld: int) -> list[int]:
-        out = [place(i) * ld + nx]
+        out = [extended(i) * ld + nx]
         return [*out, nx * ld + i] if i < nx else out
 
     maps: dict[str, OutputMap] = {n: identity_map(f) for n, f in functions.items()}
     maps["dynamics_jacobian"] = [
         maps["dynamics_jacobian"][0],
-        [[r * lz + place(c)] for r, c in entries("dynamics_jacobian", 1)],
+        [[r * lz + extended(c)] for r, c in entries("dynamics_jacobian", 1)],
     ]
     for name, ld in (("cost_quadratic", lz), ("terminal_quadratic", lx)):
         maps[name] = [
@@ -165,13 +165,13 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     maps["equality_jacobian"] = [
         [[q * lz + nx] for q, _ in entries("equality_jacobian", 0)],
         [
-            [q * lz + place(c)] + ([behind + (c - nx) * lg + q] if c >= nx else [])
+            [q * lz + extended(c)] + ([behind + (c - nx) * lg + q] if c >= nx else [])
             for q, c in entries("equality_jacobian", 1)
         ],
     ]
     for name in ("rows_jacobian", "end_rows_jacobian"):
-        maps[name] = [maps[name][0], [[q * lz + place(c)] for q, c in entries(name, 1)]]
-    both = lambda r, c, ld: sorted({place(c) * ld + place(r), place(r) * ld + place(c)})
+        maps[name] = [maps[name][0], [[q * lz + extended(c)] for q, c in entries(name, 1)]]
+    both = lambda r, c, ld: sorted({extended(c) * ld + extended(r), extended(r) * ld + extended(c)})
     for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
         maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
@@ -196,7 +196,7 @@ def emit_riccati_node(s: Sizes) -> str:
             dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),
             product("k_ch", xb, ng, nu, lz, 1, lg, lx, lz, True),
             product("k_s", gb, ng, nu, lg, 1, lg, lg, None, False),
-            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_COMPLIANCE),
+            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_SOFTNESS),
             product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
             dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
@@ -285,9 +285,9 @@ def _step_groups(transcription: Transcription, jacobian: ca.Sparsity, sizes: Siz
     given[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
     stages = 4 if transcription.ocp.integrator == "rk4" else 2
     rows, columns = np.nonzero(blocks.sensitivity_pattern(given, stages, transcription.ocp.dynamics.unit_quaternions))
-    places = rows * sizes.lz + columns + (columns >= sizes.nx)
+    entries = rows * sizes.lz + columns + (columns >= sizes.nx)
     gaps = np.arange(sizes.nx) * sizes.lz + sizes.nx
-    return blocks.groups_of(int(p) for p in [*places, *gaps])
+    return blocks.groups_of(int(p) for p in [*entries, *gaps])
 
 
 def _emit_blocks(
@@ -295,8 +295,8 @@ def _emit_blocks(
 ) -> list[str]:
     """Everything that takes eight nodes at a time."""
     width, jacobian, groups = register_width(), functions["dynamics_jacobian"].sparsity_out(1), matrix_groups(maps)
-    places = lane_maps(maps)
-    stages = "\n".join(emit_lanes(functions[n], f"l_{n}", width, places[n], _SHARED) for n in _EIGHT)
+    lanes = lane_maps(maps)
+    stages = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
     return [
         helpers(stages, width),
         stages,
@@ -312,10 +312,10 @@ def _emit_blocks(
 
 def unsupported(transcription: Transcription) -> str:
     """Which term, or the dynamics, has an operation that cannot be compiled, in a sentence; empty if none has."""
-    places = (("path", "term"), ("terminal", "terminal term"))
+    stages = (("path", "term"), ("terminal", "terminal term"))
     pieces = {"the dynamics": transcription.rates, "the jump": transcription.jump}
-    for place, kind in places:
-        pieces |= {f"{kind} '{name}'": value for name, value in transcription.term_values(place).items()}
+    for stage, kind in stages:
+        pieces |= {f"{kind} '{name}'": value for name, value in transcription.term_values(stage).items()}
     symbols = [transcription.x, transcription.u, transcription.p, transcription.w]
     for name, expression in pieces.items():
         bad = unsupported_operation(ca.Function("piece", symbols, [expression]))

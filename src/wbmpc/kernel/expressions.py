@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from enum import IntEnum
 from typing import Any
 
 from wbmpc.kernel.ir import (
@@ -26,6 +27,12 @@ from wbmpc.kernel.vectors import ARITHMETIC, COMPARE, FAST, Vectors
 
 _WHOLE: dict[type[ast.AST], str] = {ast.FloorDiv: "sdiv", ast.Mod: "srem"}
 _NUMPY = {"sqrt": "llvm.sqrt.f64", "log": "llvm.log.f64", "exp": "llvm.exp.f64", "floor": "llvm.floor.f64"}
+
+
+def is_frozen(owner: object) -> bool:
+    """Whether this is an instance of a frozen dataclass: its fields are constants of translated code."""
+    parameters = getattr(type(owner), "__dataclass_params__", None)
+    return parameters is not None and bool(parameters.frozen)
 
 
 class Expressions(Vectors):
@@ -64,6 +71,15 @@ class Expressions(Vectors):
             return Value(INT, self.new(f"ptrtoint ptr {array[1]} to i64"))
         if text in ("np.inf", "np.nan"):
             return Value(NUM, literal(float(text[3:])))
+        owner = self.names.get(node.value.id) if isinstance(node.value, ast.Name) else None
+        if isinstance(owner, type) and issubclass(owner, IntEnum):
+            if node.attr not in owner.__members__:
+                raise self.fail(node, f"{owner.__name__} has no member of this name")
+            return Value(INT, str(int(owner[node.attr])))
+        if is_frozen(owner):
+            if not hasattr(owner, node.attr):
+                raise self.fail(node, f"{type(owner).__name__} has no field of this name")
+            return self.constant(getattr(owner, node.attr), node)
         raise self.fail(node, "unknown attribute")
 
     def of_Tuple(self, node: ast.Tuple) -> Value:

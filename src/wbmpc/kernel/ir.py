@@ -2,16 +2,70 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import KernelError
 
 #: Types: number, integer, truth value, array of numbers, array of integers, nothing; several numbers are a tuple of these.
 NUM, INT, BOOL, NUMS, INTS, NONE = "F", "I", "B", "M", "O", "V"
 #: Vectors of numbers and of truth values, and how many are in one.
 VEC, MASK, LANES = "X", "Y", 8
-NUM2, NUM3, NUM4, NUM6 = ((NUM,) * n for n in (2, 3, 4, 6))
-INT2, INT3 = (INT,) * 2, (INT,) * 3
 Type = str | tuple[str, ...]
+
+#: Eight numbers, and eight truth values.
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Floats(Protocol):
+    """A contiguous array of float64 in translated code: element ``m[i]``, vector ``m[i : i + LANES]``, address ``m.ctypes.data``."""
+
+    @property
+    def ctypes(self) -> Any: ...
+
+    @overload
+    def __getitem__(self, index: int, /) -> float: ...
+    @overload
+    def __getitem__(self, index: slice, /) -> Vector: ...
+    @overload
+    def __setitem__(self, index: int, value: float, /) -> None: ...
+    @overload
+    def __setitem__(self, index: slice, value: Vector | float, /) -> None: ...
+
+
+class Integers(Protocol):
+    """A contiguous array of int64 in translated code."""
+
+    @property
+    def ctypes(self) -> Any: ...
+
+    def __getitem__(self, index: int, /) -> int: ...
+    def __setitem__(self, index: int, value: int, /) -> None: ...
+
+
+_ANNOTATIONS: dict[str, str] = {
+    "float": NUM, "int": INT, "bool": BOOL, "Floats": NUMS, "Integers": INTS, "None": NONE, "Vector": VEC, "Mask": MASK,
+}  # fmt: skip
+
+
+def _annotated(function: Callable[..., Any], text: object) -> Type:
+    name = text if isinstance(text, str) else getattr(text, "__name__", str(text))
+    if name in _ANNOTATIONS:
+        return _ANNOTATIONS[name]
+    parts = [part.strip() for part in name.removeprefix("tuple[").removesuffix("]").split(",")]
+    if not name.startswith("tuple[") or any(part not in _ANNOTATIONS for part in parts):
+        valid = ", ".join(_ANNOTATIONS)
+        raise KernelError(
+            f"{function.__name__}: annotation {name!r} cannot be translated; valid: {valid}, or a tuple of these"
+        )
+    return tuple(_ANNOTATIONS[part] for part in parts)
+
 
 _LLVM = {NUM: "double", INT: "i64", BOOL: "i1", NUMS: "ptr", INTS: "ptr", NONE: "void"}
 _LLVM |= {VEC: f"<{LANES} x double>", MASK: f"<{LANES} x i1>"}
@@ -44,6 +98,14 @@ class Signature(NamedTuple):
     symbol: str
     result: Type
     arguments: tuple[Type, ...]
+
+    @classmethod
+    def of(cls, function: Callable[..., Any]) -> Signature:
+        """The signature of a function of translated Python from its annotations (as text: ``from __future__ import annotations``)."""
+        given = inspect.signature(function)
+        arguments = tuple(_annotated(function, p.annotation) for p in given.parameters.values())
+        symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
+        return cls(symbol, _annotated(function, given.return_annotation), arguments)
 
 
 class Value(NamedTuple):

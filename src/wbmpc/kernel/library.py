@@ -8,28 +8,29 @@ import threading
 from collections.abc import Callable
 from functools import update_wrapper
 from importlib import import_module
-from typing import Any
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 
 from wbmpc.errors import KernelError
 from wbmpc.kernel import cache
-from wbmpc.kernel.ir import BOOL, DECLARATIONS, INTS, MASK, NONE, NUM, NUMS, VEC, Signature, Type, llvm_type
+from wbmpc.kernel.ir import BOOL, DECLARATIONS, INTS, MASK, NONE, NUM, NUMS, VEC, Signature, llvm_type
 from wbmpc.kernel.translate import Translator
 
+P = ParamSpec("P")
+R = TypeVar("R")
 _CTYPES = {NUM: ctypes.c_double, NUMS: ctypes.c_void_p, INTS: ctypes.c_void_p}
 
 
-class Function:
+class Function(Generic[P, R]):
     """A translated function: calling it runs machine code; ``python`` is the same as ordinary Python.
 
     ``short``: it takes microseconds, so that it keeps the interpreter: who lets others have it may wait long to get it back.
     """
 
-    def __init__(self, library: Library, python: Callable[..., Any], result: Type, arguments: tuple[Type, ...]) -> None:
-        symbol = f"{python.__module__.rsplit('.', 1)[-1]}_{python.__name__}"
+    def __init__(self, library: Library, python: Callable[P, R]) -> None:
         self.library, self.python = library, python
-        self.signature = Signature(symbol, result, arguments)
+        self.signature = Signature.of(python)
         self._pointer: Any = None
         self.short = False
         update_wrapper(self, python)
@@ -47,12 +48,15 @@ class Function:
             self._pointer = form(None, *kinds, ctypes.c_void_p)(address)
         return self._pointer
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: P.args, **names: P.kwargs) -> R:
         """Run the machine code. Arrays must be contiguous, of float64 or int64. With vectors: runs as Python."""
         if not _callable(self.signature):
-            return self.python(*arguments)
+            return self.python(*arguments, **names)
+        if names:
+            raise KernelError(f"{self.signature.symbol}: arguments are given by position")
         given, result = [], self.signature.result
-        for value, kind in zip(arguments, self.signature.arguments, strict=True):
+        values: tuple[Any, ...] = arguments
+        for value, kind in zip(values, self.signature.arguments, strict=True):
             if kind in (NUMS, INTS):
                 if value.dtype != (np.float64 if kind == NUMS else np.int64) or not value.flags.c_contiguous:
                     raise KernelError(f"{self.signature.symbol}: contiguous float64 or int64 arrays are needed")
@@ -62,7 +66,8 @@ class Function:
         out = ((ctypes.c_double if kinds and kinds[0] == NUM else ctypes.c_int64) * max(len(kinds), 1))()
         self.pointer(*given, ctypes.addressof(out))
         found = tuple(bool(v) if k == BOOL else v for v, k in zip(out, kinds, strict=False))
-        return found if isinstance(result, tuple) else found[0] if found else None
+        returned: Any = found if isinstance(result, tuple) else found[0] if found else None
+        return cast(R, returned)
 
 
 def _callable(s: Signature) -> bool:
@@ -105,19 +110,15 @@ class Library:
 
     def __init__(self, name: str, rooms: tuple[str, ...] = (), modules: tuple[str, ...] = ()) -> None:
         self.name, self.rooms, self.modules = name, rooms, modules
-        self.functions: list[Function] = []
+        self.functions: list[Function[..., Any]] = []
         self._engine: Any = None
         self._lock = threading.Lock()
 
-    def compiled(self, result: Type, *arguments: Type) -> Callable[[Callable[..., Any]], Function]:
-        """Decorator: the function with its result and argument types."""
-
-        def decorate(python: Callable[..., Any]) -> Function:
-            function = Function(self, python, result, arguments)
-            self.functions.append(function)
-            return function
-
-        return decorate
+    def compiled(self, python: Callable[P, R]) -> Function[P, R]:
+        """Decorator: the function as machine code, with the types of its annotations."""
+        function = Function(self, python)
+        self.functions.append(function)
+        return function
 
     def source(self) -> str:
         """The library as LLVM IR."""

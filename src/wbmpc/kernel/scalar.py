@@ -1,7 +1,7 @@
 """CasADi SX functions as LLVM IR: straight-line scalar code.
 
 Every emitted function has the signature ``i32 name(double** arg, double** res)``. An output's non-zeros are stored at
-the places that the caller gives, so that a Jacobian lands in its solver matrix without a scatter table.
+the offsets that the caller gives, so that a Jacobian lands in its solver matrix without a scatter table.
 """
 
 from __future__ import annotations

@@ -59,8 +59,8 @@ class _Lanes(Emitter):
 
     def fetch(self, argument: int, index: int) -> str:
         if argument not in self.shared:
-            place = self.address(f"b{argument}", LANES * index)
-            return self.new(f"load {self.number}, ptr {place}, align {8 * self.width}")
+            pointer = self.address(f"b{argument}", LANES * index)
+            return self.new(f"load {self.number}, ptr {pointer}, align {8 * self.width}")
         one = self.new(f"load double, ptr {self.address(f'a{argument}', index)}")
         first = self.new(f"insertelement {self.number} poison, double {one}, i32 0")
         return self.new(
@@ -68,8 +68,8 @@ class _Lanes(Emitter):
         )
 
     def put(self, value: str, result: int, offset: int) -> None:
-        place = self.address(f"s{result}", LANES * offset)
-        self.lines.append(f"store {self.number} {value}, ptr {place}, align {8 * self.width}")
+        pointer = self.address(f"s{result}", LANES * offset)
+        self.lines.append(f"store {self.number} {value}, ptr {pointer}, align {8 * self.width}")
 
     def call(self, name: str, values: list[str]) -> str:
         t = self.number

@@ -8,6 +8,10 @@ Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write
 ``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``np.sqrt``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all``
 of a vector.
 
+Types are those of the annotations: ``float``, ``int``, ``bool``, :class:`~wbmpc.kernel.ir.Floats`, ``Integers``, ``Vector``, ``Mask``,
+tuples of them. Constants are module-level numbers, members of an ``IntEnum`` (``State.BARRIER``: named entries of an array) and fields
+of a frozen dataclass instance (settings of a component).
+
 The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
 read it before it is written to).
 """

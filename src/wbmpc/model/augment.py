@@ -1,7 +1,7 @@
 """Wrappers that add states for inputs: rates of inputs (acceleration limits, input-rate costs), lagging drives, filters.
 
 The wrapped state is [x, the groups' states]; residuals keep seeing the robot's own x and u (:meth:`view`). A group may be
-wrapped only if no equality is left without an input: with hard side-slip rows the base twist of a swerve robot may not.
+wrapped only if no equality is left without an input: with hard side-slip rows the twist of a base on steered wheels may not.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model.augment import FrequencyShaping
-from wbmpc.mpc.mpc import Observation
+from wbmpc.types import Observation
 
 
 class FilterMemory:

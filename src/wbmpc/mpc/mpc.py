@@ -4,39 +4,25 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, residuals
-from wbmpc.solver import SQP, Solver, Status
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
+from wbmpc.ocp.symbols import FollowsLastInput
+from wbmpc.solver import SQP, Solver, Status, Trajectory
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.solver import one_jump
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: (solver, time of the horizon's start, initial state): may rewrite the solver's trajectories before it iterates.
-Guess = Callable[[Solver, float, np.ndarray], None]
 #: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and
 #: then the plan before is where to start from; after more it is so old that the same refusal comes back.
 STUCK = 4
-
-
-@dataclass(frozen=True)
-class Observation:
-    """State ``x`` (nx) at time ``t`` [s]: for the MPC, the state predicted for the moment its policy comes into force."""
-
-    t: float
-    x: np.ndarray
-
-    def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "t", float(self.t))
-            object.__setattr__(self, "x", np.asarray(self.x, float))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"observation: a time and a vector of numbers are needed ({error})") from error
 
 
 class References:
@@ -55,36 +41,51 @@ class References:
         return name in self._solver.references
 
 
+class Guess(Protocol):
+    """Where a solve for the state ``x0`` (nx) at time ``t`` [s] starts from. ``trajectory``: the last plan, a copy that may be
+    changed and returned; the solver then moves it forward to ``t``. None: the last plan as it is."""
+
+    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None: ...
+
+
+@runtime_checkable
+class Bound(Protocol):
+    """A guess that needs the MPC it serves: its references, to read or to set before a solve, its schedule."""
+
+    def bind(self, mpc: MPC) -> None: ...
+
+
 @dataclass
 class Statistics:
     """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
 
     ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
-    was accepted, so that the plan is the last one moved on; ``passed``: plans in force whose states are outside hard limits by
-    more than 0.1 % of the range, ``worst_passed``: by how much at most, as a share of it, and ``passed_where``: a sentence of that;
-    ``apart``: plans that start elsewhere than in the observed state, ``worst_apart``: by how much at most (:attr:`Solver.apart`).
+    was accepted, so that the plan is the last one moved on; ``limit_violations``: plans in force whose states are outside
+    hard limits by more than 0.1 % of the range, ``worst_limit_violation``: by how much at most, as a share of it, and
+    ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
+    observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`).
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
     solves: int = 0
     failures: int = 0
     no_step: int = 0
-    passed: int = 0
-    worst_passed: float = 0.0
-    passed_where: str = ""
-    apart: int = 0
-    worst_apart: float = 0.0
+    limit_violations: int = 0
+    worst_limit_violation: float = 0.0
+    worst_limit_violation_message: str = ""
+    initial_state_mismatches: int = 0
+    worst_initial_state_mismatch: float = 0.0
 
-    def pass_by(self, share: float, where: str) -> None:
+    def count_limit_violation(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""
-        self.passed += 1
-        if share > self.worst_passed:
-            self.worst_passed, self.passed_where = share, where
+        self.limit_violations += 1
+        if share > self.worst_limit_violation:
+            self.worst_limit_violation, self.worst_limit_violation_message = share, where
 
-    def start_apart(self, share: float) -> None:
+    def count_initial_state_mismatch(self, share: float) -> None:
         """Count a plan that starts elsewhere."""
-        self.apart += 1
-        self.worst_apart = max(self.worst_apart, share)
+        self.initial_state_mismatches += 1
+        self.worst_initial_state_mismatch = max(self.worst_initial_state_mismatch, share)
 
     @property
     def failed_share(self) -> float:
@@ -119,11 +120,12 @@ class MPC:
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
         _check_settings(ocp, settings)
-        self.ocp, self.rate, self.guess = ocp, float(rate), guess
+        self.ocp, self.rate = ocp, float(rate)
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
+        self.guess = guess
         self.statistics = Statistics()
-        planes = self.solver.problem.input_planes()
+        self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
         # rows of some modes: where they are among all, and the parameters that switch them
@@ -142,7 +144,18 @@ class MPC:
         self.events_without_node = 0
         self._told = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._reachable = {n: r for n, r in terms.items() if isinstance(r, residuals.AccelerationLimit)}
+        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+
+    @property
+    def guess(self) -> Guess | None:
+        """Where solves start from: see :class:`Guess`; None: from the last plan."""
+        return self._guess
+
+    @guess.setter
+    def guess(self, guess: Guess | None) -> None:
+        self._guess = guess
+        if isinstance(guess, Bound):
+            guess.bind(self)
 
     @property
     def period(self) -> float:
@@ -187,12 +200,17 @@ class MPC:
             if value is not None:
                 for row in np.atleast_2d(value):
                     _check_vector("reset", names, row)
-        self.solver.guess(x, u)
-        self.solver.forget()
+        self.solver.warm_start(x, u)
+        self.solver.reset()
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
-        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one."""
+        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
+        :class:`SolverBusy` while another thread is in this MPC."""
+        with self.solver.exclusive:
+            return self._update(observation)
+
+    def _update(self, observation: Observation) -> Policy:
         started = self._t is not None
         usable = self.advance(observation)
         self.statistics.solves += 1
@@ -203,30 +221,43 @@ class MPC:
         solution = self.solver.solution(*self._outcome)
         stuck = solution.log[-1, COLUMNS["alpha"]] == 0.0 and solution.status is not Status.CONVERGED
         self.statistics.no_step += int(stuck)
-        if self.passed:
-            self.statistics.pass_by(self.passed, f"{solution.detail}, at {observation.t:.3f} s")
-        apart = self.solver.apart
-        if apart:
-            self.statistics.start_apart(apart)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
+        if self.limit_violation:
+            self.statistics.count_limit_violation(self.limit_violation, f"{solution.detail}, at {observation.t:.3f} s")
+        mismatch = self.solver.initial_state_mismatch
+        if mismatch:
+            self.statistics.count_initial_state_mismatch(mismatch)
+        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, *self.input_rows())
         return self._policy
 
-    def active_rows(self) -> np.ndarray | None:
-        """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
+    def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
+        offsets at its beginning and end, (N, 2, r), None where they do not move."""
         if not self.limits.offset.size:
-            return None
-        nodes = self.solver.ws.p[:-1]  # of the solver's grid, which may be finer than the problem's
+            return None, None
+        nodes = self.solver.node_parameters[:-1]  # of the solver's grid, which may be finer than the problem's
         active = np.ones((len(nodes), self.limits.offset.size))
         active[:, self._switched] = nodes[:, self._switches]
-        return active
+        return active, self._moving() if self._planes.move else None
+
+    def _moving(self) -> np.ndarray:
+        """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+        solver, planes = self.solver, self._planes
+        nodes = solver.ws.p[:, : planes.by_node.shape[1]]
+        ends = nodes[:-1].copy()
+        for name, reference in solver.references.items():
+            if reference.kind == "linear":
+                part = solver.problem.node.slices[f"reference.{name}"]
+                ends[:, part] = nodes[1:, part]
+        fixed = planes.offset + planes.by_constant @ solver.ws.w[: planes.by_constant.shape[1]]
+        return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
 
     @property
-    def passed(self) -> float:
-        """By how much the last plan's states are outside hard limits: see :attr:`Solver.passed`."""
-        return self.solver.passed
+    def limit_violation(self) -> float:
+        """By how much the last plan's states are outside hard limits: see :attr:`Solver.limit_violation`."""
+        return self.solver.limit_violation
 
-    def where_passed(self) -> str:
-        """A sentence that names the row, node and amount of that, and says whether the row's slack gives way."""
+    def limit_violation_message(self) -> str:
+        """A message that names the row, node and amount of that, and says whether the row's slack gives way."""
         return self.solver.missed(self.solver.status(self._outcome[0]))
 
     @property
@@ -250,18 +281,21 @@ class MPC:
 
         If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
+        with self.solver.exclusive:
+            return self._advance(observation)
+
+    def _advance(self, observation: Observation) -> bool:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
         passes = self._first if self._t is None else 1
-        if self._reachable:
+        if self._follow_last:
             self._go_on_from(observation.t, delta)
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0
         for k in range(passes):
             start = time.perf_counter()
-            if self.guess is not None and k == 0:
-                self.solver.begins = observation.t - delta
-                self.guess(self.solver, observation.t, x0)
+            if k == 0:
+                self._apply_guess(observation.t, x0, observation.t - delta)
             status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
@@ -275,6 +309,16 @@ class MPC:
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 
+    def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
+        """``start`` [s]: of the last plan."""
+        found = None if self._guess is None else self._guess(t, x0, self.solver.trajectory(start))
+        if found is None:
+            return
+        try:
+            self.solver.warm_start(found.x, found.u)
+        except NotFinite as error:  # the last plan is the better start
+            _LOG.warning("MPC at %.3f s: the initial guess is not used: %s", t, error)
+
     def _count_events(self, t: float) -> None:
         """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""
         self.events_without_node = self.solver.events_without_node(t)
@@ -287,19 +331,19 @@ class MPC:
 
     def _go_on_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
-        ws, horizon = self.solver.ws, self.ocp.horizon
-        k = int(np.searchsorted(ws.grid, delta + 1e-9, side="right")) - 1
-        now = ws.u[min(k, len(ws.u) - 1)]
+        plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
+        k = int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1
+        current = plan.u[min(k, len(plan.u) - 1)]
         since = max(delta, self.period)
-        for name, residual in self._reachable.items():
-            last = now[residual.inputs]
+        for name, inputs in self._follow_last.items():
+            last = current[inputs]
             values = np.stack([np.append(last, since), np.append(last, since + horizon)])
             self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
-        self.solver.guess(x, u)
-        self.solver.forget()
+        self.solver.warm_start(x, u)
+        self.solver.reset()
         self._t = t
 
     def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
@@ -311,8 +355,8 @@ class MPC:
         the observation.
         """
         if self._broken > 1:
-            self.solver.guess(np.asarray(observation.x, float))
-            self.solver.forget()
+            self.solver.warm_start(np.asarray(observation.x, float))
+            self.solver.reset()
             self._t = None
         elif self._broken or not self._goes_on():
             self.resume(x, u, t)
@@ -324,12 +368,11 @@ class MPC:
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
-        status, ws = self.solver.status(self._outcome[0]), self.solver.ws
+        status = self.solver.status(self._outcome[0])
         if status in (Status.NOT_FINITE, Status.DIVERGED):
             return status.value
-        parts = {"planned state": ws.x, "planned input": ws.u, "feedback gain": ws.k}
-        bad = [name for name, values in parts.items() if not np.isfinite(values).all()]
-        return f"failed: the {bad[0]} is not finite" if bad else ""
+        bad = self.solver.non_finite_part()
+        return f"failed: the {bad} is not finite" if bad else ""
 
     def _refused(self) -> str:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""

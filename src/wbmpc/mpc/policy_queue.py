@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, Protocol
 
-from wbmpc.mpc.mpc import Observation
 from wbmpc.mpc.policy import Policy
+from wbmpc.types import Observation
 
 
 class PolicyQueue:

@@ -34,9 +34,9 @@ class Kind(IntEnum):
 
 
 class BoxRow(NamedTuple):
-    """Relaxed barrier on h = sign z[place] + offset ≥ 0, z = [x; u]."""
+    """Relaxed barrier on h = sign z[variable] + offset ≥ 0, z = [x; u]."""
 
-    place: int
+    variable: int
     sign: float
     offset: float
     mu: float
@@ -45,7 +45,7 @@ class BoxRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """A row with a state of its own: h = sign z[place] + offset of one variable, or (``place`` −1) a general expression.
+    """A row with a state of its own: h = sign z[variable] + offset of one variable, or (``variable`` −1) a general expression.
 
     ``penalty``: weight of the L1 slack (infinite: no slack) or ρ; ``unit``: size of one unit of h in the residual's own;
     ``state_only``: does not count at the measured state.
@@ -53,7 +53,7 @@ class Row:
 
     name: str
     kind: Kind
-    place: int
+    variable: int
     sign: float
     offset: float
     penalty: float
@@ -62,8 +62,8 @@ class Row:
 
 
 @dataclass
-class Place:
-    """The rows of one place (path or end of the horizon): those of single variables first, then general ones."""
+class RowGroup:
+    """The rows along the path, or at the end of the horizon: those of single variables first, then general ones."""
 
     barriers: list[BoxRow] = field(default_factory=list)
     general_barriers: list[tuple[Constraint, ca.SX]] = field(default_factory=list)
@@ -84,7 +84,7 @@ class Equalities(NamedTuple):
     """Rows of the Riccati recursion."""
 
     expression: ca.SX
-    compliance: np.ndarray
+    softness: np.ndarray
     names: list[str]
 
 
@@ -101,10 +101,10 @@ def row_names(term: Constraint) -> list[str]:
 
 
 def equality_rows(
-    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
 ) -> Equalities:
     """Sort the rows of equality terms, given as (term, residual, switch)."""
-    parts, compliance, names = [], [], []
+    parts, softness, names = [], [], []
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
         with_input = depends(r, u)
@@ -118,7 +118,7 @@ def equality_rows(
             row = switch * (r[i] if scales[i] == 1.0 else r[i] / scales[i])
             if term.at != "terminal" and with_input[i] and not soft:
                 parts.append(row)
-                compliance.append(term.compliance / scales[i] ** 2)
+                softness.append(term.softness / scales[i] ** 2)
                 names.append(row_name[i])
                 continue
             # the ρ that a term gives is per squared unit of its residual
@@ -131,7 +131,7 @@ def equality_rows(
                 end.general.append(own)
                 end.expressions.append(row)
     expression = ca.vertcat(*parts) if parts else ca.SX(0, 1)
-    return Equalities(expression, np.array(compliance, float), names)
+    return Equalities(expression, np.array(softness, float), names)
 
 
 class _Side(NamedTuple):
@@ -163,42 +163,42 @@ def _sides(term: Constraint, rows: int) -> list[_Side]:
 
 
 def inequality_rows(
-    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: Place, end: Place
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
 ) -> None:
     """Sort the rows of inequality terms, given as (term, residual, switch)."""
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
         sides = _sides(term, r.shape[0])
-        selection = None if term.modes is not None else _selection(r, z)
+        selection = None if term.modes is not None else single_variables(r, z)
         with_input, with_state = depends(r, u), depends(r, x)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
-        places = [(path, term.at != "terminal", sides)]
-        places.append((end, term.at != "path", [s for s in sides if not with_input[s.i]]))
-        for place, wanted, chosen in places:
-            if not wanted or not chosen:
+        groups = [(path, term.at != "terminal", sides)]
+        groups.append((end, term.at != "path", [s for s in sides if not with_input[s.i]]))
+        for group, applies, chosen in groups:
+            if not applies or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, with_state, place, z)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, group, z)
             else:
-                _barriers(term, r, chosen, selection, place)
-    for place in (path, end):
-        place.barriers.sort(key=lambda b: (b.mu, b.place))
-        place.boxes.sort(key=lambda b: b.place)
+                _barriers(term, r, chosen, selection, group)
+    for group in (path, end):
+        group.barriers.sort(key=lambda b: (b.mu, b.variable))
+        group.boxes.sort(key=lambda b: b.variable)
 
 
 def _barriers(
-    term: Constraint, r: ca.SX, sides: list[_Side], selection: list[tuple[int, float, float]] | None, place: Place
+    term: Constraint, r: ca.SX, sides: list[_Side], selection: list[tuple[int, float, float]] | None, group: RowGroup
 ) -> None:
     assert not isinstance(term.penalty, AugmentedLagrangian)
     if selection is None:
-        place.general_barriers.append((term, ca.vertcat(*[s.sign * r[s.i] + s.offset for s in sides])))
+        group.general_barriers.append((term, ca.vertcat(*[s.sign * r[s.i] + s.offset for s in sides])))
         return
     for s in sides:
         index, scale, shift = selection[s.i]
         penalty = term.penalty
         box = BoxRow(index, s.sign * scale, s.offset + s.sign * shift, penalty.mu, penalty.delta)
-        place.barriers.append(box)
+        group.barriers.append(box)
 
 
 def _own_rows(
@@ -209,7 +209,7 @@ def _own_rows(
     selection: list[tuple[int, float, float]] | None,
     with_input: np.ndarray,
     with_state: np.ndarray,
-    place: Place,
+    group: RowGroup,
     z: ca.SX,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
@@ -225,12 +225,12 @@ def _own_rows(
         if selection is not None:
             index, scale, shift = selection[s.i]
             sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
-            place.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
+            group.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
         else:
             # a term that does not count in the present mode is h = 1: far inside
             h = switch * ((s.sign * r[s.i] + s.offset) / width) + (1.0 - switch)
-            place.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
-            place.expressions.append(ca.SX(h))
+            group.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
+            group.expressions.append(ca.SX(h))
 
 
 def _paired_widths(sides: list[_Side], selection: list[tuple[int, float, float]] | None) -> list[float]:
@@ -285,68 +285,23 @@ def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
     return np.sqrt(np.array(ca.Function("square", [ca.vertcat(*symbols)], [ca.densify(square)])(points)))
 
 
-def curved_in_inputs(place: Place, x: ca.SX, u: ca.SX) -> bool:
+def nonlinear_in_inputs(group: RowGroup, x: ca.SX, u: ca.SX) -> bool:
     """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
-    hard = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is Kind.HARD]
+    hard = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is Kind.HARD]
     if not hard or not u.shape[0]:
         return False
     slopes = ca.jacobian(ca.vertcat(*hard), u)
     return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
 
 
-def bent_by_inputs(equality: ca.SX, place: Place, u: ca.SX) -> bool:
+def nonlinear_equalities(equality: ca.SX, group: RowGroup, u: ca.SX) -> bool:
     """Whether an equality, or a row with a multiplier, has second derivatives by the inputs."""
-    own = [e for e, row in zip(place.expressions, place.general, strict=True) if row.kind is not Kind.HARD]
+    own = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is not Kind.HARD]
     slopes = ca.jacobian(ca.vertcat(equality, *own), u)
     return bool(ca.jacobian(ca.vec(slopes), u).nnz())
 
 
-def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
-    """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
-    nx, z = x.shape[0], ca.vertcat(x, u)
-    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
-    for expression, row in zip(place.expressions, place.general, strict=True):
-        found = _selection(expression, z) if row.kind is Kind.HARD else None
-        hard += found or []
-    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
-    for index, slope, offset in hard:  # slope z + offset ≥ 0
-        i, bound = index - nx, -offset / slope
-        if i >= 0 and slope > 0.0:
-            lower[i] = max(lower[i], bound)
-        elif i >= 0:
-            upper[i] = min(upper[i], bound)
-    return lower, upper
-
-
-class InputPlanes(NamedTuple):
-    """Hard rows ``matrix`` u + ``offset`` ≥ 0 of inputs alone, in units of their ranges, (r, nu) and (r,); ``switches`` (r,): which
-    term's switch turns each of them on, −1 for always. Bounds of single inputs in all modes are not among them."""
-
-    matrix: np.ndarray
-    offset: np.ndarray
-    switches: np.ndarray
-
-
-def input_planes(place: Place, u: ca.SX, switches: list[ca.SX]) -> InputPlanes:
-    """Of the rows that are straight in the inputs and depend on nothing else but ``switches``, one for each term with modes."""
-    found = []
-    every = ca.vertcat(u, *switches)
-    for h, row in zip(place.expressions, place.general, strict=True):
-        if row.kind is not Kind.HARD or row.state_only:
-            continue
-        own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
-        on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
-        slope = ca.simplify(ca.jacobian(on, u))
-        if len(own) > 1 or ca.symvar(slope) or any(not ca.depends_on(s, every) for s in ca.symvar(on)):
-            continue
-        normal = np.array(ca.DM(ca.densify(slope))).ravel()
-        if own or (normal != 0.0).sum() > 1:
-            found.append((normal, float(ca.DM(ca.substitute(on, u, ca.DM.zeros(u.shape[0])))), own[0] if own else -1))
-    matrix = np.array([f[0] for f in found]).reshape(-1, u.shape[0])
-    return InputPlanes(matrix, np.array([f[1] for f in found]), np.array([f[2] for f in found], int))
-
-
-def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
+def single_variables(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
     """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
     jacobian = ca.jacobian(r, z)
     if ca.symvar(jacobian):

@@ -31,6 +31,8 @@ class FramePose:
 
     size = 6
     reference = 7
+    #: a pose has to be set: numbers of zero are none
+    reference_required = True
     groups = {"position": slice(0, 3), "orientation": slice(3, 6)}  # noqa: RUF012
 
     def __post_init__(self) -> None:

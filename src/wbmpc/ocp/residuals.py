@@ -16,33 +16,21 @@ import numpy as np
 from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
-from wbmpc.ocp.ball_residuals import (
-    BallSpin,
-    CapturePoint,
-    FrictionCone,
-    JointEffort,
-    PanelContact,
-    PushForce,
-    push_on_surface,
-)
+from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin
+from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench
-from wbmpc.ocp.swerve_residuals import LockedJoints, Rolling, SupportMargin
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
     "AccelerationLimit",
-    "BallSpin",
-    "CapturePoint",
     "Expression",
     "FramePose",
     "FrameTwist",
     "FrameWrench",
     "FrictionCone",
     "Input",
-    "JointEffort",
     "Limits",
     "LockedJoints",
-    "PanelContact",
     "ProblemInput",
     "PushForce",
     "Residual",
@@ -84,53 +72,65 @@ def _select(layout: Layout, names: Sequence[str] | None) -> tuple[dict[str, slic
     return groups, indices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class _Component:
     robot: RobotModel
-    names: Sequence[str] | None = None
-    tracked: bool = True
+    names: Sequence[str] | None
+    #: how many numbers the groups are compared with
+    reference: int
     groups: Mapping[str, slice] = field(init=False, repr=False)
     indices: list[int] = field(init=False, repr=False)
 
     def _layout(self) -> Layout:
         raise NotImplementedError
 
-    def __post_init__(self) -> None:
-        groups, indices = _select(self._layout(), self.names)
+    def __init__(
+        self,
+        robot: RobotModel,
+        names: Sequence[str] | None = None,
+        *,
+        reference: Literal["tracked"] | None = "tracked",
+    ) -> None:
+        object.__setattr__(self, "robot", robot)
+        object.__setattr__(self, "names", names)
+        groups, indices = _select(self._layout(), names)
         object.__setattr__(self, "groups", groups)
         object.__setattr__(self, "indices", indices)
+        object.__setattr__(self, "reference", 0 if reference is None else len(indices))
 
     @property
     def size(self) -> int:
         return len(self.indices)
 
-    @property
-    def reference(self) -> int:
-        return self.size if self.tracked else 0
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class State(_Component):
-    """Groups of the state (all when ``names`` is left out) minus their reference (``tracked``), in the state's units."""
+    """Groups of the state (all when ``names`` is left out) minus their reference, in the state's units.
+
+    ``reference=None``: the values themselves, as limits need them.
+    """
 
     def _layout(self) -> Layout:
         return self.robot.state
 
     def __call__(self, s: Symbols) -> ca.SX:
         value = s.x[self.indices]
-        return value - s.reference if self.tracked else value
+        return value - s.reference if self.reference else value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Input(_Component):
-    """Groups of the input (all when ``names`` is left out) minus their reference (``tracked``), in the input's units."""
+    """Groups of the input (all when ``names`` is left out) minus their reference, in the input's units.
+
+    ``reference=None``: the values themselves, as limits need them.
+    """
 
     def _layout(self) -> Layout:
         return self.robot.input
 
     def __call__(self, s: Symbols) -> ca.SX:
         value = s.u[self.indices]
-        return value - s.reference if self.tracked else value
+        return value - s.reference if self.reference else value
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class AccelerationLimit:
     given. A speed u in [l, L] that may change by a per second is after Δt in [u_last − a Δt, u_last + a Δt]: in a receding
     horizon that is the limit itself where it acts next, and a cone that widens with the time from now. A joint at q that can
     stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Steering goes without:
-    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a leg
+    it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a joint
     whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
     """
 
@@ -151,6 +151,11 @@ class AccelerationLimit:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inputs", _select(self.robot.input, self.names)[1])
+
+    @property
+    def last_inputs(self) -> list[int]:
+        """Inputs whose last command is the reference: see :class:`wbmpc.ocp.symbols.FollowsLastInput`."""
+        return self.inputs
 
     @property
     def size(self) -> int:
@@ -191,11 +196,12 @@ class AccelerationLimit:
         return ca.vertcat(*above, *below)
 
     def _braked(self, s: Symbols, name: str) -> ca.SX | float:
-        """1 for a leg whose brake is closed."""
-        mode, (group, joint) = self.robot.mode, name.split(".", 1)
-        if group != "leg" or "brake" not in mode:
-            return 0.0
-        return 1.0 - s.mode[mode.index(f"brake.{joint}")]
+        """1 for a joint whose brake is closed."""
+        group, joint = name.split(".", 1)
+        for brakes, joints in self.robot.base.brakes.items():
+            if group == joints:
+                return 1.0 - s.mode[self.robot.mode.index(f"{brakes}.{joint}")]
+        return 0.0
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import casadi as ca
 
@@ -36,3 +36,12 @@ class Residual(Protocol):
     @property
     def reference(self) -> int: ...
     def __call__(self, s: Symbols) -> ca.SX: ...
+
+
+@runtime_checkable
+class FollowsLastInput(Protocol):
+    """A residual whose reference is what was commanded last: ``last_inputs``, the indices of those inputs. Its reference has
+    their values and then the time [s] since they were commanded; an MPC sets it before every solve."""
+
+    @property
+    def last_inputs(self) -> list[int]: ...

@@ -14,13 +14,13 @@ from wbmpc.ocp.residuals import Residual
 from wbmpc.ocp.sets import Set, Zero
 
 Weight = float | Sequence[float] | Mapping[str, float | Sequence[float]]
-At = Literal["path", "terminal", "all"]
-_PLACES = ("path", "terminal", "all")
+At = Literal["path", "terminal", "path+terminal"]
+_AT = ("path", "terminal", "path+terminal")
 
 
-def _check_place(name: str, at: str, modes: tuple[str, ...] | None) -> None:
-    if at not in _PLACES:
-        raise unknown_name("place", at, _PLACES, where=f"term '{name}', at")
+def _check_at(name: str, at: str, modes: tuple[str, ...] | None) -> None:
+    if at not in _AT:
+        raise unknown_name("part of the horizon", at, _AT, where=f"term '{name}', at")
     if modes is not None and (isinstance(modes, str) or not modes or not all(isinstance(m, str) for m in modes)):
         raise InputError(f"term '{name}': modes must be a tuple of names, at least one, got {modes!r}")
 
@@ -30,7 +30,7 @@ class Cost:
     """``weight · norm(residual)``, integrated along the path or taken at the end of the horizon.
 
     ``weight``: one number, one per row, or by the residual's groups. ``terminal_weight``: the same for the end (for
-    ``at="all"``; the path's weight when left out; its unit is that of the path's weight times a second).
+    ``at="path+terminal"``; the path's weight when left out; its unit is that of the path's weight times a second).
     ``modes``: the names of the modes in which the term counts; all when left out.
     """
 
@@ -43,7 +43,7 @@ class Cost:
     terminal_weight: Weight | None = None
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at, self.modes)
+        _check_at(self.name, self.at, self.modes)
         self.expand(self.weight)
         if self.terminal_weight is not None:
             self.expand(self.terminal_weight, "terminal weight")
@@ -57,8 +57,8 @@ class Cost:
 class Constraint:
     """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
 
-    Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``compliance`` (one number for all
-    rows) softens them: the residual may be compliance times its multiplier. Rows of the state alone, and rows at the end,
+    Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``softness`` (one number for all
+    rows) softens them: the residual may be softness times its multiplier. Rows of the state alone, and rows at the end,
     have proximal multipliers: exact at convergence. With ``penalty=AugmentedLagrangian(ρ)`` all rows have multipliers.
 
     Inequalities: relaxed barriers (``penalty=RelaxedBarrier(μ, δ)``), multipliers (``AugmentedLagrangian``), or ``hard``:
@@ -75,12 +75,12 @@ class Constraint:
     penalty: RelaxedBarrier | AugmentedLagrangian = field(default_factory=RelaxedBarrier)
     hard: bool = False
     slack: float = 1e3
-    compliance: float = 0.0
+    softness: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_place(self.name, self.at, self.modes)
-        if not 0.0 <= self.compliance < np.inf:
-            raise InputError(f"constraint '{self.name}': compliance must not be negative, got {self.compliance}")
+        _check_at(self.name, self.at, self.modes)
+        if not 0.0 <= self.softness < np.inf:
+            raise InputError(f"constraint '{self.name}': softness must not be negative, got {self.softness}")
         if not self.slack > 0.0:
             raise InputError(f"constraint '{self.name}': slack must be positive (math.inf: none), got {self.slack}")
         if self.hard and isinstance(self.penalty, AugmentedLagrangian):

@@ -19,16 +19,14 @@ import numpy as np
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.constraint_classification import (
     BoxRow,
-    InputPlanes,
-    Place,
-    bent_by_inputs,
-    curved_in_inputs,
+    RowGroup,
     depends,
     equality_rows,
     inequality_rows,
-    input_bounds,
-    input_planes,
+    nonlinear_equalities,
+    nonlinear_in_inputs,
 )
+from wbmpc.ocp.input_rows import InputPlanes, input_bounds, input_planes
 from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
@@ -39,7 +37,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 
 @dataclass(frozen=True)
 class _Slots:
-    """Places in a parameter vector."""
+    """Slices of a parameter vector."""
 
     slices: Mapping[str, slice]
     size: int
@@ -53,8 +51,8 @@ class _Slots:
         return cls(slices, start)
 
 
-#: Compliance from which on an equality row is a wish.
-WISH = 1e-5
+#: Equality rows of more than this softness are variables of their own in the line search.
+MIN_SOFTNESS = 1e-5
 
 
 class Transcription:
@@ -87,16 +85,16 @@ class Transcription:
         self.p, self.w = ca.SX.sym("p", self.node.size), ca.SX.sym("w", self.constant.size)
         self.h = ca.SX.sym("h")
         self.z = ca.vertcat(self.x, self.u)
-        self.path, self.end = Place(), Place()
+        self.path, self.end = RowGroup(), RowGroup()
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
         inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
-        #: whether hard rows are curved in the inputs: those of a circle are, bounds and planes are not
-        self.curved = curved_in_inputs(self.path, self.x, self.u)
-        #: whether equalities have a compliance to speak of
-        self.wishes = bool((self.compliance > WISH).any())
+        #: whether hard rows are nonlinear in the inputs: those of a circle are, bounds and planes are not
+        self.nonlinear_input_rows = nonlinear_in_inputs(self.path, self.x, self.u)
+        #: whether any equality is soft
+        self.soft_equalities = bool((self.softness > MIN_SOFTNESS).any())
         #: whether equalities, or rows with multipliers, have second derivatives by the inputs
-        self.bent = not exact and bent_by_inputs(self.equality, self.path, self.u)
+        self.nonlinear_equalities = not exact and nonlinear_equalities(self.equality, self.path, self.u)
 
     # ------------------------------------------------------------------ parameters
     def default_weights(self) -> np.ndarray:
@@ -180,9 +178,11 @@ class Transcription:
         return input_bounds(self.path, self.x, self.u)
 
     def input_planes(self) -> InputPlanes:
-        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only."""
+        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only or
+        around a reference."""
         switch = self.node.slices["switch"]
-        return input_planes(self.path, self.u, [self.p[i] for i in range(switch.start, switch.stop)])
+        switches = [self.p[i] for i in range(switch.start, switch.stop)]
+        return input_planes(self.path, self.u, self.p, self.w, switches)
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""
@@ -209,42 +209,42 @@ class Transcription:
         """ẋ, (nx, 1)."""
         return self._f[0]
 
-    def term_values(self, place: str) -> dict[str, ca.SX]:
-        """The weighted value of every cost, and the residual of every constraint, at ``place`` (path or terminal)."""
-        at = (place, "all")
+    def term_values(self, stage: str) -> dict[str, ca.SX]:
+        """The weighted value of every cost, and the residual of every constraint, at ``stage`` (path or terminal)."""
+        at = (stage, "path+terminal")
         out = {t.name: self.residual(t) for t in self.ocp.terms.values() if isinstance(t, Constraint) and t.at in at}
         for cost in self.ocp.costs:
             if cost.at in at:
-                weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+                weight = self.w[self.constant.slices[f"{stage}.{cost.name}"]] * self._switch(cost.name)
                 out[cost.name] = weight * cost.norm.value(self.residual(cost))
         return out
 
-    def _pieces(self, place: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
-        """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``place``."""
+    def _pieces(self, stage: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
+        """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``stage``."""
         out = []
         for cost in self.ocp.costs:
-            if cost.at not in (place, "all"):
+            if cost.at not in (stage, "path+terminal"):
                 continue
-            weight = self.w[self.constant.slices[f"{place}.{cost.name}"]] * self._switch(cost.name)
+            weight = self.w[self.constant.slices[f"{stage}.{cost.name}"]] * self._switch(cost.name)
             r, norm = self.residual(cost), cost.norm
-            if place == "terminal" and ca.depends_on(r, self.u):
+            if stage == "terminal" and ca.depends_on(r, self.u):
                 raise InputError(
                     f"cost '{cost.name}', at: its residual depends on the input, which ends before the horizon does; valid: path"
                 )
             out.append((r, weight * norm.value(r), weight * norm.gradient(r), weight * norm.curvature(r)))
-        for term, h in (self.path if place == "path" else self.end).general_barriers:
+        for term, h in (self.path if stage == "path" else self.end).general_barriers:
             switch, b = self._switch(term.name), cast(RelaxedBarrier, term.penalty)
             out.append((h, switch * b.value(h), switch * b.gradient(h), switch * b.curvature(h)))
         return out
 
-    def _value(self, place: str) -> ca.SX:
-        return sum((ca.sum1(v) for _, v, _, _ in self._pieces(place)), ca.SX(0))
+    def _value(self, stage: str) -> ca.SX:
+        return sum((ca.sum1(v) for _, v, _, _ in self._pieces(stage)), ca.SX(0))
 
-    def _quadratic(self, place: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _quadratic(self, stage: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Value, gradient and Gauss-Newton Hessian (upper triangle with a full diagonal) by z."""
         n = z.shape[0]
         value, gradient, hessian = ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
-        for r, v, g, c in self._pieces(place):
+        for r, v, g, c in self._pieces(stage):
             jacobian = ca.jacobian(r, z)
             value += ca.sum1(v)
             gradient += jacobian.T @ g
@@ -265,9 +265,9 @@ class Transcription:
         return self.equalities.expression
 
     @property
-    def compliance(self) -> np.ndarray:
-        """Compliance of every row of the Riccati recursion."""
-        return self.equalities.compliance
+    def softness(self) -> np.ndarray:
+        """Softness of every row of the Riccati recursion."""
+        return self.equalities.softness
 
     def equality_names(self) -> list[str]:
         """A name for every row of the Riccati recursion: term.group[i]."""
@@ -325,7 +325,7 @@ class Transcription:
         """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
 
         ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
-        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are curved in them.
+        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are nonlinear in them.
         """
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
         nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
@@ -353,12 +353,12 @@ class Transcription:
         """Names of the equalities, and of constraints with multipliers, that have second derivatives by the inputs."""
         own = [t for t in self.ocp.terms.values() if isinstance(t, Constraint) and not t.hard]
         own = [t for t in own if t.equality or isinstance(t.penalty, AugmentedLagrangian)]
-        return {t.name for t in own if bent_by_inputs(self.residual(t), Place(), self.u)}
+        return {t.name for t in own if nonlinear_equalities(self.residual(t), RowGroup(), self.u)}
 
     @property
     def second(self) -> bool:
         """Whether there are second derivatives at all."""
-        return self.exact or self.curved or self.bent
+        return self.exact or self.nonlinear_input_rows or self.nonlinear_equalities
 
     def _curvature(self, nu: ca.SX, kappa: ca.SX) -> list[ca.SX]:
         """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where none is curved."""

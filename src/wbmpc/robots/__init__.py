@@ -2,13 +2,8 @@
 
 from wbmpc.robots.description import (
     ArmDescription,
-    BallBaseDescription,
-    FixedBaseDescription,
-    InertialDescription,
     LimitsDescription,
-    ModuleDescription,
     RobotDescription,
-    SwerveBaseDescription,
     available_robots,
     load_description,
     load_spec,
@@ -16,13 +11,8 @@ from wbmpc.robots.description import (
 
 __all__ = [
     "ArmDescription",
-    "BallBaseDescription",
-    "FixedBaseDescription",
-    "InertialDescription",
     "LimitsDescription",
-    "ModuleDescription",
     "RobotDescription",
-    "SwerveBaseDescription",
     "available_robots",
     "load_description",
     "load_spec",

@@ -3,129 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self, get_args
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    SerializeAsAny,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
+from wbmpc.bases import available_base_types, base_type
+from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots.checks import check_ball, check_joints, compiled
+from wbmpc.robots.checks import check_joints, compiled
+from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.fixed_joints import lock
 from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
+from wbmpc.robots.wheel_geometry import check_radii
+from wbmpc.yaml_file import load_yaml
 
 DATA = Path(__file__).parent / "data"
-#: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
-LEAST_SPREAD = 0.05
+#: Keys of ``limits`` that are of joints, whatever the base.
+JOINT_LIMITS = ("velocity", "drive_velocity", "acceleration", "effort", "position")
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ModuleDescription(_Model):
-    """One swerve module: names of its joints; ``hinge`` is left out when the legs are fixed (all of a base, or none)."""
-
-    hinge: str | None = None
-    steer: str
-    wheel: str
-
-
-class SwerveBaseDescription(_Model):
-    """A base on steered and driven wheels. ``wheel_radius`` [m]. ``orientation``: SE(2) state or a quaternion."""
-
-    type: Literal["swerve"]
-    body: str
-    orientation: Literal["yaw", "quaternion"] = "yaw"
-    wheel_radius: float = Field(gt=0)
-    modules: tuple[ModuleDescription, ...] = Field(min_length=2)
-
-
-class OmniWheelsDescription(_Model):
-    """Omni wheels on the ball: radius [m], zenith angle and azimuths [rad] of their contacts."""
-
-    radius: float = Field(gt=0)
-    zenith: float = Field(gt=0, lt=np.pi / 2)
-    azimuths: tuple[float, ...] = Field(min_length=3)
-
-    @field_validator("azimuths")
-    @classmethod
-    def _every_way(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        around = np.stack([np.cos(value), np.sin(value), np.ones(len(value))])  # the axes' directions at 45 degrees
-        if np.linalg.svd(around, compute_uv=False)[-1] < LEAST_SPREAD:
-            raise ValueError("the wheels cannot turn the ball about every axis: three different azimuths are needed")
-        return value
-
-
-class InertialDescription(_Model):
-    """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
-    out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
-
-    rate: float = Field(np.deg2rad(1000.0), gt=0)
-    acceleration: float = Field(18.0 * 9.81, gt=0)
-
-
-class BallBaseDescription(_Model):
-    """A base that balances on a ball: the body ``ball`` hangs on ``body`` by a ball joint, in the same frame.
-
-    ``contact``: what the world does to the robot as an input: a force, or a wrench (force and moment), at each frame of
-    ``contact_frame`` (a name or several; the arm's tool when left out); "none": a force at the tool as a parameter.
-    ``payload``: whether a mass at the tool [kg] is a parameter (``payload``).
-    """
-
-    type: Literal["ball"]
-    body: str
-    ball: str
-    ball_radius: float = Field(gt=0)
-    wheels: OmniWheelsDescription
-    imu: InertialDescription = InertialDescription()
-    contact: Literal["none", "force", "wrench"] = "none"
-    contact_frame: tuple[str, ...] = ()
-    payload: bool = False
-
-    @field_validator("contact_frame", mode="before")
-    @classmethod
-    def _several(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
-
-    @model_validator(mode="after")
-    def _contacts(self) -> Self:
-        if self.contact_frame and self.contact == "none":
-            raise ValueError("contact_frame needs contact: force or contact: wrench")
-        if len(set(self.contact_frame)) < len(self.contact_frame):
-            raise ValueError(f"contact_frame: every frame once, got {', '.join(self.contact_frame)}")
-        return self
-
-
-class FixedBaseDescription(_Model):
-    """A base that does not move."""
-
-    type: Literal["fixed"]
-    body: str
-
-
-class ArmDescription(_Model):
+class ArmDescription(Section):
     """The arm's joints from base to hand, and the name of the hand's frame (site or body)."""
 
     joints: tuple[str, ...] = Field(min_length=1)
     tool: str
 
 
-class LimitsDescription(_Model):
+class LimitsDescription(Section):
     """Limits by joint: velocity [rad/s], acceleration [rad/s²], effort [N m], position [rad] (overrides the file's range).
 
     ``drive_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels (needed);
-    ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
+    ``spin_effort`` [N m]: what they may do about the vertical before the robot spins on the floor.
     """
 
-    velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
-    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
-    acceleration: dict[str, Annotated[float, Field(gt=0)]] = {}
-    effort: dict[str, Annotated[float, Field(gt=0)]] = {}
-    position: dict[str, tuple[float, float]] = {}
+    velocity: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
+    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
+    acceleration: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
+    effort: dict[str, Annotated[float, Field(gt=0)]] = Field(default={})
+    position: dict[str, tuple[float, float]] = Field(default={})
     base_linear: float = Field(default=1.0, gt=0)
     base_angular: float = Field(default=1.0, gt=0)
     wheel_effort: float = Field(default=np.inf, gt=0)
@@ -147,7 +75,17 @@ class LimitsDescription(_Model):
         return value
 
 
-class RobotDescription(_Model):
+def _base_section(value: Any) -> Any:
+    """The section as its base type reads it. Errors keep the keys of the section in their path."""
+    if isinstance(value, BaseDescription) or not isinstance(value, dict):
+        return value
+    name = value.get("type")
+    if name not in available_base_types():
+        raise PydanticCustomError("base_type", "valid: {valid}", {"valid": ", ".join(available_base_types())})
+    return base_type(name).Description.model_validate(value)
+
+
+class RobotDescription(Section):
     """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
 
     ``lock``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
@@ -156,10 +94,10 @@ class RobotDescription(_Model):
 
     name: str
     model: Path
-    base: Annotated[SwerveBaseDescription | BallBaseDescription | FixedBaseDescription, Field(discriminator="type")]
+    base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription
-    lock: dict[str, float] = {}
-    home: dict[str, float] = {}
+    lock: dict[str, float] = Field(default={})
+    home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
     source: str = Field(default="", exclude=True)
 
@@ -168,23 +106,27 @@ class RobotDescription(_Model):
         names = self.joints()
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise ValueError(f"arm.joints and base.modules: every joint once, got '{twice[0]}' twice")
+            raise ValueError(f"{self.joint_keys(' and ')}: every joint once, got '{twice[0]}' twice")
         return self
 
     @model_validator(mode="after")
-    def _wheels_have_limits(self) -> Self:
-        if isinstance(self.base, BallBaseDescription) and not np.isfinite(self.limits.wheel_effort):
-            raise ValueError(
-                "key 'limits.wheel_effort': a base of type ball needs the largest torque [N m] of its omni wheels"
-            )
+    def _limits_fit_the_base(self) -> Self:
+        valid = [*JOINT_LIMITS, *self.base.limit_keys]
+        for key in type(self.limits).model_fields:
+            if key in self.limits.model_fields_set and key not in valid:
+                raise ValueError(
+                    f"key 'limits.{key}': a base of type {self.base.type} does not read it; valid: {', '.join(valid)}"
+                )
+        self.base.check_limits(self.limits)
         return self
 
     def joints(self) -> list[str]:
         """Names of all joints that the description uses."""
-        names = list(self.arm.joints)
-        if isinstance(self.base, SwerveBaseDescription):
-            names += [n for m in self.base.modules for n in (m.hinge, m.steer, m.wheel) if n]
-        return names
+        return [*self.arm.joints, *self.base.joints()]
+
+    def joint_keys(self, between: str) -> str:
+        """The keys of the file that name joints."""
+        return f"arm.joints{between}base.{self.base.joint_key}" if self.base.joint_key else "arm.joints"
 
 
 def available_robots() -> list[str]:
@@ -206,83 +148,76 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         path = DATA / f"{name_or_path}.yaml"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    try:
-        data = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
-    except (UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{path}: cannot be read as text in UTF-8: {error}") from error
+    data = load_yaml(path)
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping of keys is needed")
     strange = [key for key in data if not isinstance(key, str)]
     if strange:
-        raise unknown_name("key", str(strange[0]), _sibling_keys((strange[0],), ""), where=str(path))
+        raise unknown_name("key", str(strange[0]), _keys(RobotDescription, ""), where=str(path))
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
-        _refuse_contact(data["base"], path)
     try:
         description = RobotDescription(**data)
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_fault(error)}") from error
+        raise InputError(f"{path}: {_first_fault(error, data)}") from error
     model = description.model if description.model.is_absolute() else path.parent / description.model
     description = description.model_copy(update={"model": model, "source": str(path)})
     spec = load_spec(description)
     _check_names(description, spec)
     model = compiled(spec, description.model)
     check_joints(description, model)
-    check_ball(description, model)
+    base_type(description.base.type).check(description, model)
+    check_radii(description, model)
     return description
 
 
-def _refuse_contact(base: dict[str, Any], path: Path) -> None:
-    """What the world pushes changes the motion of forces' robots only, not of those whose inputs are speeds."""
-    kind = base.get("type")
-    for key in ("contact", "contact_frame"):
-        if kind in ("swerve", "fixed") and key in base:
-            raise InputError(
-                f"{path}: key 'base.{key}': the inputs of a {kind} base are speeds, so that a contact force or wrench has "
-                "no effect on its motion; valid: with a base of type ball"
-            )
-
-
-def _first_fault(error: ValidationError) -> str:
+def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
     """The first fault of a validation in plain words, without web links, and how many more there are.
 
     A key that is not known comes before one that is missing: it is usually that key, mistyped.
     """
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda f: f["type"] != "extra_forbidden")
-    path = [str(k) for k in fault["loc"] if k not in ("swerve", "ball", "fixed")] or ["?"]
+    path = [str(k) for k in fault["loc"]] or ["?"]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     key = ".".join(path)
     if fault["type"] == "extra_forbidden":
-        return str(unknown_name("key", key, _sibling_keys(fault["loc"], ".".join(path[:-1])))) + more
-    if not fault["loc"]:  # of keys together: the sentence names them
+        model = _section(fault["loc"][:-1], data)
+        reason = getattr(model, "not_applicable", {}).get(path[-1])
+        if reason:
+            return f"key '{key}': {reason}{more}"
+        return str(unknown_name("key", key, _keys(model, ".".join(path[:-1])))) + more
+    if not fault["loc"]:  # of keys together: the message names them
         return fault["msg"].removeprefix("Value error, ") + more
-    if fault["type"].startswith("union_tag"):
-        return f"key '{key}.type': valid: ball, fixed, swerve{more}"
+    if fault["type"] == "base_type":
+        return f"key '{key}.type': {fault['msg']}{more}"
     given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
     text = fault["msg"].removeprefix("Value error, ")
     return f"key '{key}': {text[0].lower()}{text[1:]}{given}{more}"
 
 
-def _sibling_keys(location: tuple[int | str, ...], prefix: str) -> list[str]:
-    """The valid keys beside an unknown one, with the same dotted prefix."""
-    bases: dict[str, type[BaseModel]] = {
-        "swerve": SwerveBaseDescription,
-        "ball": BallBaseDescription,
-        "fixed": FixedBaseDescription,
-    }
-    inner: dict[str, type[BaseModel]] = {
-        "modules": ModuleDescription,
-        "wheels": OmniWheelsDescription,
-        "imu": InertialDescription,
-        "arm": ArmDescription,
-        "limits": LimitsDescription,
-    }
+def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[BaseModel]:
+    """The model of the mapping at a location of a robot file."""
     model: type[BaseModel] = RobotDescription
-    for part in location[:-1]:
-        model = bases.get(str(part)) or inner.get(str(part)) or model
+    for key in location:
+        if not isinstance(key, str):
+            continue
+        if model is RobotDescription and key == "base":
+            model = base_type(data["base"]["type"]).Description
+        else:
+            model = _model_of(model.model_fields[key].annotation) or model
+    return model
+
+
+def _model_of(annotation: Any) -> type[BaseModel] | None:
+    """The model that a field holds, itself or in a tuple; None for plain values."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((m for m in map(_model_of, get_args(annotation)) if m is not None), None)
+
+
+def _keys(model: type[BaseModel], prefix: str) -> list[str]:
+    """The valid keys of a section, with its dotted prefix."""
     names = [n for n in model.model_fields if n != "source"]
     return [f"{prefix}.{n}" if prefix else n for n in names]
 
@@ -292,7 +227,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     limits = description.limits
     used = {
         "arm.joints": list(description.arm.joints),
-        "base.modules": description.joints()[len(description.arm.joints) :],
+        f"base.{description.base.joint_key}": description.base.joints(),
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
         "limits.drive_velocity": list(limits.drive_velocity),
@@ -305,18 +240,17 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             if name not in joints:
                 raise unknown_name(f"joint (key '{key}')", name, joints, where=description.source)
     frames = [s.name for s in spec.sites] + [b.name for b in spec.bodies]
-    contacts = {n: "base.contact_frame" for n in getattr(description.base, "contact_frame", ())}
-    for name, key in {**contacts, description.arm.tool: "arm.tool"}.items():
+    of_base = {n: f"base.{key}" for key, names in description.base.frames().items() for n in names}
+    for name, key in {**of_base, description.arm.tool: "arm.tool"}.items():
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
-    steering = [m.steer for m in getattr(description.base, "modules", ())]
+    steering = description.base.joint_groups().get("steer", [])
     for name in limits.drive_velocity:
         if name not in steering:
             raise unknown_name("steering joint (key 'limits.drive_velocity')", name, steering, where=description.source)
     bodies = [b.name for b in spec.bodies]
-    for key in ("body", "ball"):
-        body = getattr(description.base, key, None)
-        if body is not None and body not in bodies:
+    for key, body in {"body": description.base.body, **description.base.parts()}.items():
+        if body not in bodies:
             raise unknown_name(f"body (key 'base.{key}')", body, bodies, where=description.source)
 
 
@@ -325,6 +259,7 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
     path = description.model
     if not path.is_file():
         raise InputError(f"{description.source}: key 'model': there is no file {path}")
+    check_size(path)
     try:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:

@@ -32,13 +32,15 @@ _NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "par
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     """Leave out, in place, what plants have of their own, and the joints of the body ``base``, which the kind of base moves."""
     fresh = mujoco.MjSpec()
+    for name in _OF_MEMORY:  # before anything is compiled: a file may ask for more than there is
+        setattr(spec, name, getattr(fresh, name))
+    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
+        spec.delete(actuator)
     _fix_masses(spec, fresh, path)
     _copy(fresh.option, spec.option)
     spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
-    for name in _OF_MEMORY:
-        setattr(spec, name, getattr(fresh, name))
     own = [j for j in spec.joints if j.parent.name == base]
-    lists = (spec.actuators, spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)
+    lists = (spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)
     for element in [e for elements in lists for e in elements]:
         spec.delete(element)
     _leave_the_world(spec, base)
@@ -119,10 +121,10 @@ def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
 
     Before joints are locked: a coupling of fingers that are all held does nothing. Raises :class:`InputError` with file and joint.
     """
-    used, ball, path = set(description.joints()), getattr(description.base, "ball", None), description.model
+    used, own, path = set(description.joints()), set(description.base.parts().values()), description.model
     for joint in spec.joints:
         sprung = np.any(joint.stiffness) or np.any(joint.springdamper)
-        if sprung and (joint.name in used or joint.parent.name == ball):
+        if sprung and (joint.name in used or joint.parent.name in own):
             raise InputError(f"{path}: joint '{joint.name}' has a spring ('stiffness'), {_UNKNOWN}")
     for body in spec.bodies:
         if body.plugin.active:
@@ -134,7 +136,7 @@ def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
     model = compiled(spec, path)
     for what, joints in _couplings(model):
         names = [model.joint(j).name for j in joints]
-        on = [n for j, n in zip(joints, names, strict=True) if n in used or _body_of(model, j) == ball]
+        on = [n for j, n in zip(joints, names, strict=True) if n in used or _body_of(model, j) in own]
         if on:
             raise InputError(f"{path}: {what} acts on joint {', '.join(repr(n) for n in on)}, {_UNKNOWN}")
     for element in [*spec.equalities, *spec.tendons]:

@@ -5,20 +5,23 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.mpc import MPC, Bound, Guess
 from wbmpc.ocp import ModeSchedule, Reference
+from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
 
 Array = np.ndarray
+#: Weights of costs, by name and place (path or terminal).
+Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
 Groups = dict[str, Array]
 #: Another localisation's pose: time [s] of the runner's clock, (x, y, yaw), covariance (3, 3) (zero: exact).
 Fix = tuple[float, Array, Array]
@@ -51,6 +54,7 @@ class BaseAdapter(Protocol):
     settings: RosSettings
     planner: Planner
     mpc: MPC
+    pending: Pending
     agent: Any
     keeps: bool
     watches: str
@@ -65,7 +69,9 @@ class BaseAdapter(Protocol):
     def inspect(self) -> None: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
-    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> Any: ...
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> Any: ...
     def stand(self, measurement: Any) -> None: ...
     def snapshot(self) -> tuple[float, Array] | None: ...
     def begin(self, x: Array) -> None: ...
@@ -78,14 +84,22 @@ class BaseAdapter(Protocol):
 
 
 class Pending:
-    """A guess for the MPC that first puts new references and modes into force: in its own thread, between two solves."""
+    """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
 
-    def __init__(self, then: Callable[[Solver, float, Array], None] | None = None) -> None:
+    def __init__(self, then: Guess | None = None) -> None:
         self._then = then
+        self._mpc: MPC | None = None
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
-        self._once: Callable[[Solver, Array], None] | None = None
+        self._once: Callable[[Array, Trajectory], Trajectory] | None = None
+        self._weights: Weights = {}
         self._lock = threading.Lock()
+
+    def bind(self, mpc: MPC) -> None:
+        """Whose references and modes these are."""
+        self._mpc = mpc
+        if isinstance(self._then, Bound):
+            self._then.bind(mpc)
 
     def set(self, references: dict[str, Reference]) -> None:
         """In force from the next solve on."""
@@ -97,21 +111,29 @@ class Pending:
         with self._lock:
             self._schedule = schedule
 
-    def guess(self, once: Callable[[Solver, Array], None]) -> None:
-        """Rewrites the trajectories before the next solve, in place of the usual guess."""
+    def reweigh(self, weights: Weights) -> None:
+        """In force from the next solve on."""
+        with self._lock:
+            self._weights = {**self._weights, **weights}
+
+    def guess(self, once: Callable[[Array, Trajectory], Trajectory]) -> None:
+        """The next solve starts from ``once(x0, last plan)``, in place of the usual guess."""
         with self._lock:
             self._once = once
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
         with self._lock:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
             once, self._once = self._once, None
+            weights, self._weights = self._weights, {}
+        assert self._mpc is not None, "the guess of an MPC"
         for name, reference in (references or {}).items():
-            solver.set_reference(name, reference)
+            self._mpc.reference[name] = reference
+        for (name, place), weight in weights.items():
+            self._mpc.solver.set_weight(name, weight, place)
         if schedule is not None:
-            solver.set_schedule(schedule)
+            self._mpc.solver.set_schedule(schedule)
         if once is not None:
-            once(solver, x0)
-        elif self._then is not None:
-            self._then(solver, t, x0)
+            return once(x0, trajectory)
+        return None if self._then is None else self._then(t, x0, trajectory)

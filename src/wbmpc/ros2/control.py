@@ -15,23 +15,26 @@ from wbmpc.bases.swerve.ros import SwervePilot
 from wbmpc.bases.swerve.ros_legs import Legs
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import Observation
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
+from wbmpc.ros2.health import Health
 from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
 from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Teller
 from wbmpc.ros2.robot import BusRobot
+from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
 from wbmpc.ros2.trajectory_client import Trajectories
+from wbmpc.ros2.tuning import parameters_of
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings, SafeStop
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
@@ -63,6 +66,7 @@ class ControlNode:
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
         settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
+        self.rosout = Rosout(node, settings.node, self.now, self.breathe)
         self.period = 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
@@ -91,7 +95,9 @@ class ControlNode:
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
+        self.health = Health(self)
         self.teller = Teller(node, self)
+        node.offer(parameters_of(self.pilot, settings))
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -116,11 +122,13 @@ class ControlNode:
         self.pilot.inspect()
         self._move_legs()
         self._lead()
+        self.health.look()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
                 _LOG.info("%s", self.state)
+        self.rosout.send()
 
     def close(self) -> None:
         """Bring the robot to rest and end."""
@@ -136,6 +144,7 @@ class ControlNode:
                 time.sleep(self.period)
         if self.runner is not None:
             self.body.rest()
+        self.rosout.close()
 
     def _end_runner(self) -> None:
         runner = self.runner
@@ -234,11 +243,13 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
-        """Follow the sensors while nobody commands the drives."""
-        if self.waits_for():
+        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
+        if unheard or (self.pilot.needs_imu and not self.body.has_imu):
             return
-        with suppress(SafeStop, InputError):
-            self.pilot.stand(self.body.read())
+        for measurement in self.body.unread():
+            with suppress(SafeStop, InputError):
+                self.pilot.stand(measurement)
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
@@ -317,7 +328,10 @@ class ControlNode:
             pilot.swing(legs.angles)
             assert self._task is not None
             self._put(self._task, pilot.references(self._task, x))
-        legs.watch(pilot.brakes, t, leg)
+        if legs.watch(pilot.brakes, t, leg):
+            pilot.legs = legs.angles
+            assert self._task is not None
+            self._put(self._task, pilot.references(self._task, x))
 
     def _lead(self) -> None:
         """Trajectories to those who follow them, and the wrench to who counts with it."""
@@ -342,6 +356,7 @@ class ControlNode:
         self.gate.forget()
         self._put(task, references)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
+        self._stand()  # what the sensors said meanwhile
         watchdog = settings.safety.watchdog
         times = RealTimeSettings(
             settings.rates.control,
@@ -437,5 +452,6 @@ class ControlNode:
         """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
         orders = self.legs.refused if self.legs is not None else ""
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
         said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}

@@ -87,7 +87,7 @@ class Planner:
     def __init__(self, robot: RobotModel, speeds: Speeds, goals: Goals | None = None) -> None:
         self.robot, self.speeds, self.goals = robot, speeds, goals or Goals()
         self.lift = robot.base.radius if isinstance(robot.base, BallBase) else 0.0
-        self.base_height = self.lift if isinstance(robot.base, BallBase) else robot.base.height
+        self.base_height = self.lift if isinstance(robot.base, BallBase) else robot.base.body_height
         self.shoulder, self.reach = _arm(robot)
 
     # ------------------------------------------------------------------ tasks
@@ -293,5 +293,5 @@ def _arm(robot: RobotModel) -> tuple[float, float]:
     while link != first:
         length += float(np.linalg.norm(tree.links[link].position))
         link = tree.links[link].parent
-    height = 0.0 if isinstance(robot.base, BallBase) else robot.base.height
+    height = 0.0 if isinstance(robot.base, BallBase) else robot.base.body_height
     return float(height + tree.zero_poses()[first][0][2]), length

@@ -73,11 +73,13 @@ class Punctuality:
 class Report:
     """What was counted up to now.
 
-    ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
+    ``ticks`` of the controller, ``misses``: how many of them were not over at their deadline, ``skipped``: deadlines that passed
+    meanwhile; ``updates`` of the MPC, ``mpc_misses`` and ``mpc_skipped`` as for ticks, ``failures`` to solve,
     ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
-    planned for; ``passed``: plans with states outside hard limits by more than 0.1 % of the range, ``worst_passed``: by how much
-    of it at most, ``passed_where``: a sentence of that; ``apart``: plans that start elsewhere than in the state they were asked to,
-    ``worst_apart``: by how much of 1 + |x| at most; ``clamped``: ticks at which the policy asked for more than the drives
+    planned for; ``limit_violations``: plans with states outside hard limits by more than 0.1 % of the range,
+    ``worst_limit_violation``: by how much of it at most, ``worst_limit_violation_message``: a message that names the row;
+    ``initial_state_mismatches``: plans that start elsewhere than in the state they were asked to,
+    ``worst_initial_state_mismatch``: by how much of 1 + |x| at most; ``clamped``: ticks at which the policy asked for more than the drives
     give. ``latency``: from observation to policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin
     late; ``tick``: their duration; ``sent``: from a tick's time to its command; ``late_commands``: by part of the tick, see
     :class:`Punctuality`.
@@ -87,18 +89,20 @@ class Report:
     seconds: float
     ticks: int
     misses: int
+    skipped: int
     updates: int
     mpc_misses: int
+    mpc_skipped: int
     failures: int
     repeated: int
     policies: int
     late: int
     clamped: int
-    passed: int
-    worst_passed: float
-    passed_where: str
-    apart: int
-    worst_apart: float
+    limit_violations: int
+    worst_limit_violation: float
+    worst_limit_violation_message: str
+    initial_state_mismatches: int
+    worst_initial_state_mismatch: float
     latency: Spread
     ready: Spread
     jitter: Spread
@@ -118,20 +122,22 @@ class Report:
             seconds=seconds,
             updates=int(board["updates"]),
             mpc_misses=int(board["misses"]),
+            mpc_skipped=int(board["skipped"]),
             failures=int(board["failures"]),
             repeated=int(board["repeated"]),
             solve=Spread.of(board.samples("solve_time")),
             update=Spread.of(board.samples("update_time")),
             ticks=count("ticks"),
             misses=count("misses"),
+            skipped=count("skipped"),
             policies=count("policies"),
             late=count("late"),
             clamped=count("clamped"),
-            passed=int(board["passed"]),
-            worst_passed=board["worst_passed"],
-            passed_where=board.note,
-            apart=int(board["apart"]),
-            worst_apart=board["worst_apart"],
+            limit_violations=int(board["limit_violations"]),
+            worst_limit_violation=board["worst_limit_violation"],
+            worst_limit_violation_message=board.note,
+            initial_state_mismatches=int(board["initial_state_mismatches"]),
+            worst_initial_state_mismatch=board["worst_initial_state_mismatch"],
             latency=spread("latency"),
             ready=spread("ready"),
             jitter=spread("jitter"),
@@ -142,17 +148,17 @@ class Report:
 
     def __str__(self) -> str:
         ms = lambda s: f"{1e3 * s.median:.2f} ms (99 % {1e3 * s.p99:.2f}, longest {1e3 * s.max:.2f})"
-        outside = (
-            f"; {self.passed} plans outside hard limits, worst {100.0 * self.worst_passed:.2g} % ({self.passed_where})"
-        )
-        apart = f"; {self.apart} plans start elsewhere, worst by {100.0 * self.worst_apart:.2g} % of 1 + |x|"
+        worst, row = 100.0 * self.worst_limit_violation, self.worst_limit_violation_message
+        outside = f"; {self.limit_violations} plans outside hard limits, worst {worst:.2g} % ({row})"
+        by = 100.0 * self.worst_initial_state_mismatch
+        mismatches = f"; {self.initial_state_mismatches} plans start elsewhere, worst by {by:.2g} % of 1 + |x|"
         return "\n".join(
             [
                 f"{self.state}",
                 f"controller: {self.ticks} ticks, {self.misses} missed; begins late by {ms(self.jitter)}, takes {ms(self.tick)}",
                 f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
-                + (outside if self.passed else "")
-                + (apart if self.apart else ""),
+                + (outside if self.limit_violations else "")
+                + (mismatches if self.initial_state_mismatches else ""),
                 f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
             ]
         )

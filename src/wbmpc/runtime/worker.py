@@ -12,22 +12,24 @@ from multiprocessing.connection import wait
 
 import numpy as np
 
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.runtime.clock import Clock, Loop, Ticker, WallClock, follow
 from wbmpc.runtime.shared_memory import Board, Mailbox, Message
+from wbmpc.types import Observation
 
 #: What the worker counts, and its records [s].
 NUMBERS = (
     "ready",
     "updates",
     "misses",
+    "skipped",
     "failures",
     "repeated",
     "failed",
-    "passed",
-    "worst_passed",
-    "apart",
-    "worst_apart",
+    "limit_violations",
+    "worst_limit_violation",
+    "initial_state_mismatches",
+    "worst_initial_state_mismatch",
 )
 RECORDS = ("solve_time", "update_time")
 #: What the runner tells the worker: when 0 is, whether to begin and to end.
@@ -57,16 +59,18 @@ class Worker:
         self._message: Message | None = None
         self.error: BaseException | None = None
         self._answered, self._ready = 0, 0.0
-        ws = mpc.solver.ws
-        self._start = ws.x.copy(), ws.u.copy()
+        plan = mpc.solver.trajectory()
+        self._start = plan.x, plan.u
 
     def loop(self) -> Loop:
         """Tick until the runner says that it is the end, or something is raised: then the board has the reason."""
         board, clock = self.board, self.clock
         while not self.orders["end"]:
             yield self.ticker.due
+            looked = False
             try:
-                if self._look():
+                looked = self._look()
+                if looked:
                     start = clock.now()
                     usable = self._solve()
                     computing = clock.computing()
@@ -74,15 +78,16 @@ class Worker:
                         yield start + computing
                     if usable:
                         self._publish()
-                        self._count_passed()
-                        self._count_apart()
+                        self._count_limit_violations()
+                        self._count_initial_state_mismatches()
                     board.sample("update_time", clock.now() - start)
             except (Exception, SystemExit) as error:
                 self.fail(error)
                 return
-            missed = self.ticker.over(clock.now())
-            if missed and board["updates"] > 1:  # the first solve iterates to convergence
-                board.count("misses", missed)
+            skipped = self.ticker.over(clock.now())
+            if looked and skipped and board["updates"] > 1:  # the first solve iterates to convergence
+                board.count("misses")
+                board.count("skipped", skipped)
 
     def fail(self, error: BaseException) -> None:
         """Say that this worker has ended, and why."""
@@ -123,40 +128,43 @@ class Worker:
 
     def _publish(self) -> None:
         assert self._message is not None
-        values, ws, slot = self._message.values, self.mpc.solver.ws, self.policies.begin()
-        np.add(ws.grid, values["t"], out=slot["times"])
-        slot["x"][...], slot["u"][...] = ws.x, ws.u
-        slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
-        limits, active = self.mpc.limits, self.mpc.active_rows()
+        values, slot = self._message.values, self.policies.begin()
+        plan = self.mpc.solver.trajectory(copy=False)
+        np.add(plan.grid, values["t"], out=slot["times"])
+        slot["x"][...], slot["u"][...] = plan.x, plan.u
+        slot["gain"][...] = self.mpc.solver.gain
+        limits, (active, moving) = self.mpc.limits, self.mpc.input_rows()
         for name in ("lower", "upper", "matrix", "offset"):
             slot[name][...] = getattr(limits, name)
         if active is not None:
             slot["active"][...] = active
+        if moving is not None:
+            slot["moving"][...] = moving
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]
         if self._answered != self._message.number:
             self._answered, self._ready = self._message.number, self.clock.now()
         slot["ready"][...] = self._ready
-        slot["passed"][...] = self.mpc.passed
+        slot["limit_violation"][...] = self.mpc.limit_violation
         self.policies.commit()
 
-    def _count_passed(self) -> None:
+    def _count_limit_violations(self) -> None:
         """PolicyQueue whose states are outside hard limits are used, and told."""
-        share, board = self.mpc.passed, self.board
+        share, board = self.mpc.limit_violation, self.board
         assert self._message is not None
         if share > 0.0:
-            board.count("passed")
-            if share > board["worst_passed"]:
-                board["worst_passed"] = share
-                board.note = f"{self.mpc.where_passed()}, at {self._message.values['t']:.3f} s"
+            board.count("limit_violations")
+            if share > board["worst_limit_violation"]:
+                board["worst_limit_violation"] = share
+                board.note = f"{self.mpc.limit_violation_message()}, at {self._message.values['t']:.3f} s"
 
-    def _count_apart(self) -> None:
+    def _count_initial_state_mismatches(self) -> None:
         """So are plans that start elsewhere than where they were asked to."""
-        apart, board = self.mpc.solver.apart, self.board
-        if apart > 0.0:
-            board.count("apart")
-            board["worst_apart"] = max(board["worst_apart"], apart)
+        mismatch, board = self.mpc.solver.initial_state_mismatch, self.board
+        if mismatch > 0.0:
+            board.count("initial_state_mismatches")
+            board["worst_initial_state_mismatch"] = max(board["worst_initial_state_mismatch"], mismatch)
 
 
 def report(board: Board, error: BaseException) -> None:

@@ -2,48 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from wbmpc.configuration import OnlyWith, reject_unread
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
-#: What only swerve robots have, beside what the ball robot's plant refuses with words of its own.
-SWERVE_ONLY = ("load", "slope", "steer_zero", "joint_loss", "brake_delay", "encoder_counts", "steer_noise")
 
 
 class Perturbation(BaseModel):
     """Spreads of the differences between plant and model; each is drawn uniformly within ± its value, per seed.
 
+    Each plant declares which of them it reads (:meth:`check_read`): asking it for another one is an error.
+
     Bodies: ``mass`` and ``inertia`` relative, ``com`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
     ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
     ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
     drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
-    open to closed and back. ``friction`` of the floor: a range, or one number; ``spin_friction`` [m], of a ball on it, about the
+    open to closed and back. ``friction`` of the floor: a range, or one number; ``spin_friction`` [m], of what rolls on it in one point, about the
     vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a
     message are up to this old.
     ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
     ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
-    [rad/s/√s, m/s²/√s]. Ball robot: ``state_age`` [s] and noise of the measured state.
+    [rad/s/√s, m/s²/√s]. An idealised state sensor: ``state_age`` [s] and noise of the measured state.
 
-    Ball robots only, and not spreads: ``dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
+    Torque drives, and not spreads: ``dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
     elastic drives (:mod:`wbmpc.simulation.elastic_drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
     ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
     ``torque_damping``.
-    Their figures are assumed: none are published for this robot.
+    Their figures are assumed: none are published.
 
-    Swerve robots only, and not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
+    Not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
     whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
     whose direction is drawn; ``brake_fault``: from ``brake_fault_time`` [s] of the plant on, at the start of which the robot stands
     for ``rest``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
-    Ball robots only: ``cables`` [m]: height of a grid of cables on the floor.
+    ``cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -88,8 +89,8 @@ class Perturbation(BaseModel):
     load: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
     brake_fault: Literal["none", "open", "closed"] = "none"
-    brake_fault_leg: int = Field(default=0, ge=0)
-    brake_fault_time: float = Field(default=0.0, ge=0)
+    brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0)
+    brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0)
     cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
@@ -106,10 +107,7 @@ class Perturbation(BaseModel):
 
     @model_validator(mode="after")
     def _fault_of_a_brake(self) -> Self:
-        if self.brake_fault == "none":
-            for name in ("brake_fault_leg", "brake_fault_time"):
-                if getattr(self, name):
-                    raise ValueError(f"{name}: nothing uses it without brake_fault=open or brake_fault=closed")
+        reject_unread(self)
         return self
 
     @model_validator(mode="after")
@@ -128,10 +126,12 @@ class Perturbation(BaseModel):
         """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
         return getattr(self, name) not in (0, type(self).model_fields[name].default)
 
-    def refuse(self, names: Collection[str], why: str) -> None:
-        """Raise :class:`InputError` for the first of ``names`` that is :meth:`asked` for."""
-        for name in filter(self.asked, names):
-            raise InputError(f"plant.{name}: {why}")
+    def check_read(self, reads: Collection[str], reason: str, reasons: Mapping[str, str]) -> None:
+        """Raise :class:`InputError` for the first setting that is :meth:`asked` for and that a plant does not read, with the
+        reason of this setting, or the one of all others."""
+        for name in type(self).model_fields:
+            if name not in reads and self.asked(name):
+                raise InputError(f"plant.{name}: {reasons.get(name, reason)}")
 
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:
@@ -191,7 +191,7 @@ class Draw:
     def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
         """Other masses, inertias and centres of mass of a specification, in place.
 
-        Bodies that are ``balanced`` (wheels, the ball: they turn) keep their centres of mass. An inertia is scaled as a
+        Bodies that are ``balanced`` (wheels: they turn) keep their centres of mass. An inertia is scaled as a
         whole: scaling its moments one by one can break the triangle inequality.
         """
         nominal = spec.compile()

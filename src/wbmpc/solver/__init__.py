@@ -3,5 +3,6 @@
 from wbmpc.solver.settings import ILQR, SLQ, SQP, InteriorPoint
 from wbmpc.solver.solution import Solution, Status
 from wbmpc.solver.solver import Solver
+from wbmpc.solver.trajectory import Trajectory
 
-__all__ = ["ILQR", "SLQ", "SQP", "InteriorPoint", "Solution", "Solver", "Status"]
+__all__ = ["ILQR", "SLQ", "SQP", "InteriorPoint", "Solution", "Solver", "Status", "Trajectory"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUMS, VEC, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, Vector, compiled
 from wbmpc.solver.memory_layout import (
     BOXES,
     INDEX,
@@ -23,8 +23,8 @@ from wbmpc.solver.memory_layout import (
 INTERVAL, COUNTED, CHAIN_C, CHAIN_W, LANE_COST, BARRIER = (8 * i for i in range(6))
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, INT, INT)
-def barrier_value(m, o, start, count, x, u):  # type: ignore[no-untyped-def]
+@compiled
+def barrier_value(m: Floats, o: Integers, start: int, count: int, x: int, u: int) -> float:
     """Σ barrier(h) of boxes ``start`` … ; logarithms of products of h with the same μ."""
     total, product, mu, first = 0.0, 1.0, 0.0, o[NX] + 1
     for r in range(start, start + count):
@@ -42,8 +42,8 @@ def barrier_value(m, o, start, count, x, u):  # type: ignore[no-untyped-def]
     return total - mu * np.log(product)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, NUM)
-def add_square(m, o, matrix, ld, i, curve, slope):  # type: ignore[no-untyped-def]
+@compiled
+def add_square(m: Floats, o: Integers, matrix: int, ld: int, i: int, curve: float, slope: float) -> None:
     """Curvature and slope of one variable onto a matrix of the extended node vector."""
     constant = o[NX]
     m[matrix + i * ld + i] += curve
@@ -52,8 +52,10 @@ def add_square(m, o, matrix, ld, i, curve, slope):  # type: ignore[no-untyped-de
         m[matrix + constant * ld + i] += slope
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, INT, INT)
-def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def add_barrier(
+    m: Floats, o: Integers, start: int, count: int, x: int, u: int, scale: float, matrix: int, ld: int
+) -> None:
     """Gradient and curvature of the boxes, times ``scale``, onto a matrix of the extended node vector."""
     constant = o[NX]
     for r in range(start, start + count):
@@ -67,8 +69,8 @@ def add_barrier(m, o, start, count, x, u, scale, matrix, ld):  # type: ignore[no
         add_square(m, o, matrix, ld, i, scale * curve * sign * sign, scale * slope * sign)
 
 
-@compiled(VEC, NUMS, INTS, VEC)
-def logarithms(m, o, values):  # type: ignore[no-untyped-def]
+@compiled
+def logarithms(m: Floats, o: Integers, values: Vector) -> Vector:
     """Of eight numbers."""
     lanes = o[LANES_OUT]
     m[lanes : lanes + LANES] = values
@@ -77,17 +79,17 @@ def logarithms(m, o, values):  # type: ignore[no-untyped-def]
     return m[lanes : lanes + LANES]
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM, VEC, VEC)
-def add_derivatives(m, o, place, sign, slope, curve):  # type: ignore[no-untyped-def]
+@compiled
+def add_derivatives(m: Floats, o: Integers, variable: int, sign: float, slope: Vector, curve: Vector) -> None:
     """Slope and curvature of one variable onto those of the block."""
-    at = o[LANE_BARRIER] + 2 * LANES * place
+    at = o[LANE_BARRIER] + 2 * LANES * variable
     after = at + LANES
     m[at : at + LANES] = m[at : at + LANES] + sign * slope
     m[after : after + LANES] = m[after : after + LANES] + sign * sign * curve
 
 
-@compiled(NONE, NUMS, INTS, BOOL)
-def barrier_lanes(m, o, derivative):  # type: ignore[no-untyped-def]
+@compiled
+def barrier_lanes(m: Floats, o: Integers, derivative: bool) -> None:
     """Σ barrier(h) of a block's nodes into ``lane_small``; with ``derivative`` slope and curvature by variable, too."""
     first, value, product, mu = o[NX] + 1, np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     if derivative:
@@ -117,8 +119,8 @@ def barrier_lanes(m, o, derivative):  # type: ignore[no-untyped-def]
     m[out : out + LANES] = value - mu * logarithms(m, o, product)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def add_barrier_of_lane(m, o, lane, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def add_barrier_of_lane(m: Floats, o: Integers, lane: int, matrix: int, ld: int) -> None:
     """One node's slopes and curvatures, times its interval, onto its Hessian."""
     h, constant = m[o[LANE_SMALL] + INTERVAL + lane], o[NX]
     for i in range(constant + 1 + o[NU]):

@@ -141,7 +141,7 @@ def _largest(problem: Transcription, x: np.ndarray, u: np.ndarray, form: str) ->
 
 
 def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float, str]:
-    """By how much the start, or an interval a state of the next node, is missed at most; and a sentence with state and node."""
+    """By how much the start, or an interval a state of the next node, is missed at most; and a message with state and node."""
     names = problem.ocp.dynamics.state.names
     first = int(np.argmax(np.abs(x0 - ws.x[0])))
     start = float(abs(x0[first] - ws.x[0, first]))
@@ -184,7 +184,7 @@ def _bad_jump(problem: Transcription, ws: Any) -> str:
 
 
 def unstable_interval(problem: Transcription, ws: Any) -> str:
-    """Where the grid is too coarse for the dynamics: a motion that decays and that the integrator lets grow; a sentence.
+    """Where the grid is too coarse for the dynamics: a motion that decays and that the integrator lets grow; a message.
 
     Looked for at five nodes.
     """

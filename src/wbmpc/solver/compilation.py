@@ -2,24 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.kernel.ir import (
-    BOOL,
-    INT,
-    INT2,
-    INT3,
-    INTS,
-    LANES,
-    MASK,
-    NONE,
-    NUM,
-    NUM2,
-    NUM3,
-    NUM4,
-    NUM6,
-    NUMS,
-    VEC,
-    PointerCall,
-)
+from wbmpc.kernel.ir import LANES, Floats, Integers, Mask, PointerCall, Vector
 from wbmpc.kernel.library import Library
 
 LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
@@ -27,26 +10,16 @@ compiled = LIBRARY.compiled
 call2, call3, call4, call5, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 7))
 
 __all__ = [
-    "BOOL",
-    "INT",
-    "INT2",
-    "INT3",
-    "INTS",
     "LANES",
     "LIBRARY",
-    "MASK",
-    "NONE",
-    "NUM",
-    "NUM2",
-    "NUM3",
-    "NUM4",
-    "NUM6",
-    "NUMS",
-    "VEC",
+    "Floats",
+    "Integers",
+    "Mask",
+    "Vector",
     "call2",
     "call3",
     "call4",
     "call5",
     "call7",
     "compiled",
-]  # fmt: skip
+]

@@ -1,4 +1,4 @@
-"""The last word on a solve: its status, and a sentence that names what a failed one died of or what is doubtful about one that
+"""The last word on a solve: its status, and a message that names the cause of a failure, or what is doubtful about a solution that
 converged."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from wbmpc.ocp.constraint_classification import row_names
 from wbmpc.ocp.sets import Box
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
-from wbmpc.solver.settings import HUGE
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 
 if TYPE_CHECKING:
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 #: By how much a hard limit may be missed [in its own unit, and in the variables'] before it counts as relaxed; and as a share of
 #: its range, where that is less.
 RELAXED, RELAXED_SHARE = 1e-5, 1e-3
-#: An equality that is curved in the inputs and missed by less is on its way, not infeasible.
+#: An equality that is nonlinear in the inputs and missed by less is on its way, not infeasible.
 NEARLY = 1e-2
 
 
-def verdict(solver: Solver, solution: Solution) -> Solution:
+def diagnose(solver: Solver, solution: Solution) -> Solution:
     """The solution with its violations by name, and the status and the sentence that these show."""
     problem, ws = solver.problem, solver.ws
     violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
@@ -61,11 +61,11 @@ def _not_finite(solver: Solver) -> str:
 
 
 def _must_hold(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is to be met exactly. Relaxed barriers are wishes, and so are rows that a compliance softens (those of
+    """Whether a constraint is to be met exactly. Relaxed barriers are soft, and so are rows that a softness softens (those of
     the Riccati recursion): no problem is infeasible because of them."""
     if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
         return term.hard or isinstance(term.penalty, AugmentedLagrangian)
-    return term.compliance == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
+    return term.softness == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
 
 
 def _gives_way(problem: Transcription, term: Any) -> bool:
@@ -144,28 +144,28 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     gap, where = certificate.largest_gap(problem, ws, solver.x0)
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
-    held_up = not missed and (problem.compliance > 0.0).any()  # by wishes: the merit has them among the violations
+    held_up = not missed and (problem.softness > 0.0).any()  # by wishes: the merit has them among the violations
     if missed and _gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
         return (
             solution.status,
             f"largest violation: {missed}, a limit that may give way, for it has a slack: more iterations",
         )
-    bent = _bent(solver, missed)
+    hint = _nonlinear_hint(solver, missed)
     only_gaps = not missed and not _can_contradict(problem)
-    slow = bent != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
+    slow = hint != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
     stuck = _stuck(unmet, feasibility) and not only_gaps
     if not (held_up or slow) and (solution.status is Status.LINE_SEARCH_FAILED or stuck):
         status = Status.INFEASIBLE
     if missed:
-        return status, f"largest violation: {missed}{bent}"
+        return status, f"largest violation: {missed}{hint}"
     if where.startswith("the start") and hasattr(ws, "x_trial"):
         there = certificate.largest_gap(problem, certificate.trial(ws), solver.x0)[1]
         where += f"; a step further: {there}" if not there.startswith("the start") else ""
     return status, where
 
 
-def _bent(solver: Solver, missed: Violation | None) -> str:
-    """What to do about an equality that is curved in the inputs, where that is what is missed; empty for others.
+def _nonlinear_hint(solver: Solver, missed: Violation | None) -> str:
+    """What to do about an equality that is nonlinear in the inputs, where that is what is missed; empty for others.
 
     Steps on its linearisation are too long, which is no sign that it cannot be met.
     """
@@ -173,7 +173,7 @@ def _bent(solver: Solver, missed: Violation | None) -> str:
     if missed is None or missed.row.split(".")[0] not in terms:
         return ""
     hint = "more iterations or another guess" if solver.settings.hessian == "exact" else 'hessian="exact"'
-    return f", which is curved in the inputs: try {hint}"
+    return f", which is nonlinear in the inputs: try {hint}"
 
 
 def _diverged(solver: Solver) -> str:
@@ -193,23 +193,23 @@ def _diverged(solver: Solver) -> str:
         parts["no term looks at"] = f"input '{free[0]}'"
     told = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
     start = np.abs(solver.x0).max()
-    return f"the start has a state of {start:.3g}, {told}" if start > HUGE else told
+    return f"the start has a state of {start:.3g}, {told}" if start > THRESHOLDS.divergence else told
 
 
 def _multipliers_diverged(solution: Solution) -> bool:
     """Whether trajectories and costs are of a sane size: then it is what the constraints add that grows."""
     row = solution.log[-1]
-    return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]], np.abs(solution.x).max()) < HUGE
+    return max(abs(row[COLUMNS["cost"]]), row[COLUMNS["step"]], np.abs(solution.x).max()) < THRESHOLDS.divergence
 
 
 def _violation(solver: Solver, solution: Solution, missed: Violation | None) -> np.ndarray:
-    """Per iteration: gaps, equalities and hard rows (1-norm), without the equalities that a compliance softens.
+    """Per iteration: gaps, equalities and hard rows (1-norm), without the equalities that a softness softens.
 
     The log has one number for all equalities. Where only some are soft, what is left is theirs unless something is ``missed``.
     """
-    soft, log = solver.problem.compliance > 0.0, solution.log
-    wished = soft.any() and (soft.all() or missed is None)
-    return log[:, COLUMNS["violation"]] - (log[:, COLUMNS["equality"]] if wished else 0.0)  # type: ignore[no-any-return]
+    soft, log = solver.problem.softness > 0.0, solution.log
+    of_soft = soft.any() and (soft.all() or missed is None)
+    return log[:, COLUMNS["violation"]] - (log[:, COLUMNS["equality"]] if of_soft else 0.0)  # type: ignore[no-any-return]
 
 
 def _unmet(solver: Solver, solution: Solution, missed: Violation | None) -> np.ndarray:

@@ -4,70 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INT2, INTS, NONE, NUM, NUM2, NUM3, NUM4, NUM6, NUMS, compiled
+from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.inequalities import rows_step, start_rows, take_rows
-from wbmpc.solver.inequality_table import forget_outside, start_outside
-from wbmpc.solver.infeasibility import contradicts
+from wbmpc.solver.inequality_table import initial_violation, reset_violations
+from wbmpc.solver.infeasibility import detect_infeasibility
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
-    CERTIFY,
-    COST,
-    CURVED,
     DU,
-    DUAL,
     DX,
     EPS,
-    EQUALITY_BOUND,
     EXACT,
-    EXTRA,
-    FEASIBILITY,
-    FILTERED,
-    HOLD,
-    ITERATIONS,
-    KEEP,
-    KEEP_SLACKS,
-    LARGEST_SHIFT,
-    LAST_ALPHA,
-    LEAST_SLACK,
-    LEFT,
     LIMIT_TOLERANCE,
     LX,
-    MISSED,
-    MU,
-    MU_END,
-    MU_FLOOR,
-    MU_START,
     NG,
+    NONLINEAR_INPUT_ROWS,
     NU,
     NX,
     POLICY,
-    PRIMAL,
-    PRODUCT,
-    RESIDUAL,
-    RHO,
-    ROW_COST,
-    ROW_SLOPE,
-    SHIFT,
-    SINGLE,
-    START_ANEW,
+    SOFT_EQUALITIES,
     STATE,
-    TAU,
-    THETA,
-    TOLERANCE,
-    UNDUE,
-    UNEQUAL,
-    VIOLATION,
-    WATCHED,
-    WISHED,
-    WISHES,
     K,
     N,
+    Setting,
+    StateField,
     U,
     X,
 )
 from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residual
-from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
-from wbmpc.solver.soft_equalities import start_wishes, take_wishes, wishes_step
+from wbmpc.solver.settings import THRESHOLDS
+from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
 from wbmpc.solver.workspace import LOG
 
@@ -76,66 +41,91 @@ CONVERGED, ITERATION_LIMIT, LINE_SEARCH_FAILED, NOT_FINITE, DIVERGED, INPUT_INFE
 LOG_COLUMNS = len(LOG)
 #: What a direction is told to be where it ends nothing: of use, or to be sought again.
 GO_ON, AGAIN = -1, -2
-#: A step that the slacks cut to less than this, with the measured state outside a limit, is not worth taking.
-JAMMED = 0.25
 
 
-@compiled(NUM, NUM, NUM, NUM, NUM)
-def next_mu(mu, last, error, complementarity):  # type: ignore[no-untyped-def]
+@compiled
+def next_mu(mu: float, last: float, error: float, complementarity: float) -> float:
     """μ for the next iteration: smaller once the present barrier problem is solved well enough (monotone rule)."""
     while mu > last and max(error, complementarity - mu) <= 10.0 * mu:
         mu = max(last, min(0.2 * mu, mu**1.5))
     return mu
 
 
-@compiled(NONE, NUMS, INTS, NUMS, NUMS)
-def begin(m, o, x0, s):  # type: ignore[no-untyped-def]
+@compiled
+def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     """What a solve starts from: its state, slacks and multipliers, for single shooting a motion."""
     state, rows = o[STATE], row_count(o) > 0
-    m[state + MU], m[state + FILTERED], m[state + SHIFT] = s[MU_START], 0.0, 0.0
-    m[state + PRIMAL], m[state + DUAL], m[state + ROW_SLOPE] = 1.0, 1.0, 0.0
-    m[state + PRODUCT], m[state + RESIDUAL], m[state + LEFT], m[state + ROW_COST] = 0.0, 0.0, 0.0, 0.0
-    m[state + RHO], m[state + THETA] = 1.0, 1.0
+    m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE], m[state + StateField.SHIFT] = (
+        s[Setting.INITIAL_BARRIER],
+        0.0,
+        0.0,
+    )
+    m[state + StateField.MAX_PRIMAL_STEP], m[state + StateField.MAX_DUAL_STEP], m[state + StateField.ROW_SLOPE] = (
+        1.0,
+        1.0,
+        0.0,
+    )
+    (
+        m[state + StateField.MAX_COMPLEMENTARITY],
+        m[state + StateField.MAX_ROW_RESIDUAL],
+        m[state + StateField.REMAINING_VIOLATION],
+        m[state + StateField.ROW_COST],
+    ) = 0.0, 0.0, 0.0, 0.0
+    m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
-    rolled = 1.0 if rows and s[SINGLE] * s[KEEP] > 0.0 else 0.0
-    m[state + HOLD] = 1.0 + s[KEEP] if o[CURVED] > 0 else rolled
-    m[state + WATCHED], m[state + UNEQUAL] = s[KEEP], 0.0
-    forget_outside(m, o)
+    rolled = 1.0 if rows and s[Setting.SINGLE_SHOOTING] * s[Setting.KEEP_MULTIPLIERS] > 0.0 else 0.0
+    m[state + StateField.HOLD_INPUTS] = 1.0 + s[Setting.KEEP_MULTIPLIERS] if o[NONLINEAR_INPUT_ROWS] > 0 else rolled
+    m[state + StateField.CHECK_INPUT_ROWS], m[state + StateField.EQUALITY_RESIDUAL] = s[Setting.KEEP_MULTIPLIERS], 0.0
+    reset_violations(m, o)
     if rows:
-        start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
-    if s[SINGLE] > 0.0:
+        start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, s[Setting.KEEP_SLACKS] > 0.0)
+    if s[Setting.SINGLE_SHOOTING] > 0.0:
         roll_out(m, o, x0)
         if rows:
-            start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, s[KEEP_SLACKS] > 0.0)
-    if o[WISHES] > 0:
-        start_wishes(m, o)
+            start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, s[Setting.KEEP_SLACKS] > 0.0)
+    if o[SOFT_EQUALITIES] > 0:
+        start_soft_residuals(m, o)
 
 
-@compiled(NUM6, NUMS, INTS, NUMS, NUMS, NUMS, INT)
-def direction(m, o, x0, s, log, row):  # type: ignore[no-untyped-def]
+@compiled
+def direction(
+    m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, row: int
+) -> tuple[float, float, float, float, float, float]:
     """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
-    has the equalities that are wishes too."""
-    state, compute_kkt = o[STATE], s[CERTIFY] > 0.0
+    has the equalities that are soft too."""
+    state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
     largest, slope = forward(m, o, x0)
     if row_count(o) > 0:
-        rows_step(m, o, s[TAU])
-    if o[WISHES] > 0:
-        slope += wishes_step(m, o)
+        rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+    if o[SOFT_EQUALITIES] > 0:
+        slope += soft_residual_steps(m, o)
     kkt, curvature = kkt_residual(m, o) if compute_kkt else (np.nan, 0.0)
-    log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + ROW_COST], violation, kkt, largest
-    m[state + COST], m[state + VIOLATION] = log[row], violation
-    log[row + 4], log[row + 5], log[row + 6], log[row + 7] = 0.0, gaps, equalities, m[state + RESIDUAL]
-    log[row + 8], log[row + 9] = m[state + PRODUCT], m[state + MU]
-    log[row + 10], log[row + 11] = m[state + SHIFT], m[state + DUAL]
-    return cost, violation - m[state + WISHED], kkt, curvature, largest, slope + m[state + ROW_SLOPE]
+    log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + StateField.ROW_COST], violation, kkt, largest
+    m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], violation
+    log[row + 4], log[row + 5], log[row + 6], log[row + 7] = (
+        0.0,
+        gaps,
+        equalities,
+        m[state + StateField.MAX_ROW_RESIDUAL],
+    )
+    log[row + 8], log[row + 9] = m[state + StateField.MAX_COMPLEMENTARITY], m[state + StateField.BARRIER]
+    log[row + 10], log[row + 11] = m[state + StateField.SHIFT], m[state + StateField.MAX_DUAL_STEP]
+    return (
+        cost,
+        violation - m[state + StateField.SOFT_EQUALITY_VIOLATION],
+        kkt,
+        curvature,
+        largest,
+        slope + m[state + StateField.ROW_SLOPE],
+    )
 
 
-@compiled(NUM, NUMS, INTS)
-def moved(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def moved(m: Floats, o: Integers) -> float:
     """The largest part of the step beside 1 + |x| or 1 + |u|.
 
     Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
@@ -150,150 +140,165 @@ def moved(m, o):  # type: ignore[no-untyped-def]
     return largest
 
 
-@compiled(BOOL, NUMS, INTS, NUM, NUM, NUM)
-def met(m, o, violation, equalities, limit):  # type: ignore[no-untyped-def]
-    """Whether the constraints are met. Equality rows with a compliance keep a residual, which is theirs once nothing moves."""
-    if m[o[STATE] + RESIDUAL] > limit:
+@compiled
+def met(m: Floats, o: Integers, violation: float, equalities: float, limit: float) -> bool:
+    """Whether the constraints are met. Equality rows with a softness keep a residual, which is theirs once nothing moves."""
+    if m[o[STATE] + StateField.MAX_ROW_RESIDUAL] > limit:
         return False
     soft = False
     for j in range(o[NG]):
         soft = soft or m[o[EPS] + j] > 1e-13
-    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= AT_REST)
+    return violation <= limit or (soft and violation - equalities <= limit and moved(m, o) <= THRESHOLDS.at_rest)
 
 
-@compiled(BOOL, NUMS, INTS, NUMS)
-def make_convex(m, o, s):  # type: ignore[no-untyped-def]
+@compiled
+def make_convex(m: Floats, o: Integers, s: Floats) -> bool:
     """Fewer second derivatives, then a larger shift, for a subproblem that is not convex; whether there is one to try."""
     state = o[STATE]
-    if o[EXACT] > 0 and m[state + THETA] > 0.0:
-        m[state + THETA] = 0.25 * m[state + THETA] if m[state + THETA] > 0.02 else 0.0
+    if o[EXACT] > 0 and m[state + StateField.SECOND_ORDER_SHARE] > 0.0:
+        m[state + StateField.SECOND_ORDER_SHARE] = (
+            0.25 * m[state + StateField.SECOND_ORDER_SHARE] if m[state + StateField.SECOND_ORDER_SHARE] > 0.02 else 0.0
+        )
         return True
-    m[state + SHIFT] = max(10.0 * m[state + SHIFT], 1e-6)
-    return m[state + SHIFT] <= s[LARGEST_SHIFT]
+    m[state + StateField.SHIFT] = max(10.0 * m[state + StateField.SHIFT], 1e-6)
+    return m[state + StateField.SHIFT] <= s[Setting.MAX_REGULARIZATION]
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM, NUM)
-def settle_rows(m, o, s, alpha, kkt, violation, last_residual, level):  # type: ignore[no-untyped-def]
+@compiled
+def settle_rows(
+    m: Floats, o: Integers, s: Floats, alpha: float, kkt: float, violation: float, last_residual: float, level: float
+) -> tuple[float, float]:
     """Slacks and multipliers after a step of ``alpha``; μ and ρ for the next one.
 
     Returns the residual to compare the next one with, and 1 when the problem is another one now (μ or ρ has changed).
     """
-    state, compute_kkt = o[STATE], s[CERTIFY] > 0.0
-    mu, residual, product, changed = m[state + MU], m[state + RESIDUAL], m[state + PRODUCT], 0.0
+    state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
+    mu, residual, product, changed = (
+        m[state + StateField.BARRIER],
+        m[state + StateField.MAX_ROW_RESIDUAL],
+        m[state + StateField.MAX_COMPLEMENTARITY],
+        0.0,
+    )
     # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
-    solved = not compute_kkt or kkt <= max(s[TOLERANCE], 0.1 * residual)
-    take_rows(m, o, alpha, m[state + DUAL], solved)
-    feasible = violation <= s[FEASIBILITY] and residual <= s[FEASIBILITY]
+    solved = not compute_kkt or kkt <= max(s[Setting.TOLERANCE], 0.1 * residual)
+    take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved)
+    feasible = violation <= s[Setting.FEASIBILITY] and residual <= s[Setting.FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
     after = next_mu(mu, level, max(kkt, error) if compute_kkt else 0.0, product)
-    if m[state + PRIMAL] < 0.1:  # the slacks are at the boundary, far from the central path
-        after = min(s[MU_START], 10.0 * mu)
+    if m[state + StateField.MAX_PRIMAL_STEP] < 0.1:  # the slacks are at the boundary, far from the central path
+        after = min(s[Setting.INITIAL_BARRIER], 10.0 * mu)
     if compute_kkt and (solved or alpha > 0.9):
-        if residual > s[FEASIBILITY] and residual > 0.25 * last_residual:
-            m[state + RHO], changed = min(4.0 * m[state + RHO], 1e6), 1.0
+        if residual > s[Setting.FEASIBILITY] and residual > 0.25 * last_residual:
+            m[state + StateField.PENALTY_FACTOR], changed = min(4.0 * m[state + StateField.PENALTY_FACTOR], 1e6), 1.0
         last_residual = residual
     if after != mu:
-        m[state + MU], m[state + FILTERED], changed = after, 0.0, 1.0
+        m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE], changed = after, 0.0, 1.0
     return last_residual, changed
 
 
-@compiled(BOOL, NUMS, INTS, NUMS)
-def misses_equality(m, o, s):  # type: ignore[no-untyped-def]
+@compiled
+def misses_equality(m: Floats, o: Integers, s: Floats) -> bool:
     """Whether, in real time, the plan's first input misses an equality by more than ``equality_bound``."""
-    return s[KEEP] > 0.0 and o[NG] > 0 and first_equalities(m, o) > s[EQUALITY_BOUND]
+    return s[Setting.KEEP_MULTIPLIERS] > 0.0 and o[NG] > 0 and first_equalities(m, o) > s[Setting.EQUALITY_BOUND]
 
 
-@compiled(INT, NUMS, INTS, NUMS, INT)
-def verdict_at_the_limit(m, o, s, status):  # type: ignore[no-untyped-def]
+@compiled
+def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
-    if m[o[STATE] + MISSED] > LIMIT_TOLERANCE:
+    if m[o[STATE] + StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
         return INPUT_INFEASIBLE
     if misses_equality(m, o, s):
         return EQUALITY_INFEASIBLE
-    if s[KEEP] > 0.0:
-        return EQUALITY_INFEASIBLE if contradicts(m, o, s) else status
+    if s[Setting.KEEP_MULTIPLIERS] > 0.0:
+        return EQUALITY_INFEASIBLE if detect_infeasibility(m, o, s) else status
     return status
 
 
-@compiled(BOOL, NUMS, INTS)
-def is_minimum(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def is_minimum(m: Floats, o: Integers) -> bool:
     """Whether the exact Hessian is positive definite where dynamics and equalities let the step go, hard rows counted by their
     barrier: the recursion's factors, with all second derivatives and without shift, are then finite. Keeps the gains.
     """
     state, found = o[STATE], True
-    theta, shift = m[state + THETA], m[state + SHIFT]
+    theta, shift = m[state + StateField.SECOND_ORDER_SHARE], m[state + StateField.SHIFT]
     if theta == 1.0 and shift == 0.0:  # as it was solved
         return True
-    m[state + THETA], m[state + SHIFT] = 1.0, 0.0
+    m[state + StateField.SECOND_ORDER_SHARE], m[state + StateField.SHIFT] = 1.0, 0.0
     backward(m, o, False)
     for i in range(o[N] * o[NU] * o[LX]):
         found = found and np.isfinite(m[o[K] + i])
-    m[state + THETA], m[state + SHIFT] = theta, shift
+    m[state + StateField.SECOND_ORDER_SHARE], m[state + StateField.SHIFT] = theta, shift
     backward(m, o, False)
     return found
 
 
-@compiled(BOOL, NUMS, INTS, NUMS, NUMS)
-def starts_anew(m, o, x0, s):  # type: ignore[no-untyped-def]
+@compiled
+def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
     """Where the measured state is outside a hard limit, the iterate starts inside, and its slacks hardly let it go there: it
     becomes a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
 
     Steps from inside would be cut again and again, and in real time the plan would not start where the robot is.
     """
     state = o[STATE]
-    if m[state + PRIMAL] > JAMMED or start_outside(m, o) <= LIMIT_TOLERANCE:
+    if m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed or initial_violation(m, o) <= LIMIT_TOLERANCE:
         return False
-    hold = m[state + HOLD]
-    m[state + HOLD] = max(hold, 1.0)
+    hold = m[state + StateField.HOLD_INPUTS]
+    m[state + StateField.HOLD_INPUTS] = max(hold, 1.0)
     cost, violation = trial(m, o, x0, 0.0, True)
-    m[state + HOLD] = hold
+    m[state + StateField.HOLD_INPUTS] = hold
     if not (np.isfinite(cost) and np.isfinite(violation)):
         return False
     take(m, o)
-    start_rows(m, o, s[LEAST_SLACK], s[KEEP] > 0.0, False)
-    m[state + FILTERED] = 0.0
+    start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, False)
+    m[state + StateField.FILTER_SIZE] = 0.0
     return True
 
 
-@compiled(INT, NUMS, INTS, NUMS, NUMS, INT, NUM4)
-def unusable(m, o, s, log, row, found):  # type: ignore[no-untyped-def]
+@compiled
+def direction_status(
+    m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tuple[float, float, float, float]
+) -> int:
     """The status that a direction ends a solve with, AGAIN where it is to be sought once more with a convex subproblem, or GO_ON.
     ``found``: cost, violation, largest component, slope."""
     cost, violation, largest, slope = found
     if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
         known = np.isfinite(cost) and np.isfinite(violation)
         log[row + 2] = np.nan
-        if known and s[LARGEST_SHIFT] > 0.0 and make_convex(m, o, s):
+        if known and s[Setting.MAX_REGULARIZATION] > 0.0 and make_convex(m, o, s):
             return AGAIN
         return NOT_FINITE
-    if abs(cost) > HUGE or largest > HUGE:
+    if abs(cost) > THRESHOLDS.divergence or largest > THRESHOLDS.divergence:
         return DIVERGED
     return GO_ON
 
 
-@compiled(NUM3, NUMS, INTS, NUMS, BOOL, NUM, NUM3)
-def judge(m, o, s, feasible, kkt, barrier):  # type: ignore[no-untyped-def]
+@compiled
+def convergence_status(
+    m: Floats, o: Integers, s: Floats, feasible: bool, kkt: float, barrier: tuple[float, float, float]
+) -> tuple[float, float, float]:
     """(CONVERGED, AGAIN where the barrier problem is solved and μ has been lowered, or GO_ON; next level and bias).
 
     ``barrier``: the level that μ is to fall to, μ of the iteration before, and how far the plan would still move with μ."""
     level, last_mu, bias = barrier
-    state, compute_kkt, rows = o[STATE], s[CERTIFY] > 0.0, row_count(o) > 0
-    mu, product = m[state + MU], m[state + PRODUCT]
+    state, compute_kkt, rows = o[STATE], s[Setting.COMPUTE_KKT] > 0.0, row_count(o) > 0
+    mu, product = m[state + StateField.BARRIER], m[state + StateField.MAX_COMPLEMENTARITY]
     if compute_kkt and mu < last_mu:
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
-    small = not last or moved(m, o) <= UNSETTLED
-    if compute_kkt and kkt <= s[TOLERANCE] and feasible and product <= 10.0 * mu and small:
-        if last and (not rows or bias <= BIAS or mu <= s[MU_FLOOR]):
+    small = not last or moved(m, o) <= THRESHOLDS.settled
+    if compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= 10.0 * mu and small:
+        if last and (not rows or bias <= THRESHOLDS.bias or mu <= s[Setting.MIN_BARRIER]):
             return 1.0 * CONVERGED, level, bias
-        level = max(0.2 * mu, s[MU_FLOOR]) if last else level
-        m[state + MU], m[state + FILTERED] = next_mu(mu, level, 0.0, mu), 0.0
+        level = max(0.2 * mu, s[Setting.MIN_BARRIER]) if last else level
+        m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE] = next_mu(mu, level, 0.0, mu), 0.0
         return 1.0 * AGAIN, level, bias
     return 1.0 * GO_ON, level, bias
 
 
-@compiled(NUM2, NUM4, NUM2, NUM, NUM)
-def weigh(found, optimality, penalty, first):  # type: ignore[no-untyped-def]
+@compiled
+def update_merit(
+    found: tuple[float, float, float, float], optimality: tuple[float, float], penalty: float, first: float
+) -> tuple[float, float]:
     """(Weight of the violation in the merit, first step length to try) from those before.
 
     ``found``: cost, slope, curvature, drop of the violation; ``optimality``: KKT residual, and that of the iteration before."""
@@ -307,100 +312,121 @@ def weigh(found, optimality, penalty, first):  # type: ignore[no-untyped-def]
     return penalty, first
 
 
-@compiled(BOOL, NUMS, INTS, NUMS, NUMS)
-def gives_up(m, o, x0, s):  # type: ignore[no-untyped-def]
+@compiled
+def line_search_gives_up(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
     """Whether a solve ends where no step length was accepted; else another direction is to be tried."""
     state = o[STATE]
-    if m[state + HOLD] == 1.0 and s[KEEP] == 0.0:  # once more along the step itself
-        m[state + HOLD] = 0.0
+    if (
+        m[state + StateField.HOLD_INPUTS] == 1.0 and s[Setting.KEEP_MULTIPLIERS] == 0.0
+    ):  # once more along the step itself
+        m[state + StateField.HOLD_INPUTS] = 0.0
         return False
-    m[state + SHIFT] = max(10.0 * m[state + SHIFT], 1e-4)
-    if m[state + SHIFT] <= s[LARGEST_SHIFT]:
+    m[state + StateField.SHIFT] = max(10.0 * m[state + StateField.SHIFT], 1e-4)
+    if m[state + StateField.SHIFT] <= s[Setting.MAX_REGULARIZATION]:
         return False
-    if s[KEEP] > 0.0 and row_count(o) > 0:  # the trial point that is looked at is to be the iterate
+    if s[Setting.KEEP_MULTIPLIERS] > 0.0 and row_count(o) > 0:  # the trial point that is looked at is to be the iterate
         trial(m, o, x0, 0.0, False)
     return True
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUM, NUM, NUM, NUM, NUM)
-def go_on(m, o, s, alpha, kkt, violation, last_residual, level):  # type: ignore[no-untyped-def]
+@compiled
+def accept_step(
+    m: Floats, o: Integers, s: Floats, alpha: float, kkt: float, violation: float, last_residual: float, level: float
+) -> tuple[float, float]:
     """The trial point becomes the iterate, with its slacks and multipliers. Returns as :func:`settle_rows`."""
-    state, shift = o[STATE], m[o[STATE] + SHIFT]
-    m[state + SHIFT], m[state + THETA] = (
+    state, shift = o[STATE], m[o[STATE] + StateField.SHIFT]
+    m[state + StateField.SHIFT], m[state + StateField.SECOND_ORDER_SHARE] = (
         0.2 * shift if shift > 1e-6 else 0.0,
-        min(1.0, 2.0 * m[state + THETA] + 0.01),
+        min(1.0, 2.0 * m[state + StateField.SECOND_ORDER_SHARE] + 0.01),
     )
     take(m, o)
-    if o[WISHES] > 0:
-        take_wishes(m, o, alpha)
-    m[state + LAST_ALPHA], o[POLICY] = alpha, 1
+    if o[SOFT_EQUALITIES] > 0:
+        take_soft_residuals(m, o, alpha)
+    m[state + StateField.LAST_STEP], o[POLICY] = alpha, 1
     if row_count(o) > 0:
         return settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
     return last_residual, 0.0
 
 
-@compiled(INT, NUMS, INTS, NUMS, BOOL, NUM, INT)
-def one_more(m, o, s, cut, hold, limit):  # type: ignore[no-untyped-def]
+@compiled
+def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
     """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]
-    short = cut or max(m[state + MISSED], m[state + UNDUE]) > LIMIT_TOLERANCE
-    if limit < int(s[ITERATIONS]) + int(s[EXTRA]) and (short or misses_equality(m, o, s)):
+    short = (
+        cut or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
+    )
+    if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
+        short or misses_equality(m, o, s)
+    ):
         return limit + 1
-    if m[state + MISSED] > LIMIT_TOLERANCE and s[KEEP] > 0.0 and hold + o[NG] == 0.0:
-        m[state + HOLD] = 2.0
+    if (
+        m[state + StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE
+        and s[Setting.KEEP_MULTIPLIERS] > 0.0
+        and hold + o[NG] == 0.0
+    ):
+        m[state + StateField.HOLD_INPUTS] = 2.0
         return limit + 1
     return limit
 
 
-@compiled(INT2, NUMS, INTS, NUMS, NUMS, NUMS)
-def solve(m, o, x0, s, log):  # type: ignore[no-untyped-def]
+@compiled
+def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[int, int]:
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
     penalty, first, last_kkt, last_residual, it = 0.0, 1.0, np.inf, np.inf, 0
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
-    level, last_mu, bias = s[MU_END], s[MU_START], 0.0
+    level, last_mu, bias = s[Setting.BARRIER], s[Setting.INITIAL_BARRIER], 0.0
     begin(m, o, x0, s)
-    state, limit, hold = o[STATE], int(s[ITERATIONS]), m[o[STATE] + HOLD]
-    again = row_count(o) > 0 and (s[CERTIFY] > 0.0 or (s[EXTRA] > 0.0 and s[START_ANEW] > 0.0)) and s[SINGLE] == 0.0
+    state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
+    again = (
+        row_count(o) > 0
+        and (
+            s[Setting.COMPUTE_KKT] > 0.0 or (s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0)
+        )
+        and s[Setting.SINGLE_SHOOTING] == 0.0
+    )
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
         it += 1
-        ended = unusable(m, o, s, log, row, (cost, violation, largest, slope))
+        ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope))
         if ended == AGAIN:
             continue
         if ended != GO_ON:
             return ended, it
-        mu, feasible = m[state + MU], met(m, o, violation, log[row + 6] - m[state + WISHED], s[FEASIBILITY])
-        found, level, bias = judge(m, o, s, feasible, kkt, (level, last_mu, bias))
+        mu, feasible = (
+            m[state + StateField.BARRIER],
+            met(m, o, violation, log[row + 6] - m[state + StateField.SOFT_EQUALITY_VIOLATION], s[Setting.FEASIBILITY]),
+        )
+        found, level, bias = convergence_status(m, o, s, feasible, kkt, (level, last_mu, bias))
         last_mu = mu
         if found == CONVERGED:
             return CONVERGED, it
         if found == AGAIN:
             first, last_kkt = 1.0, np.inf
             continue
-        if again and starts_anew(m, o, x0, s):
+        if again and restart_from_rollout(m, o, x0, s):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
-        drop = violation - m[state + LEFT]
-        penalty, first = weigh((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
+        drop = violation - m[state + StateField.REMAINING_VIOLATION]
+        penalty, first = update_merit((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
         last_kkt = kkt
-        if s[CERTIFY] == 0.0:
+        if s[Setting.COMPUTE_KKT] == 0.0:
             first = longest_step(m, o, it == 1)
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:
-            m[state + COST], m[state + VIOLATION] = log[row], log[row + 1]
-            if gives_up(m, o, x0, s):
-                return verdict_at_the_limit(m, o, s, LINE_SEARCH_FAILED), it
+            m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], log[row + 1]
+            if line_search_gives_up(m, o, x0, s):
+                return status_at_iteration_limit(m, o, s, LINE_SEARCH_FAILED), it
             continue
         log[row + 4] = alpha
-        last_residual, changed = go_on(m, o, s, alpha, kkt, violation, last_residual, level)
+        last_residual, changed = accept_step(m, o, s, alpha, kkt, violation, last_residual, level)
         if changed > 0.0:
             last_kkt = np.inf
         if hold > 0.0:
-            m[state + HOLD] = hold
+            m[state + StateField.HOLD_INPUTS] = hold
         if it == limit:
-            limit = one_more(m, o, s, alpha < 0.9 * first, hold, limit)
-            hold = max(hold, m[state + HOLD])
-    return verdict_at_the_limit(m, o, s, ITERATION_LIMIT), it
+            limit = extend_iterations(m, o, s, alpha < 0.9 * first, hold, limit)
+            hold = max(hold, m[state + StateField.HOLD_INPUTS])
+    return status_at_iteration_limit(m, o, s, ITERATION_LIMIT), it

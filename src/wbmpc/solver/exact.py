@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import INT, INTS, NONE, NUM, NUMS, call2, compiled
+from wbmpc.solver.compilation import Floats, Integers, call2, compiled
 from wbmpc.solver.inequality_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
@@ -38,15 +38,15 @@ from wbmpc.solver.memory_layout import (
     ROW_L,
     ROWS,
     SECOND,
-    SIGN,
     SIGNED,
     SLOPES,
     SMALL,
     STATE,
-    THETA,
     G,
     N,
     P,
+    RowField,
+    StateField,
     U,
     W,
     X,
@@ -54,8 +54,8 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.stages import row_index
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)
-def stage_with(o, function, x, u, p, first, second, result):  # type: ignore[no-untyped-def]
+@compiled
+def stage_with(o: Integers, function: int, x: int, u: int, p: int, first: int, second: int, result: int) -> None:
     """Call a stage function of (x, u, p, w, h, first, second)."""
     base = o[BASE]
     o[ARG], o[ARG + 1], o[ARG + 2], o[ARG + 3] = base + 8 * x, base + 8 * u, base + 8 * p, base + 8 * o[W]
@@ -64,8 +64,8 @@ def stage_with(o, function, x, u, p, first, second, result):  # type: ignore[no-
     call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
 
 
-@compiled(NUM, NUMS, INTS, INT, INT)
-def signed_multiplier(m, o, k, j):  # type: ignore[no-untyped-def]
+@compiled
+def signed_multiplier(m: Floats, o: Integers, k: int, j: int) -> float:
     """Multiplier of row j of node k as it stands before the row's value in the Lagrangian."""
     first, _, _ = node_rows(o, k)
     r, q = first + j, k * o[ROWS] + j
@@ -79,14 +79,14 @@ def signed_multiplier(m, o, k, j):  # type: ignore[no-untyped-def]
     return l
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
-def add_row_gradient(m, o, k, jacobian, gradient, w):  # type: ignore[no-untyped-def]
+@compiled
+def add_row_gradient(m: Floats, o: Integers, k: int, jacobian: int, gradient: int, w: int) -> None:
     """w κᵀ J of the node's rows onto a gradient by [x, 1, u]; ``w`` is an offset into the memory. Fills ``signed``."""
     first, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
         value = m[w] * signed_multiplier(m, o, k, j)
         if j < boxes:
-            m[gradient + o[row_index(o) + first + j]] += value * m[entry(o, SIGN, first + j)]
+            m[gradient + o[row_index(o) + first + j]] += value * m[entry(o, RowField.SIGN, first + j)]
             continue
         m[o[SIGNED] + j - boxes] = signed_multiplier(m, o, k, j)
         row = jacobian + (j - boxes) * o[LZ]
@@ -97,8 +97,8 @@ def add_row_gradient(m, o, k, jacobian, gradient, w):  # type: ignore[no-untyped
                 m[gradient + i] += value * m[row + i]
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def least_squares_multipliers(m, o, rows):  # type: ignore[no-untyped-def]
+@compiled
+def least_squares_multipliers(m: Floats, o: Integers, rows: int) -> None:
     """ν of the equality rows [C e D] at ``rows`` from the gradient by u in ``chained``: (D Dᵀ + ε) ν = −D g."""
     ng, nu, lz, first = o[NG], o[NU], o[LZ], o[NX] + 1
     normal, nu_rows, gradient = o[NORMAL], o[NU_ROWS], o[CHAINED]
@@ -129,21 +129,21 @@ def least_squares_multipliers(m, o, rows):  # type: ignore[no-untyped-def]
         m[nu_rows + a] /= m[normal + a * ng + a]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def add_second(m, o, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def add_second(m: Floats, o: Integers, matrix: int, ld: int) -> None:
     """``second`` onto a matrix of the extended node vector (or its part by [x, 1])."""
-    size, theta = o[NX] + 1 + (o[NU] if ld == o[LZ] else 0), m[o[STATE] + THETA]
+    size, theta = o[NX] + 1 + (o[NU] if ld == o[LZ] else 0), m[o[STATE] + StateField.SECOND_ORDER_SHARE]
     for i in range(size):
         for j in range(size):
             if i != o[NX] and j != o[NX]:
                 m[matrix + i * ld + j] += theta * m[o[SECOND] + i * ld + j]
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def add_chained(m, o, matrix, c):  # type: ignore[no-untyped-def]
+@compiled
+def add_chained(m: Floats, o: Integers, matrix: int, c: float) -> None:
     """Mᵀ S M onto the matrix: S in ``second``, M = [I + c J1; I by u]."""
     nx, nz, lz = o[NX], o[NX] + 1 + o[NU], o[LZ]
-    s, t, j1, theta = o[SECOND], o[CHAINED], o[J1], m[o[STATE] + THETA]
+    s, t, j1, theta = o[SECOND], o[CHAINED], o[J1], m[o[STATE] + StateField.SECOND_ORDER_SHARE]
     for i in range(nz):  # T = S M, row by row
         for j in range(nz):
             m[t + i * lz + j] = theta * m[s + i * lz + j]
@@ -164,8 +164,8 @@ def add_chained(m, o, matrix, c):  # type: ignore[no-untyped-def]
                         m[matrix + i * lz + j] += factor * m[t + q * lz + j]
 
 
-@compiled(NONE, NUMS, INTS)
-def costate_end(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def costate_end(m: Floats, o: Integers) -> None:
     """The costate at the end of the horizon."""
     n, one = o[N], o[SMALL] + 2
     for i in range(o[NX]):
@@ -174,8 +174,8 @@ def costate_end(m, o):  # type: ignore[no-untyped-def]
     add_row_gradient(m, o, n, o[END_J], o[ADJOINT], one)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def costate_node(m, o, k, rows):  # type: ignore[no-untyped-def]
+@compiled
+def costate_node(m: Floats, o: Integers, k: int, rows: int) -> None:
     """Multipliers of node k's equality rows, which are at ``rows``, to ``multiplier``, those of its other rows to ``signed``; the
     costate moves from node k + 1 to node k."""
     nx, nu, lz = o[NX], o[NU], o[LZ]
@@ -195,8 +195,8 @@ def costate_node(m, o, k, rows):  # type: ignore[no-untyped-def]
         m[costate + i] = total
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def exact_end(m, o, end):  # type: ignore[no-untyped-def]
+@compiled
+def exact_end(m: Floats, o: Integers, end: int) -> None:
     """Second derivatives of the end of the horizon, and its costate."""
     n, nx, base = o[N], o[NX], o[BASE]
     costate_end(m, o)
@@ -208,15 +208,15 @@ def exact_end(m, o, end):  # type: ignore[no-untyped-def]
     add_second(m, o, end, o[LX])
 
 
-@compiled(NONE, NUMS, INTS)
-def clear_second(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def clear_second(m: Floats, o: Integers) -> None:
     """Zeros: the functions write their own non-zeros only, and share the buffer."""
     for i in range((o[NX] + 1 + o[NU]) * o[LZ]):
         m[o[SECOND] + i] = 0.0
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def exact_node(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+@compiled
+def exact_node(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
     """Second derivatives of node k onto its Hessian, after its linearisation; the costate moves to node k. ``rows``: where
     the node's equality rows are."""
     nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
@@ -243,8 +243,8 @@ def exact_node(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
     add_second(m, o, matrix, lz)
 
 
-@compiled(INT, INTS, INT)
-def node_general(o, k):  # type: ignore[no-untyped-def]
+@compiled
+def node_general(o: Integers, k: int) -> int:
     """General rows of node k."""
     _, _, general = node_rows(o, k)
     return general

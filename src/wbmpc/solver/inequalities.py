@@ -19,33 +19,25 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.barriers import add_square
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUMS, call3, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
-from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, look_outside, node_rows
+from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
     BASE,
     DU,
-    DUAL,
     DX,
     END_J,
     END_ROW_GENERAL,
     END_ROW_VALUES,
     END_ROWS_J,
     GRID,
-    KIND,
-    LEFT,
     LX,
     LZ,
-    MU,
     NP,
     NU,
     NX,
-    OFFSET,
-    PRIMAL,
-    PRODUCT,
     PULLED,
-    RESIDUAL,
     ROW_C,
     ROW_D,
     ROW_DS,
@@ -58,17 +50,16 @@ from wbmpc.solver.memory_layout import (
     ROW_N,
     ROW_S,
     ROW_SCALED,
-    ROW_SLOPE,
     ROW_T,
     ROW_TRIAL,
     ROW_Y,
     ROWS,
-    SIGN,
     SMALL,
     STATE,
-    WATCHED,
     N,
     P,
+    RowField,
+    StateField,
     U,
     X,
 )
@@ -77,15 +68,17 @@ from wbmpc.solver.stages import row_index, stage_end
 
 
 # ---------------------------------------------------------------------- all rows of a node
-@compiled(NUM, NUMS, INTS, INT, INT, INT)
-def box_value(m, o, r, x, u):  # type: ignore[no-untyped-def]
+@compiled
+def box_value(m: Floats, o: Integers, r: int, x: int, u: int) -> float:
     """h of a row of one variable."""
     i, first = o[row_index(o) + r], o[NX] + 1
-    return m[entry(o, SIGN, r)] * (m[x + i] if i < first else m[u + i - first]) + m[entry(o, OFFSET, r)]
+    return (
+        m[entry(o, RowField.SIGN, r)] * (m[x + i] if i < first else m[u + i - first]) + m[entry(o, RowField.OFFSET, r)]
+    )
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
-def collect_values(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
+@compiled
+def collect_values(m: Floats, o: Integers, k: int, x: int, u: int, out: int) -> None:
     """h of node k's rows at ``out``: those of one variable from x and u, general ones from where their function left them."""
     first, boxes, general = node_rows(o, k)
     for j in range(boxes):
@@ -94,29 +87,29 @@ def collect_values(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
         m[out + boxes + j] = m[o[SMALL] + 16 + j]
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def end_values(m, o, x):  # type: ignore[no-untyped-def]
+@compiled
+def end_values(m: Floats, o: Integers, x: int) -> None:
     """Values of the general rows of the end into ``small`` from entry 16 on."""
     if o[END_ROW_GENERAL] > 0:
         out = o[SMALL] + 16
         stage_end(o, END_ROW_VALUES, x, o[P] + o[N] * o[NP], out, out)
 
 
-@compiled(NUM2, NUMS, INTS, INT, INT, INT, NUM)
-def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> tuple[float, float]:
     """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w.
 
     The values of its general rows are in ``small``."""
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    place, mu, values = k * o[ROWS], m[o[STATE] + MU], o[ROW_TRIAL]
+    offset, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
-    if m[o[STATE] + WATCHED] > 0.0:
-        look_outside(m, o, k)
+    if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
+        record_violations(m, o, k)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q, at = place + j, values + j
+        q, at = offset + j, values + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, l = m[at : at + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
         t = m[o[ROW_T] + q : o[ROW_T] + q + LANES] + alpha * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
@@ -131,52 +124,54 @@ def rows_merit(m, o, k, x, u, alpha):  # type: ignore[no-untyped-def]
     return np.sum(cost) - mu * logs, np.sum(violation)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT, NUM, INT, INT)
-def add_general(m, o, k, jacobian, place, general, w, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def add_general(
+    m: Floats, o: Integers, k: int, jacobian: int, offset: int, general: int, w: float, matrix: int, ld: int
+) -> None:
     """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
     lz, base = o[LZ], o[BASE]
     if k < o[N]:
         for j in range(general):
-            scale = w * m[o[ROW_C] + place + j]
+            scale = w * m[o[ROW_C] + offset + j]
             for c in range(0, lz, LANES):
                 out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
                 m[out : out + LANES] = scale * m[row : row + LANES]
         call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
         return
     for j in range(general):
-        scale, row = w * m[o[ROW_C] + place + j], jacobian + j * lz
+        scale, row = w * m[o[ROW_C] + offset + j], jacobian + j * lz
         for a in range(o[NX] + 1):
             for b in range(o[NX] + 1):
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, INT, INT)
-def add_boxes(m, o, first, place, boxes, w, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def add_boxes(m: Floats, o: Integers, first: int, offset: int, boxes: int, w: float, matrix: int, ld: int) -> None:
     """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
-    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
     for j in range(boxes):
-        slope = w * m[o[ROW_C] + place + j] * m[signs + j]
-        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + place + j])
+        slope = w * m[o[ROW_C] + offset + j] * m[signs + j]
+        add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + offset + j])
 
 
-@compiled(NUM2, NUMS, INTS, INT, INT, INT, INT, INT)
-def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
+@compiled
+def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, ld: int) -> tuple[float, float]:
     """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
 
-    The functions of general rows along the path have been called: values in ``small``, Jacobian in its place.
+    The functions of general rows along the path have been called: values in ``small``, Jacobian where it belongs.
     """
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, place, lz = m[o[STATE] + MU], k * o[ROWS], o[LZ]
+    mu, offset, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
     jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
     if general > 0 and k == o[N]:
         stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
-    collect_values(m, o, k, x, u, o[ROW_H] + place)
+    collect_values(m, o, k, x, u, o[ROW_H] + offset)
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
-        q = place + j
+        q = offset + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
         h, t = m[o[ROW_H] + q : o[ROW_H] + q + LANES], m[o[ROW_T] + q : o[ROW_T] + q + LANES]
         l, s = m[o[ROW_L] + q : o[ROW_L] + q + LANES], m[o[ROW_S] + q : o[ROW_S] + q + LANES]  # noqa: E741
@@ -190,20 +185,20 @@ def linearise_rows(m, o, k, x, u, matrix, ld):  # type: ignore[no-untyped-def]
             logs += log_of_product(m, o, product)
             product = np.full(LANES, 1.0)
     logs += log_of_product(m, o, product)
-    add_boxes(m, o, first, place, boxes, w, matrix, ld)
+    add_boxes(m, o, first, offset, boxes, w, matrix, ld)
     for j in range(general):
-        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + place + boxes + j]
+        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + offset + boxes + j]
     if general > 0:
-        add_general(m, o, k, jacobian, place + boxes, general, w, matrix, ld)
+        add_general(m, o, k, jacobian, offset + boxes, general, w, matrix, ld)
     return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def row_changes(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def row_changes(m: Floats, o: Integers, k: int) -> None:
     """J δz of node k's rows into ``rows_d``."""
     first, boxes, general = node_rows(o, k)
     dx, du, nx, lz, out = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX], o[LZ], o[ROW_D] + k * o[ROWS]
-    index, signs = row_index(o) + first, entry(o, SIGN, first)
+    index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
     for j in range(boxes):
         i = o[index + j]
         m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
@@ -217,32 +212,34 @@ def row_changes(m, o, k):  # type: ignore[no-untyped-def]
         m[out + boxes + j] = total
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def add_rows_product(m, o, k, w):  # type: ignore[no-untyped-def]
+@compiled
+def add_rows_product(m: Floats, o: Integers, k: int, w: float) -> None:
     """w Jᵀ σ J δz of node k by [x, 1, u] into ``pulled``: what the rows have put into H δz."""
     first, boxes, general = node_rows(o, k)
-    place, lz, out = k * o[ROWS], o[LZ], o[PULLED]
+    offset, lz, out = k * o[ROWS], o[LZ], o[PULLED]
     for i in range(lz):
         m[out + i] = 0.0
     for j in range(boxes):
-        q = place + j
-        m[out + o[row_index(o) + first + j]] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, SIGN, first + j)]
+        q = offset + j
+        m[out + o[row_index(o) + first + j]] += (
+            w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, RowField.SIGN, first + j)]
+        )
     size = lz if k < o[N] else o[NX]
     for j in range(general):
-        q = place + boxes + j
+        q = offset + boxes + j
         row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
         for i in range(size):
             m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
 
 
 # ---------------------------------------------------------------------- all nodes
-@compiled(NONE, NUMS, INTS, NUM)
-def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
-    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see places.py).
+@compiled
+def rows_step(m: Floats, o: Integers, tau: float) -> None:
+    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see memory_layout.py).
 
     ``tau``: fraction to the boundary.
     """
-    state, mu, zero = o[STATE], m[o[STATE] + MU], np.full(LANES, 0.0)
+    state, mu, zero = o[STATE], m[o[STATE] + StateField.BARRIER], np.full(LANES, 0.0)
     primal, dual, slope, product, residual, left = zero, zero, zero, zero, zero, zero
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
@@ -277,20 +274,23 @@ def rows_step(m, o, tau):  # type: ignore[no-untyped-def]
                 left = left + w * np.where(equal, abs(h + change), 0.0)
                 following = np.where(one_sided, after, np.where(equal, penalty * reach, following))
             m[o[ROW_N] + q : o[ROW_N] + q + LANES] = following
-    m[state + PRIMAL], m[state + DUAL] = tau / max(np.max(primal), tau), tau / max(np.max(dual), tau)
-    m[state + ROW_SLOPE], m[state + PRODUCT] = np.sum(slope), np.max(product)
-    m[state + RESIDUAL], m[state + LEFT] = np.max(residual), np.sum(left)
+    m[state + StateField.MAX_PRIMAL_STEP], m[state + StateField.MAX_DUAL_STEP] = (
+        tau / max(np.max(primal), tau),
+        tau / max(np.max(dual), tau),
+    )
+    m[state + StateField.ROW_SLOPE], m[state + StateField.MAX_COMPLEMENTARITY] = np.sum(slope), np.max(product)
+    m[state + StateField.MAX_ROW_RESIDUAL], m[state + StateField.REMAINING_VIOLATION] = np.max(residual), np.sum(left)
 
 
-@compiled(NONE, NUMS, INTS, NUM, NUM, BOOL)
-def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
+@compiled
+def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) -> None:
     """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``."""
     moved = primal if solved else 0.0
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(0, boxes + general, LANES):
             q = k * o[ROWS] + j
-            kind = m[entry(o, KIND, first + j) : entry(o, KIND, first + j) + LANES]
+            kind = m[entry(o, RowField.KIND, first + j) : entry(o, RowField.KIND, first + j) + LANES]
             length = np.where(kind == HARD, dual, np.where(kind == MULTIPLIER, moved, primal))
             change = length * (m[o[ROW_N] + q : o[ROW_N] + q + LANES] - m[o[ROW_L] + q : o[ROW_L] + q + LANES])
             m[o[ROW_L] + q : o[ROW_L] + q + LANES] += change
@@ -299,13 +299,13 @@ def take_rows(m, o, primal, dual, solved):  # type: ignore[no-untyped-def]
             m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
 
 
-@compiled(NONE, NUMS, INTS, NUM, BOOL, BOOL)
-def start_rows(m, o, least, keep, keep_slacks):  # type: ignore[no-untyped-def]
+@compiled
+def start_rows(m: Floats, o: Integers, least: float, keep: bool, keep_slacks: bool) -> None:
     """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
 
     ``keep_slacks``: slacks that there are stay too.
     """
-    mu = m[o[STATE] + MU]
+    mu = m[o[STATE] + StateField.BARRIER]
     kept = np.inf if keep else -1.0  # multipliers below it are kept
     slacks_kept = np.inf if keep and keep_slacks else -1.0
     for k in range(o[N] + 1):

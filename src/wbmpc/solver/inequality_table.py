@@ -5,22 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.ocp.constraint_classification import Kind
-from wbmpc.solver.compilation import BOOL, INT, INT3, INTS, LANES, MASK, NONE, NUM, NUMS, VEC, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, Mask, Vector, compiled
 from wbmpc.solver.memory_layout import (
-    COUNTS,
-    COUNTS_FIRST,
-    DUAL,
     END_ROW_BOXES,
     END_ROW_GENERAL,
-    GIVEN_WAY,
-    KIND,
     LIMIT_TOLERANCE,
-    MISSED,
-    MOST_AT,
-    PASSED,
-    PASSED_AT,
-    PENALTY,
-    RHO,
     ROW_BOXES,
     ROW_D,
     ROW_END,
@@ -33,8 +22,9 @@ from wbmpc.solver.memory_layout import (
     ROW_TRIAL,
     ROWS,
     STATE,
-    UNDUE,
     N,
+    RowField,
+    StateField,
 )
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
@@ -44,79 +34,83 @@ ROUNDING = 1e-9
 GIVES_WAY = 0.9
 
 
-@compiled(INT3, INTS, INT)
-def node_rows(o, k):  # type: ignore[no-untyped-def]
+@compiled
+def node_rows(o: Integers, k: int) -> tuple[int, int, int]:
     """(first row in the row table, rows of one variable, general rows) of node k."""
     if k < o[N]:
         return 0, o[ROW_BOXES], o[ROW_GENERAL]
     return o[ROW_END], o[END_ROW_BOXES], o[END_ROW_GENERAL]
 
 
-@compiled(INT, INTS, INT, INT)
-def entry(o, column, r):  # type: ignore[no-untyped-def]
-    """Place of row r in a column of the row table."""
+@compiled
+def entry(o: Integers, column: int, r: int) -> int:
+    """Offset of row r in a column of the row table."""
     return o[ROW_TABLE] + column * o[ROW_TOTAL] + r
 
 
-@compiled(BOOL, NUMS, INTS, INT, INT)
-def counts(m, o, r, k):  # type: ignore[no-untyped-def]
+@compiled
+def counts(m: Floats, o: Integers, r: int, k: int) -> bool:
     """Whether row r (of path and end together) counts at node k: rows of the state alone not at the measured state."""
-    return m[entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)] > 0.0
+    return m[entry(o, RowField.COUNTS if k > 0 else RowField.COUNTS_FIRST, r)] > 0.0
 
 
-@compiled(INT, NUMS, INTS, INT)
-def kind_of(m, o, r):  # type: ignore[no-untyped-def]
+@compiled
+def kind_of(m: Floats, o: Integers, r: int) -> int:
     """HARD, MULTIPLIER or EQUAL."""
-    return int(m[entry(o, KIND, r)])
+    return int(m[entry(o, RowField.KIND, r)])
 
 
-@compiled(NUM, NUMS, INTS, INT)
-def row_penalty(m, o, r):  # type: ignore[no-untyped-def]
+@compiled
+def row_penalty(m: Floats, o: Integers, r: int) -> float:
     """Weight of a hard row's L1 slack, or ρ of a multiplier row (which grows while its residual does not shrink)."""
-    penalty = m[entry(o, PENALTY, r)]
-    return penalty if kind_of(m, o, r) == HARD else penalty * m[o[STATE] + RHO]
+    penalty = m[entry(o, RowField.PENALTY, r)]
+    return penalty if kind_of(m, o, r) == HARD else penalty * m[o[STATE] + StateField.PENALTY_FACTOR]
 
 
-@compiled((VEC, VEC, MASK), NUMS, INTS, INT, INT)
-def eight_rows(m, o, r, k):  # type: ignore[no-untyped-def]
+@compiled
+def eight_rows(m: Floats, o: Integers, r: int, k: int) -> tuple[Vector, Vector, Mask]:
     """(kinds, penalties, whether they count at node k) of the rows from r on."""
     kind, penalty = (
-        m[entry(o, KIND, r) : entry(o, KIND, r) + LANES],
-        m[entry(o, PENALTY, r) : entry(o, PENALTY, r) + LANES],
+        m[entry(o, RowField.KIND, r) : entry(o, RowField.KIND, r) + LANES],
+        m[entry(o, RowField.PENALTY, r) : entry(o, RowField.PENALTY, r) + LANES],
     )
-    column = entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
-    penalty = np.where(kind == HARD, penalty, penalty * m[o[STATE] + RHO])
+    column = entry(o, RowField.COUNTS if k > 0 else RowField.COUNTS_FIRST, r)
+    penalty = np.where(kind == HARD, penalty, penalty * m[o[STATE] + StateField.PENALTY_FACTOR])
     return kind, penalty, m[column : column + LANES] > 0.0
 
 
 # ---------------------------------------------------------------------- inputs and states outside
-@compiled(BOOL, NUMS, INTS, INT)
-def bounds_inputs(m, o, r):  # type: ignore[no-untyped-def]
+@compiled
+def bounds_inputs(m: Floats, o: Integers, r: int) -> bool:
     """Whether row r of the path is hard and depends on the inputs: those count at the first node too."""
-    return kind_of(m, o, r) == HARD and m[entry(o, COUNTS_FIRST, r)] > 0.0
+    return kind_of(m, o, r) == HARD and m[entry(o, RowField.COUNTS_FIRST, r)] > 0.0
 
 
-@compiled(NONE, NUMS, INTS)
-def forget_outside(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def reset_violations(m: Floats, o: Integers) -> None:
     """Nothing is known to be outside."""
-    m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY] = 0.0, 0.0
-    m[o[STATE] + PASSED], m[o[STATE] + UNDUE] = 0.0, 0.0
+    m[o[STATE] + StateField.INPUT_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION] = 0.0, 0.0
+    m[o[STATE] + StateField.STATE_VIOLATION], m[o[STATE] + StateField.UNRELAXED_VIOLATION] = 0.0, 0.0
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def tell_outside(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def record_input_violations(m: Floats, o: Integers, k: int) -> None:
     """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
     _, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
         if bounds_inputs(m, o, j):
-            place, by = o[STATE] + (GIVEN_WAY if row_penalty(m, o, j) < np.inf else MISSED), -m[o[ROW_TRIAL] + j]
-            if by > max(m[o[STATE] + MISSED], m[o[STATE] + GIVEN_WAY]):
-                m[o[STATE] + MOST_AT] = k * o[ROWS] + j
-            m[place] = max(m[place], by)
+            field, by = (
+                o[STATE]
+                + (StateField.MIXED_VIOLATION if row_penalty(m, o, j) < np.inf else StateField.INPUT_VIOLATION),
+                -m[o[ROW_TRIAL] + j],
+            )
+            if by > max(m[o[STATE] + StateField.INPUT_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION]):
+                m[o[STATE] + StateField.INPUT_VIOLATION_ROW] = k * o[ROWS] + j
+            m[field] = max(m[field], by)
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def tell_passed(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def record_state_violations(m: Floats, o: Integers, k: int) -> None:
     """Remember in ``state`` by how much node k's state is outside: all rows, and those that do not give way a step further."""
     first, boxes, general = node_rows(o, k)
     state = o[STATE]
@@ -124,15 +118,15 @@ def tell_passed(m, o, k):  # type: ignore[no-untyped-def]
         r, q, by = first + j, k * o[ROWS] + j, -m[o[ROW_TRIAL] + j]
         if by <= LIMIT_TOLERANCE or bounds_inputs(m, o, r) or kind_of(m, o, r) != HARD or not counts(m, o, r, k):
             continue
-        if by > m[state + PASSED]:
-            m[state + PASSED], m[state + PASSED_AT] = by, q
-        following = m[o[ROW_L] + q] + m[state + DUAL] * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
+        if by > m[state + StateField.STATE_VIOLATION]:
+            m[state + StateField.STATE_VIOLATION], m[state + StateField.STATE_VIOLATION_ROW] = by, q
+        following = m[o[ROW_L] + q] + m[state + StateField.MAX_DUAL_STEP] * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
         if following < GIVES_WAY * row_penalty(m, o, r):
-            m[state + UNDUE] = max(m[state + UNDUE], by)
+            m[state + StateField.UNRELAXED_VIOLATION] = max(m[state + StateField.UNRELAXED_VIOLATION], by)
 
 
-@compiled(NUM, NUMS, INTS)
-def start_outside(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def initial_violation(m: Floats, o: Integers) -> float:
     """By how much the measured state is outside hard rows of the state of which the iterate's start is inside, or nearly, after a
     direction; 0 where there is none. (The rows do not count there.)"""
     _, boxes, general = node_rows(o, 0)
@@ -144,19 +138,20 @@ def start_outside(m, o):  # type: ignore[no-untyped-def]
     return worst
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def look_outside(m, o, k):  # type: ignore[no-untyped-def]
-    """As :func:`tell_outside` and :func:`tell_passed`, of a node of which most often nothing is outside."""
+@compiled
+def record_violations(m: Floats, o: Integers, k: int) -> None:
+    """As :func:`record_input_violations` and :func:`record_state_violations`, of a node of which most often nothing is outside."""
     first, boxes, general = node_rows(o, k)
     inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
     for j in range(0, boxes + general, LANES):
-        r, at, bounds = first + j, o[ROW_TRIAL] + j, entry(o, COUNTS_FIRST, first + j)
-        kind, column = m[entry(o, KIND, r) : entry(o, KIND, r) + LANES], entry(o, COUNTS if k > 0 else COUNTS_FIRST, r)
+        r, at, bounds = first + j, o[ROW_TRIAL] + j, entry(o, RowField.COUNTS_FIRST, first + j)
+        kind = m[entry(o, RowField.KIND, r) : entry(o, RowField.KIND, r) + LANES]
+        column = entry(o, RowField.COUNTS if k > 0 else RowField.COUNTS_FIRST, r)
         over = np.where((kind == HARD) & (m[column : column + LANES] > 0.0), -m[at : at + LANES], 0.0)
         of_inputs = m[bounds : bounds + LANES] > 0.0
         inputs = np.maximum(inputs, np.where(of_inputs, over, 0.0))
         states = np.maximum(states, np.where(of_inputs, 0.0, over))
     if np.max(inputs) > ROUNDING:
-        tell_outside(m, o, k)
+        record_input_violations(m, o, k)
     if np.max(states) > LIMIT_TOLERANCE:
-        tell_passed(m, o, k)
+        record_state_violations(m, o, k)

@@ -5,58 +5,49 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.barriers import barrier_value
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.inequalities import end_values, rows_merit
-from wbmpc.solver.inequality_table import forget_outside
+from wbmpc.solver.inequality_table import reset_violations
 from wbmpc.solver.memory_layout import (
-    COST,
     DU,
     DU_LAST,
     DX,
     END_BOXES,
     END_COST,
     FILTER,
-    FILTERED,
-    FORCE,
     GRID,
-    HOLD,
-    LAST_ALPHA,
-    LONGEST,
     LX,
     NP,
     NU,
     NX,
     PATH_BOXES,
     POLICY,
-    PRIMAL,
     QUATERNIONS,
-    SINGLE,
     SMALL,
-    SMALLEST,
+    SOFT_EQUALITIES,
     STATE,
-    USE_FILTER,
     UT,
-    VIOLATION,
-    WISHES,
     XT,
     K,
     N,
     P,
+    Setting,
+    StateField,
     U,
     X,
 )
 from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
 from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
-from wbmpc.solver.soft_equalities import wishes_of_block
+from wbmpc.solver.soft_equalities import soft_equality_terms_of_block
 from wbmpc.solver.stages import interval, normalise, stage_end
 
 #: What overshooting directions shorten a step to at least.
 SHORTEST = 0.15
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def policy_input(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial input of node k at the trial state: ū + α k + K (x − x̄)."""
     nx, nu, lx = o[NX], o[NU], o[LX]
     x, before = o[XT] + k * nx, o[X] + k * nx
@@ -68,10 +59,10 @@ def policy_input(m, o, k, alpha):  # type: ignore[no-untyped-def]
         m[o[UT] + k * nu + j] = total
 
 
-@compiled(NONE, NUMS, INTS, NUMS, NUM)
-def roll_out_policy(m, o, x0, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def roll_out_policy(m: Floats, o: Integers, x0: Floats, alpha: float) -> None:
     """The trial point of single shooting: the policy, feedback included, from ``x0`` on."""
-    nx, hold = o[NX], m[o[STATE] + HOLD] > 0.0
+    nx, hold = o[NX], m[o[STATE] + StateField.HOLD_INPUTS] > 0.0
     for i in range(nx):
         m[o[XT] + i] = x0[i]
     for k in range(o[N]):
@@ -82,8 +73,8 @@ def roll_out_policy(m, o, x0, alpha):  # type: ignore[no-untyped-def]
         interval(m, o, k, x, o[UT] + k * o[NU], x + nx)
 
 
-@compiled(NONE, NUMS, INTS, NUM)
-def move(m, o, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def move(m: Floats, o: Integers, alpha: float) -> None:
     """The trial point of multiple shooting: a step of ``alpha``, in real time with inputs within the true rows."""
     n, nx, nu = o[N], o[NX], o[NU]
     for k in range(n + 1):
@@ -91,27 +82,27 @@ def move(m, o, alpha):  # type: ignore[no-untyped-def]
             m[o[XT] + k * nx + i] = m[o[X] + k * nx + i] + alpha * m[o[DX] + k * o[LX] + i]
     for i in range(n * nu):
         m[o[UT] + i] = m[o[U] + i] + alpha * m[o[DU] + i]
-    if m[o[STATE] + HOLD] > 0.0:
+    if m[o[STATE] + StateField.HOLD_INPUTS] > 0.0:
         for k in range(n):
             policy_input(m, o, k, alpha)
             hold_node(m, o, k, alpha)
             follow(m, o, k, alpha)
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUM, BOOL)
-def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
+@compiled
+def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tuple[float, float]:
     """Cost and violation (1-norm of gaps, equalities, rows and start) at step length ``alpha``; fills the trial point.
-    Equalities that are wishes have a variable of their own.
+    Equalities that are soft have a variable of their own.
 
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
     n, nx, nu = o[N], o[NX], o[NU]
-    forget_outside(m, o)
+    reset_violations(m, o)
     if single:
         roll_out_policy(m, o, x0, alpha)
     else:
         move(m, o, alpha)
-    cost, violation, of_rows, wished = 0.0, 0.0, 0.0, 0.0
+    cost, violation, of_rows, of_soft = 0.0, 0.0, 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
     for first in range(0, n, LANES):
@@ -121,9 +112,9 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
             violation += gaps(m, o, first, count, o[XT], o[UT])
         path_cost, equalities = cost_and_equalities(m, o)
         cost, violation = cost + path_cost, violation + equalities
-        if o[WISHES] > 0:
-            paid, apart, missed = wishes_of_block(m, o, first, alpha)
-            of_rows, violation, wished = of_rows + paid, violation + apart, wished + missed - apart
+        if o[SOFT_EQUALITIES] > 0:
+            paid, apart, missed = soft_equality_terms_of_block(m, o, first, alpha)
+            of_rows, violation, of_soft = of_rows + paid, violation + apart, of_soft + missed - apart
         evaluate_rows(m, o)
         for k in range(first, first + count):
             h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
@@ -136,12 +127,21 @@ def trial(m, o, x0, alpha, single):  # type: ignore[no-untyped-def]
     end_values(m, o, last)
     row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
     of_rows, violation = of_rows + row_cost, violation + row_violation
-    m[o[STATE] + COST], m[o[STATE] + VIOLATION] = cost, violation + wished
+    m[o[STATE] + StateField.COST], m[o[STATE] + StateField.VIOLATION] = cost, violation + of_soft
     return cost + of_rows, violation
 
 
-@compiled(BOOL, NUM, NUM, NUM, NUM, NUM, NUM, NUM, NUM)
-def accept(cost, violation, base_cost, base_violation, slope, drop, penalty, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def accept(
+    cost: float,
+    violation: float,
+    base_cost: float,
+    base_violation: float,
+    slope: float,
+    drop: float,
+    penalty: float,
+    alpha: float,
+) -> bool:
     """Armijo's rule on the merit cost + penalty · violation (Nocedal and Wright 2006, equations 18.27 to 18.36).
 
     ``slope``, ``drop``: how fast the cost rises and the violation falls along the step.
@@ -151,15 +151,17 @@ def accept(cost, violation, base_cost, base_violation, slope, drop, penalty, alp
     return np.isfinite(merit) and merit <= base + 1e-4 * alpha * (slope - penalty * drop) + rounding
 
 
-@compiled(BOOL, NUMS, INTS, NUM4, NUM, NUM)
-def accept_by_filter(m, o, costs, slope, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def accept_by_filter(
+    m: Floats, o: Integers, costs: tuple[float, float, float, float], slope: float, alpha: float
+) -> bool:
     """Filter: (cost, violation) of the trial point and of the iterate, in ``costs``; remembers the iterate when it helps.
 
     Source: Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm", section 2.3.
     """
     cost, violation, base_cost, base_violation = costs
     rounding = 1e-9 * (1.0 + abs(base_cost))
-    count = int(m[o[STATE] + FILTERED])
+    count = int(m[o[STATE] + StateField.FILTER_SIZE])
     if not (np.isfinite(cost) and np.isfinite(violation)):
         return False
     for i in range(min(count, 64)):
@@ -172,12 +174,12 @@ def accept_by_filter(m, o, costs, slope, alpha):  # type: ignore[no-untyped-def]
     if better and base_violation > 1e-10:
         i = count % 64
         m[o[FILTER] + 2 * i], m[o[FILTER] + 2 * i + 1] = base_cost, base_violation
-        m[o[STATE] + FILTERED] = count + 1.0
+        m[o[STATE] + StateField.FILTER_SIZE] = count + 1.0
     return better
 
 
-@compiled(NONE, NUMS, INTS)
-def take(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def take(m: Floats, o: Integers) -> None:
     """The trial point becomes the iterate."""
     n, nx = o[N], o[NX]
     for i in range((n + 1) * nx):
@@ -189,8 +191,8 @@ def take(m, o):  # type: ignore[no-untyped-def]
             normalise(m, o, o[X] + k * nx)
 
 
-@compiled(NONE, NUMS, INTS, NUMS)
-def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
+@compiled
+def roll_out(m: Floats, o: Integers, x0: Floats) -> None:
     """A motion from ``x0``, what single shooting starts from: by the last policy, or by feedback around the guess (without it
     an unstable model would leave the guess at once), or open loop where that is not finite."""
     if o[POLICY] == 0:
@@ -203,8 +205,8 @@ def roll_out(m, o, x0):  # type: ignore[no-untyped-def]
     take(m, o)
 
 
-@compiled(NUM, NUM, NUM, NUM)
-def next_longest(longest, last, along):  # type: ignore[no-untyped-def]
+@compiled
+def next_longest(longest: float, last: float, along: float) -> float:
     """Longest step to try after a step of ``last``, when ``along`` of the direction before is in the new one.
 
     Where the subproblem's curvature is too small by a factor c, a step α leaves 1 − c α of the direction: c = (1 − along) / α, and
@@ -214,8 +216,8 @@ def next_longest(longest, last, along):  # type: ignore[no-untyped-def]
     return min(max(last / (1.0 - along), SHORTEST), longer) if along < 0.5 else longer
 
 
-@compiled(NUM, NUMS, INTS, BOOL)
-def longest_step(m, o, first):  # type: ignore[no-untyped-def]
+@compiled
+def longest_step(m: Floats, o: Integers, first: bool) -> float:
     """Longest step to try, from how the direction has turned since the last iteration of the same solve; keeps the direction.
 
     ``first``: this is the solve's first one. Between solves the measured state has changed too, so nothing can be told."""
@@ -224,31 +226,35 @@ def longest_step(m, o, first):  # type: ignore[no-untyped-def]
         new, old = m[o[DU] + i], m[o[DU_LAST] + i]
         along, size = along + new * old, size + old * old
         m[o[DU_LAST] + i] = new
-    if m[state + LONGEST] == 0.0:
-        m[state + LONGEST] = 1.0
+    if m[state + StateField.MAX_STEP] == 0.0:
+        m[state + StateField.MAX_STEP] = 1.0
     elif first:
-        m[state + LONGEST] = min(1.1 * m[state + LONGEST], 1.0)
+        m[state + StateField.MAX_STEP] = min(1.1 * m[state + StateField.MAX_STEP], 1.0)
     elif size > 0.0:
-        m[state + LONGEST] = next_longest(m[state + LONGEST], m[state + LAST_ALPHA], along / size)
-    return m[state + LONGEST]
+        m[state + StateField.MAX_STEP] = next_longest(
+            m[state + StateField.MAX_STEP], m[state + StateField.LAST_STEP], along / size
+        )
+    return m[state + StateField.MAX_STEP]
 
 
-@compiled(NUM2, NUMS, INTS, NUMS, NUMS, NUM4, NUM, NUM)
-def search(m, o, x0, s, base, penalty, first):  # type: ignore[no-untyped-def]
+@compiled
+def search(
+    m: Floats, o: Integers, x0: Floats, s: Floats, base: tuple[float, float, float, float], penalty: float, first: float
+) -> tuple[float, float]:
     """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
     slope, drop. Returns (α, cost at the trial point)."""
     cost, violation, slope, drop = base
-    reach, single, ratio = m[o[STATE] + PRIMAL], s[SINGLE] > 0.0, first
-    while ratio >= s[SMALLEST]:
+    reach, single, ratio = m[o[STATE] + StateField.MAX_PRIMAL_STEP], s[Setting.SINGLE_SHOOTING] > 0.0, first
+    while ratio >= s[Setting.MIN_STEP]:
         alpha = ratio * reach
         c, v = trial(m, o, x0, alpha, single)
-        if s[USE_FILTER] > 0.0:
+        if s[Setting.USE_FILTER] > 0.0:
             if accept_by_filter(m, o, (c, v, cost, violation), slope, alpha):
                 return alpha, c
         elif accept(c, v, cost, violation, slope, drop, penalty, alpha):
             return alpha, c
         ratio *= 0.5
-    if s[FORCE] > 0.0:
+    if s[Setting.ACCEPT_MIN_STEP] > 0.0:
         c, v = trial(m, o, x0, first * reach, single)
         if np.isfinite(c) and np.isfinite(v):
             return first * reach, c

@@ -6,81 +6,129 @@ The letters are those of docs/explanation/solver.md. Every compiled function wor
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 from wbmpc.solver import workspace as _w
 
-(N, NX, NU, NG, LX, LZ, LG, NP, RK4, PATH_BOXES, END_BOXES, QUATERNIONS, BASE) = range(13)
-(ROW_BOXES, ROW_GENERAL, END_ROW_BOXES, END_ROW_GENERAL, ROWS, ROW_END, ROW_TOTAL) = range(13, 20)
-(JUMPS, ALIGN, EXACT, POLICY, CURVED, BENT, WISHES, MULTIPLIERS) = range(20, len(_w.DIMENSIONS))
-
-_place = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
-GRID, X, U, XT, UT, BEST, DU_LAST = (_place[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
-DX, DU, P, W, AB, H, E, EPS, K = (_place[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
-VALUE, TERMINAL, SCRATCH, G = (_place[n] for n in ("value", "terminal", "scratch", "gradient"))
-J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_place[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
-ROW_H, ROW_T, ROW_L, ROW_S = (_place[n] for n in ("rows_h", "rows_t", "rows_l", "rows_s"))
-ROW_C, ROW_E, ROW_D, ROW_N = (_place[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
-ROW_DT, ROW_DS, ROW_Y = (_place[n] for n in ("rows_dt", "rows_ds", "rows_y"))
-ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_place[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
-WISH_R, WISH_STEP = (_place[n] for n in ("wish", "wish_step"))
-ADJOINT, NU_ROWS, SIGNED = (_place[n] for n in ("adjoint", "multiplier", "signed"))
-PULLED, ROW_TRIAL, LANES_OUT = (_place[n] for n in ("pulled", "row_trial", "lanes"))
-NORMAL, SECOND, CHAINED = (_place[n] for n in ("normal", "second", "chained"))
-LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_place[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
-LANE_F, LANE_J1, LANE_J2, LANE_S1, LANE_S2 = (_place[f"lane_{n}"] for n in ("f", "j1", "j2", "s1", "s2"))
-LANE_BARRIER = _place["lane_barrier"]
-LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
-    _place[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")
+_dimension = {name: i for i, name in enumerate(_w.DIMENSIONS)}
+N, NX, NU, NG, LX, LZ, LG, NP = (_dimension[n] for n in ("n", "nx", "nu", "ng", "lx", "lz", "lg", "np"))
+RK4, PATH_BOXES, END_BOXES = (_dimension[n] for n in ("rk4", "path_boxes", "terminal_boxes"))
+QUATERNIONS, BASE, JUMPS, ALIGN = (_dimension[n] for n in ("quaternions", "base", "jumps", "align"))
+ROW_BOXES, ROW_GENERAL = (_dimension[n] for n in ("row_boxes", "row_general"))
+END_ROW_BOXES, END_ROW_GENERAL = (_dimension[n] for n in ("end_boxes", "end_general"))
+ROWS, ROW_END, ROW_TOTAL = (_dimension[n] for n in ("rows", "row_end", "row_total"))
+EXACT, POLICY, MULTIPLIERS = (_dimension[n] for n in ("exact", "policy", "multipliers"))
+NONLINEAR_INPUT_ROWS, NONLINEAR_EQUALITIES, SOFT_EQUALITIES = (
+    _dimension[n] for n in ("nonlinear_input_rows", "nonlinear_equalities", "soft_equalities")
 )
-GRID_BASE, GRID_OLD, STATE, FILTER = (_place[n] for n in ("grid_base", "grid_old", "state", "filter"))
 
-#: Columns of the row table: h = sign z + offset (rows of one variable); ν or ρ; kind; whether the row counts at the first
-#: node and at the others (1 or 0).
-SIGN, OFFSET, PENALTY, KIND, COUNTS_FIRST, COUNTS = range(6)
-#: Places in the block ``state``: μ of the interior point, shift of the Hessian, entries in the filter; then what the rows'
-#: step found: largest primal and dual step length, slope of the rows' cost, largest complementarity product, largest primal
-#: residual, the violation that the full step leaves (of multiplier rows), and what the rows add to the cost;
-#: the factor of the multiplier rows' ρ, and how much of the exact Hessian's second derivatives counts; last whether trial
-#: points are held within the true rows of the inputs, by how much they are outside all the same (rows of inputs alone, rows
-#: with states) and where most (node times ``ROWS`` plus row), cost and violation of the iterate, and without a certificate the
-#: last step length and the longest one to try (0: not known, 1), which outlives a solve; whether rows of the inputs are watched at
-#: trial points (in real time), by what share of a row's size the first input of a plan misses an equality, and which row;
-#: by how much the violation without wishes is less than the 1-norm with all equalities; by how much planned states are outside
-#: hard rows (0 up to the tolerance), where most (as above), and the same of the rows whose L1 slack is not what gives way there;
-#: for how many solves in a row equalities with multipliers have contradicted each other, by what share they are missed since limits
-#: of the inputs are in their way (0: they are not), for how long [s], and which limit holds them most (−1: none).
-MU, SHIFT, FILTERED, PRIMAL, DUAL, ROW_SLOPE, PRODUCT, RESIDUAL, LEFT, ROW_COST, RHO, THETA = range(12)
-HOLD, MISSED, GIVEN_WAY, MOST_AT, COST, VIOLATION, LAST_ALPHA, LONGEST = range(12, 20)
-WATCHED, UNEQUAL, UNEQUAL_ROW, WISHED, PASSED, PASSED_AT, UNDUE, CONTRADICTED = range(20, 28)
-HELD_SHARE, HELD_FOR, HELD_BY = range(28, 31)
+_block = {name: _w.OFFSETS + i for i, name in enumerate(_w.BLOCKS)}
+GRID, X, U, XT, UT, U_BEST, DU_LAST = (_block[n] for n in ("grid", "x", "u", "x_trial", "u_trial", "u_best", "du_last"))
+DX, DU, P, W, AB, H, E, EPS, K = (_block[n] for n in ("dx", "du", "p", "w", "ab", "h", "e", "eps", "k"))
+VALUE, TERMINAL, SCRATCH, G = (_block[n] for n in ("value", "terminal", "scratch", "gradient"))
+J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_block[n] for n in ("j1", "j2", "s1", "s2", "f", "small", "boxes"))
+ROW_H, ROW_T, ROW_L, ROW_S = (_block[n] for n in ("rows_h", "rows_t", "rows_l", "rows_s"))
+ROW_C, ROW_E, ROW_D, ROW_N = (_block[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
+ROW_DT, ROW_DS, ROW_Y = (_block[n] for n in ("rows_dt", "rows_ds", "rows_y"))
+ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_block[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
+SOFT_RESIDUAL, SOFT_RESIDUAL_STEP = (_block[n] for n in ("soft_residual", "soft_residual_step"))
+ADJOINT, NU_ROWS, SIGNED = (_block[n] for n in ("adjoint", "multiplier", "signed"))
+PULLED, ROW_TRIAL, LANES_OUT = (_block[n] for n in ("pulled", "row_trial", "lanes"))
+NORMAL, SECOND, CHAINED = (_block[n] for n in ("normal", "second", "chained"))
+LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_block[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
+LANE_F, LANE_J1, LANE_J2, LANE_S1, LANE_S2 = (_block[f"lane_{n}"] for n in ("f", "j1", "j2", "s1", "s2"))
+LANE_BARRIER = _block["lane_barrier"]
+LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
+    _block[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")
+)
+GRID_BASE, GRID_OLD, STATE, FILTER = (_block[n] for n in ("grid_base", "grid_old", "state", "filter"))
+
+
+class RowField(IntEnum):
+    """Columns of the row table."""
+
+    SIGN = 0  # h = sign z + offset, of rows of one variable
+    OFFSET = 1
+    PENALTY = 2  # weight of the L1 slack, or ρ
+    KIND = 3
+    COUNTS_FIRST = 4  # whether the row counts at the first node (1 or 0)
+    COUNTS = 5  # … and at the others
+
+
+class StateField(IntEnum):
+    """Entries of the block ``state``: what a solve passes from one function to the next, and reports.
+
+    Rows are numbered node times ``ROWS`` plus row. Violations are shares of a row's range; 0 up to the tolerance.
+    """
+
+    BARRIER = 0  # μ of the interior point
+    SHIFT = 1  # of the Hessian's diagonal
+    FILTER_SIZE = 2  # entries in the filter of the line search
+    # what the rows' step found
+    MAX_PRIMAL_STEP = 3
+    MAX_DUAL_STEP = 4
+    ROW_SLOPE = 5  # slope of the rows' cost along the step
+    MAX_COMPLEMENTARITY = 6  # largest product of slack and multiplier
+    MAX_ROW_RESIDUAL = 7
+    REMAINING_VIOLATION = 8  # of multiplier rows, after the full step
+    ROW_COST = 9  # what the rows add to the cost
+    PENALTY_FACTOR = 10  # of the multiplier rows' ρ
+    SECOND_ORDER_SHARE = 11  # how much of the exact Hessian's second derivatives counts
+    # hard rows of the inputs at trial points
+    HOLD_INPUTS = (
+        12  # trial inputs are held: 0 not at all, 1 within rows of inputs alone, 2 within rows with states too
+    )
+    INPUT_VIOLATION = 13  # of rows of inputs alone
+    MIXED_VIOLATION = 14  # of rows of inputs and states
+    INPUT_VIOLATION_ROW = 15  # which row is violated most
+    COST = 16  # of the iterate
+    VIOLATION = 17
+    LAST_STEP = 18  # last step length, without a certificate
+    MAX_STEP = 19  # longest step length to try (0: not known, 1); outlives a solve
+    CHECK_INPUT_ROWS = 20  # whether rows of the inputs are checked at trial points (in real time)
+    # equalities
+    EQUALITY_RESIDUAL = 21  # by what share of a row's size the plan misses an equality
+    EQUALITY_ROW = 22  # which one
+    SOFT_EQUALITY_VIOLATION = 23  # 1-norm of all equalities minus that of those that are not soft
+    # hard rows of planned states
+    STATE_VIOLATION = 24
+    STATE_VIOLATION_ROW = 25
+    UNRELAXED_VIOLATION = 26  # of the rows whose L1 slack is not what gives way
+    # infeasibility.py: equalities with multipliers
+    INFEASIBLE_SOLVES = 27  # for how many solves in a row they have contradicted each other
+    BLOCKED_RESIDUAL = 28  # their residual since limits of the inputs are in the way (0: they are not)
+    BLOCKED_TIME = 29  # since when [s]
+    BLOCKING_ROW = 30  # which limit it is (−1: none)
+
+
+class Setting(IntEnum):
+    """Entries of the settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`."""
+
+    ITERATIONS = 0
+    TOLERANCE = 1
+    FEASIBILITY = 2
+    MIN_STEP = 3
+    COMPUTE_KKT = 4
+    ACCEPT_MIN_STEP = 5
+    SINGLE_SHOOTING = 6
+    USE_FILTER = 7
+    INITIAL_BARRIER = 8
+    BARRIER = 9
+    KEEP_MULTIPLIERS = 10
+    MIN_SLACK = 11
+    FRACTION_TO_BOUNDARY = 12
+    MAX_EXTRA_ITERATIONS = 13
+    MAX_REGULARIZATION = 14
+    KEEP_SLACKS = 15
+    MIN_BARRIER = 16
+    EQUALITY_BOUND = 17
+    ROLLOUT_RESTART = 18
+
+
 #: By how much planned inputs and states may be outside a hard row [its range].
 LIMIT_TOLERANCE = 1e-3
-
-#: Settings of a solve, one array of numbers: see :mod:`wbmpc.solver.settings`.
-SETTINGS = (
-    "iterations",
-    "tolerance",
-    "feasibility",
-    "min_step",
-    "compute_kkt",
-    "accept_min_step",
-    "single_shooting",
-    "use_filter",
-    "mu_start",
-    "mu_end",
-    "keep_multipliers",
-    "min_slack",
-    "tau",
-    "max_extra_iterations",
-    "max_regularization",
-    "keep_slacks",
-    "mu_floor",
-    "equality_bound",
-    "rollout_restart",
-)
-(
-    ITERATIONS, TOLERANCE, FEASIBILITY, SMALLEST, CERTIFY, FORCE, SINGLE, USE_FILTER, MU_START, MU_END, KEEP, LEAST_SLACK, TAU,
-    EXTRA, LARGEST_SHIFT, KEEP_SLACKS, MU_FLOOR, EQUALITY_BOUND, START_ANEW,
-) = range(len(SETTINGS))  # fmt: skip
+#: Names of the settings, in order.
+SETTINGS = tuple(s.name.lower() for s in Setting)
 
 _call = {name: _w.ADDRESSES + i for i, name in enumerate(_w.FUNCTIONS)}
 DYNAMICS, END_COST, END_ROW_VALUES, JUMP = (_call[n] for n in ("dynamics", "terminal", "end_rows", "jump"))

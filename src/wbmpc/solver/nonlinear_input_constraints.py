@@ -1,4 +1,4 @@
-"""Compiled code of hard rows that are curved in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
+"""Compiled code of hard rows that are nonlinear in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
 are held within the true rows.
 
 A linearised row says little about where the true one ends. Two things help. The Hessian takes the rows' second derivatives by the
@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, compiled
+from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.exact import clear_second, costate_node, stage_with
 from wbmpc.solver.inequalities import collect_values
-from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, row_penalty, tell_outside
+from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, record_input_violations, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
-    BENT,
-    BEST,
     CHAINED,
     EPS,
     GRID,
-    HOLD,
     LAGRANGIAN,
     LANE_ROWS,
     LANE_U,
@@ -32,8 +29,8 @@ from wbmpc.solver.memory_layout import (
     LANE_X,
     LANES_ROWS_J,
     LZ,
-    MU,
     NG,
+    NONLINEAR_EQUALITIES,
     NP,
     NU,
     NU_ROWS,
@@ -49,14 +46,16 @@ from wbmpc.solver.memory_layout import (
     ROW_TRIAL,
     ROWS,
     SECOND,
-    SIGN,
     SIGNED,
     SMALL,
     STATE,
+    U_BEST,
     UNPACK_ROWS,
     UT,
     XT,
     P,
+    RowField,
+    StateField,
     U,
     X,
 )
@@ -71,25 +70,25 @@ INSIDE = 1e-6
 LEAST_SHARE = 0.1
 
 
-@compiled(BOOL, NUMS, INTS, INT)
-def held(m, o, r):  # type: ignore[no-untyped-def]
+@compiled
+def held(m: Floats, o: Integers, r: int) -> bool:
     """Whether inputs are held within row r: with an L1 slack, which may be there to be used, in real time only."""
-    return bounds_inputs(m, o, r) and (m[o[STATE] + HOLD] > 1.0 or not row_penalty(m, o, r) < np.inf)
+    return bounds_inputs(m, o, r) and (m[o[STATE] + StateField.HOLD_INPUTS] > 1.0 or not row_penalty(m, o, r) < np.inf)
 
 
-@compiled(NUM, NUMS, INTS, INT, INT)
-def inside(m, o, k, j):  # type: ignore[no-untyped-def]
+@compiled
+def inside(m: Floats, o: Integers, k: int, j: int) -> float:
     """Where a correction onto row j of node k aims: what a step may leave of its slack."""
     _, boxes, _ = node_rows(o, k)
     q = k * o[ROWS] + j
     if j < boxes:
         return min(INSIDE, LEAST_SHARE * m[o[ROW_T] + q])
-    return LEAST_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + MU] / m[o[ROW_L] + q], LEAST_SHARE))
+    return LEAST_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + StateField.BARRIER] / m[o[ROW_L] + q], LEAST_SHARE))
 
 
 # ---------------------------------------------------------------------- second derivatives
-@compiled(BOOL, NUMS, INTS)
-def semidefinite(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def semidefinite(m: Floats, o: Integers) -> bool:
     """Whether the inputs' block of ``second`` is positive semidefinite up to rounding; its factor goes to ``chained``."""
     nu, lz, first = o[NU], o[LZ], o[NX] + 1
     rounding = 1e-300
@@ -110,8 +109,8 @@ def semidefinite(m, o):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def hard_multipliers(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def hard_multipliers(m: Floats, o: Integers, k: int) -> None:
     """−l of node k's general hard rows of the inputs to ``signed``, 0 for the others and for equalities."""
     _, boxes, general = node_rows(o, k)
     for j in range(general):
@@ -120,12 +119,12 @@ def hard_multipliers(m, o, k):  # type: ignore[no-untyped-def]
     m[o[SMALL] + 2] = m[o[GRID] + k + 1] - m[o[GRID] + k]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
+@compiled
+def add_curvature(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
     """Second derivatives by the inputs of node k's rows, times their multipliers, onto its Hessian, where the subproblem stays
     convex. ``rows``: where its equality rows are."""
     nx, nu, lz = o[NX], o[NU], o[LZ]
-    if o[BENT] > 0:
+    if o[NONLINEAR_EQUALITIES] > 0:
         costate_node(m, o, k, rows)
     else:
         hard_multipliers(m, o, k)
@@ -134,7 +133,7 @@ def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
     share, along = 1.0, 0.0
     if not semidefinite(m, o):
-        along = steepness(m, o, rows) if o[BENT] > 0 else 0.0
+        along = steepness(m, o, rows) if o[NONLINEAR_EQUALITIES] > 0 else 0.0
         share = largest_share(m, o, matrix, rows, along)
     if share == 0.0:
         return
@@ -145,8 +144,8 @@ def add_curvature(m, o, k, matrix, rows):  # type: ignore[no-untyped-def]
         add_along(m, o, matrix, rows, along)
 
 
-@compiled(NUM, NUMS, INTS, INT)
-def steepness(m, o, rows):  # type: ignore[no-untyped-def]
+@compiled
+def steepness(m: Floats, o: Integers, rows: int) -> float:
     """c for c Eᵀ E of the equality rows E: ten times the size of ``second`` across the least of the rows."""
     nx, nu, lz, size, least = o[NX], o[NU], o[LZ], 0.0, np.inf
     for i in range(nx + 1, nx + 1 + nu):
@@ -161,8 +160,8 @@ def steepness(m, o, rows):  # type: ignore[no-untyped-def]
     return 10.0 * np.sqrt(size) / least
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, NUM)
-def largest_share(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+@compiled
+def largest_share(m: Floats, o: Integers, matrix: int, rows: int, along: float) -> float:
     """Largest share of ``second`` with which the node's Hessian by the inputs stays positive definite where equalities let them
     move: with ``along`` Eᵀ E, which does not change the step, since E is zero along it."""
     share = 1.0 if along > 0.0 else 0.0
@@ -173,8 +172,8 @@ def largest_share(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
     return 0.0
 
 
-@compiled(BOOL, NUMS, INTS, INT, INT, NUM, NUM)
-def definite(m, o, matrix, rows, share, along):  # type: ignore[no-untyped-def]
+@compiled
+def definite(m: Floats, o: Integers, matrix: int, rows: int, share: float, along: float) -> bool:
     """Whether the inputs' block of the Hessian + share second + along Eᵀ E is safely positive definite."""
     nu, lz, first, chained = o[NU], o[LZ], o[NX] + 1, o[CHAINED]
     for a in range(nu):
@@ -197,8 +196,8 @@ def definite(m, o, matrix, rows, share, along):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, NUM)
-def add_along(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
+@compiled
+def add_along(m: Floats, o: Integers, matrix: int, rows: int, along: float) -> None:
     """along [C e D]ᵀ [C e D] of the exact equality rows onto the matrix of the extended node vector."""
     nz, lz = o[NX] + 1 + o[NU], o[LZ]
     for q in range(o[NG]):
@@ -210,8 +209,8 @@ def add_along(m, o, matrix, rows, along):  # type: ignore[no-untyped-def]
 
 
 # ---------------------------------------------------------------------- inputs within the true rows
-@compiled(NONE, NUMS, INTS, INT)
-def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def evaluate_trial(m: Floats, o: Integers, k: int) -> None:
     """True rows of node k at the trial point: values to ``row_trial``, Jacobians of general ones to ``row_scaled``."""
     if o[ROW_GENERAL] > 0:
         values = o[LANE_VALUES]
@@ -222,8 +221,8 @@ def evaluate_trial(m, o, k):  # type: ignore[no-untyped-def]
     collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
 
 
-@compiled(NUM, NUMS, INTS, INT)
-def outside(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def outside(m: Floats, o: Integers, k: int) -> float:
     """By how much inputs of node k are outside a held row that was evaluated last, at most; infinite where one is NaN."""
     _, boxes, general = node_rows(o, k)
     worst = 0.0
@@ -234,8 +233,8 @@ def outside(m, o, k):  # type: ignore[no-untyped-def]
     return worst
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def correct(m, o, k, share):  # type: ignore[no-untyped-def]
+@compiled
+def correct(m: Floats, o: Integers, k: int, share: float) -> None:
     """Move the trial inputs of node k onto the linearised rows that they are outside of, one row after the other, and ``share``
     of the way inside that there may be."""
     _, boxes, general = node_rows(o, k)
@@ -245,7 +244,7 @@ def correct(m, o, k, share):  # type: ignore[no-untyped-def]
     for j in range(boxes):
         i = o[row_index(o) + j]
         if held(m, o, j):
-            sign = m[entry(o, SIGN, j)]
+            sign = m[entry(o, RowField.SIGN, j)]
             h = m[o[ROW_TRIAL] + j] + sign * m[change + i]
             if h < 0.0:
                 m[change + i] += (share * inside(m, o, k, j) - h) / sign
@@ -264,10 +263,10 @@ def correct(m, o, k, share):  # type: ignore[no-untyped-def]
         m[o[UT] + k * nu + i] += m[change + first + i]
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
+@compiled
+def pull_inside(m: Floats, o: Integers, k: int) -> None:
     """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
-    nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[BEST], np.inf, 1.0
+    nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
     for _ in range(CORRECTIONS):
         evaluate_trial(m, o, k)
         worst = outside(m, o, k)
@@ -285,12 +284,12 @@ def pull_inside(m, o, k):  # type: ignore[no-untyped-def]
     evaluate_trial(m, o, k)
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
     _, boxes, general = node_rows(o, k)
     pull_inside(m, o, k)
-    tell_outside(m, o, k)
+    record_input_violations(m, o, k)
     if alpha == 0.0:
         return
     for j in range(boxes, boxes + general):
@@ -302,8 +301,8 @@ def hold_node(m, o, k, alpha):  # type: ignore[no-untyped-def]
             m[o[ROW_DT] + q] = (max(h, inside(m, o, k, j)) - t) / alpha
 
 
-@compiled(NONE, NUMS, INTS, INT, NUM)
-def follow(m, o, k, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def follow(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial state of node k + 1 by the linearised dynamics from the trial point of node k."""
     nx, nu = o[NX], o[NU]
     x, before, u, last = o[XT] + k * nx, o[X] + k * nx, o[UT] + k * nu, o[U] + k * nu

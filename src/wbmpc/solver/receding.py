@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
-from wbmpc.solver.compilation import INT, INT2, INTS, NONE, NUM, NUMS, compiled
+from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.driver import solve
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
@@ -16,7 +16,6 @@ from wbmpc.solver.memory_layout import (
     GRID,
     GRID_BASE,
     GRID_OLD,
-    HELD_FOR,
     JUMPS,
     LX,
     NP,
@@ -29,6 +28,7 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    StateField,
     U,
     X,
 )
@@ -40,8 +40,8 @@ LINEAR, POSE, HOLD, POSE_HOLD = range(len(Reference.KINDS))
 class Tables(NamedTuple):
     """References and modes over absolute time in two flat arrays.
 
-    ``integers``: counts of slots, events and mode values, the place of the mode in a node's parameters; then per slot: first
-    time, samples, first value, width, kind, place. ``numbers``: events, modes (modes, values), times, values.
+    ``integers``: counts of slots, events and mode values, the offset of the mode in a node's parameters; then per slot: first
+    time, samples, first value, width, kind, offset. ``numbers``: events, modes (modes, values), times, values.
     """
 
     numbers: np.ndarray
@@ -59,8 +59,8 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
         if name in references:
             r = references[name]
             width = r.values.shape[1]
-            kind, place = Reference.KINDS.index(r.kind), problem.node.slices[f"reference.{name}"].start
-            slots += [start, r.times.size, start + r.times.size, width, kind, place]
+            kind, target = Reference.KINDS.index(r.kind), problem.node.slices[f"reference.{name}"].start
+            slots += [start, r.times.size, start + r.times.size, width, kind, target]
             parts += [r.times, r.values.ravel()]
             start += r.times.size * (1 + width)
             head[0] += 1
@@ -70,14 +70,14 @@ def make_tables(problem: Transcription, references: Mapping[str, Reference], sch
 
 
 def overwrite(tables: Tables, slot: int, reference: Reference) -> None:
-    """Put a reference of the same shape and kind into the place of the one that is there."""
+    """Put a reference of the same shape and kind over the one that is there."""
     times, count, values, width = tables.integers[4 + 6 * slot : 8 + 6 * slot]
     tables.numbers[times : times + count] = reference.times
     tables.numbers[values : values + count * width] = reference.values.ravel()
 
 
-@compiled(INT, NUMS, INT, INT, NUM)
-def count_until(numbers, first, count, t):  # type: ignore[no-untyped-def]
+@compiled
+def count_until(numbers: Floats, first: int, count: int, t: float) -> int:
     """How many of ``count`` sorted numbers from ``first`` on are at most ``t``."""
     low, high = 0, count
     while low < high:
@@ -89,13 +89,13 @@ def count_until(numbers, first, count, t):  # type: ignore[no-untyped-def]
     return low
 
 
-@compiled(NONE, NUMS, INTS, NUM, NUMS, INT)
-def sample(numbers, integers, t, m, out):  # type: ignore[no-untyped-def]
+@compiled
+def sample(numbers: Floats, integers: Integers, t: float, m: Floats, out: int) -> None:
     """References and mode values at time t into the parameter vector at offset ``out`` of ``m``."""
     for slot in range(integers[0]):
         s = 4 + 6 * slot
         times, n, values, width = integers[s], integers[s + 1], integers[s + 2], integers[s + 3]
-        kind, place = integers[s + 4], out + integers[s + 5]
+        kind, target = integers[s + 4], out + integers[s + 5]
         hold = kind >= HOLD
         i = count_until(numbers, times, n, t + (1e-9 if hold else 0.0)) - 1
         fraction = 0.0
@@ -108,21 +108,21 @@ def sample(numbers, integers, t, m, out):  # type: ignore[no-untyped-def]
             value = numbers[base + c]
             if fraction > 0.0:
                 value += fraction * (numbers[base + width + c] - value)
-            m[place + c] = value
+            m[target + c] = value
         if kind == POSE and fraction > 0.0:
             norm = 0.0
             for c in range(3, 7):
-                norm += m[place + c] ** 2
+                norm += m[target + c] ** 2
             for c in range(3, 7):
-                m[place + c] /= np.sqrt(norm)
+                m[target + c] /= np.sqrt(norm)
     events, width = integers[1], integers[2]
     mode = count_until(numbers, 0, events, t + 1e-9)
     for c in range(width):
         m[out + integers[3] + c] = numbers[events + mode * width + c]
 
 
-@compiled(NONE, NUMS, INTS, NUMS, INTS, NUM)
-def align(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
+@compiled
+def align(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float) -> None:
     """The grid for a horizon that starts at ``t0``: the inner node nearest to an event moves onto it; where
     there are more events than inner nodes, the last ones wait until the horizon has moved on."""
     n, grid, events = o[N], o[GRID], integers[1]
@@ -152,8 +152,8 @@ def align(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
             free = k + 1
 
 
-@compiled(NONE, NUMS, INTS, NUMS, INTS, NUM)
-def sample_all(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
+@compiled
+def sample_all(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float) -> None:
     """Parameters of all nodes for a horizon that starts at ``t0`` [s], and which intervals end with a jump."""
     for k in range(o[N] + 1):
         sample(numbers, integers, t0 + m[o[GRID] + k], m, o[P] + k * o[NP])
@@ -165,8 +165,8 @@ def sample_all(m, o, numbers, integers, t0):  # type: ignore[no-untyped-def]
             o[flags + k] = 1 if now != then else 0
 
 
-@compiled(NONE, NUMS, INTS, NUM)
-def shift(m, o, delta):  # type: ignore[no-untyped-def]
+@compiled
+def shift(m: Floats, o: Integers, delta: float) -> None:
     """Move the trajectories ``delta`` [s] forward in time, from the old grid to the grid; the last values hold beyond it."""
     n, nx, nu, lx, new, g = o[N], o[NX], o[NU], o[LX], o[GRID], o[GRID_OLD]
     i = 0
@@ -198,19 +198,29 @@ def shift(m, o, delta):  # type: ignore[no-untyped-def]
     take(m, o)
 
 
-@compiled(INT2, NUMS, INTS, NUMS, INTS, NUM, NUM, NUMS, NUMS, NUMS)
-def receding_solve(m, o, numbers, integers, t0, delta, x0, settings, log):  # type: ignore[no-untyped-def]
+@compiled
+def receding_solve(
+    m: Floats,
+    o: Integers,
+    numbers: Floats,
+    integers: Integers,
+    t0: float,
+    delta: float,
+    x0: Floats,
+    settings: Floats,
+    log: Floats,
+) -> tuple[int, int]:
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
         shift(m, o, delta)
-    m[o[STATE] + HELD_FOR] += delta
+    m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)
     return solve(m, o, x0, settings, log)
 
 
-@compiled(NONE, NUMS, INTS, NUMS, NUMS, NUM, NUMS)
-def simulate(m, o, x, u, h, out):  # type: ignore[no-untyped-def]
+@compiled
+def simulate(m: Floats, o: Integers, x: Floats, u: Floats, h: float, out: Floats) -> None:
     """One Runge-Kutta step of the model with the parameters of node 0."""
     xt, ut, end = o[XT], o[UT], o[SLOPES] + 5 * o[LX]
     for i in range(o[NX]):

@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp import Transcription
-from wbmpc.ocp.transcription import WISH
+from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import curvature
 from wbmpc.solver.workspace import BoxTable, box_table
 
-RELATIVE_COMPLIANCE = 1e-12
+RELATIVE_SOFTNESS = 1e-12
 
 
 def barrier(boxes: BoxTable, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Value, gradient and diagonal curvature of the boxes' relaxed barriers at z = [x; u]."""
-    h = boxes.sign * z[boxes.place] + boxes.offset
+    h = boxes.sign * z[boxes.variable] + boxes.offset
     mu, delta = boxes.mu, boxes.delta
     far, q = h > delta, (h - 2 * delta) / delta
     safe = np.where(far, h, 1.0)
     value = np.where(far, -mu * np.log(safe), mu * (0.5 * (q * q - 1.0) - np.log(delta))).sum()
     gradient, curvature = np.zeros(z.size), np.zeros(z.size)
-    np.add.at(gradient, boxes.place, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
-    np.add.at(curvature, boxes.place, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
+    np.add.at(gradient, boxes.variable, boxes.sign * np.where(far, -mu / safe, mu * q / delta))
+    np.add.at(curvature, boxes.variable, boxes.sign**2 * np.where(far, mu / safe**2, mu / delta**2))
     return float(value), gradient, curvature
 
 
@@ -44,7 +44,7 @@ def riccati_step(
     if d.size:
         half = np.linalg.solve(lower, d.T)
         schur = half.T @ half
-        root = np.linalg.cholesky(schur + np.diag(RELATIVE_COMPLIANCE * np.diag(schur) + eps))
+        root = np.linalg.cholesky(schur + np.diag(RELATIVE_SOFTNESS * np.diag(schur) + eps))
         multipliers = lambda left: np.linalg.solve(root.T, np.linalg.solve(root, left))
         rows = np.column_stack([c, e])
         nu = multipliers(rows + d @ both)
@@ -52,12 +52,12 @@ def riccati_step(
         # once more for what an ill-conditioned Schur complement has left
         both = both - apply(d.T @ multipliers(rows + d @ both - eps[:, None] * nu))
     gain, feed = both[:, :-1], both[:, -1]
-    # The value of the step is the quadratic along the constrained input, plus what the compliance pays.
+    # The value of the step is the quadratic along the constrained input, plus what the softness pays.
     full = np.vstack([np.eye(nx), gain])
     p = full.T @ m @ full
     q = full.T @ (s + m @ np.concatenate([np.zeros(nx), feed]))
     if d.size:
-        # eps ν² / 2 is what the compliance pays
+        # eps ν² / 2 is what the softness pays
         p, q = p + nu[:, :-1].T @ (eps[:, None] * nu[:, :-1]), q + nu[:, :-1].T @ (eps * nu[:, -1])
     return gain, feed, 0.5 * (p + p.T), q
 
@@ -79,7 +79,7 @@ class InterpretedDirections:
         self.has_rows = any(r.kind.size for r in self.own)
         self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
         self.feed, self.last_du = np.zeros((n, nu)), np.zeros((n, nu))
-        self.wish, self.wish_step = (np.zeros((n, problem.compliance.size)) for _ in range(2))
+        self.soft_residual, self.soft_step = (np.zeros((n, problem.softness.size)) for _ in range(2))
 
     def _p(self, k: int) -> np.ndarray:
         return self.ws.p[k, : self.problem.node.size]  # type: ignore[no-any-return]
@@ -139,19 +139,19 @@ class InterpretedDirections:
             violation += np.abs(self.step(x[k], u[k], k)[0] - x[k + 1]).sum()
             arguments = (x[k], u[k], self._p(k), ws.w)
             cost += h * (float(self.values["cost"](*arguments)) + barrier(self.path, np.concatenate([x[k], u[k]]))[0])
-            exact = self.problem.compliance <= WISH
+            exact = self.problem.softness <= MIN_SOFTNESS
             violation += np.abs(np.array(self.values["equality"](*arguments)).ravel()[exact]).sum()
             more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
             cost, violation = cost + h * more, violation + h * broken
         more, broken = self.own[n].merit(self._rows(n, x[n], u[-1]), alpha, self.mu)
-        paid, apart, _ = self._wishes(x, u, alpha)
+        paid, apart, _ = self._soft_equality_terms(x, u, alpha)
         return cost + more + paid, float(violation + broken + apart)
 
-    def _wishes(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> tuple[float, float, float]:
-        """As wish_of of the compiled solver, of all nodes."""
-        soft = self.problem.compliance > WISH
-        g, r = self._equality_values(x, u)[:, soft], (self.wish + alpha * self.wish_step)[:, soft]
-        paid = np.sum(0.5 * r**2 / self.problem.compliance[soft])
+    def _soft_equality_terms(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> tuple[float, float, float]:
+        """As soft_equality_terms of the compiled solver, of all nodes."""
+        soft = self.problem.softness > MIN_SOFTNESS
+        g, r = self._equality_values(x, u)[:, soft], (self.soft_residual + alpha * self.soft_step)[:, soft]
+        paid = np.sum(0.5 * r**2 / self.problem.softness[soft])
         return float(paid), float(np.abs(g - r).sum()), float(np.abs(g).sum())
 
     def _equality_values(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ class InterpretedDirections:
         rows.linearise(z, *self.derivatives["rows_jacobian"](*arguments))
         sigma, offset = rows.weights(self.mu)
         j = rows.jacobian
-        if self.problem.curved:
+        if self.problem.nonlinear_input_rows:
             full = full + curvature(self.problem, rows, arguments, h)
         whole = full + h * j.T @ (sigma[:, None] * j) + self.shift * np.eye(z.size)
         pulled = gradient + h * j.T @ (sigma * offset)
@@ -204,18 +204,18 @@ class InterpretedDirections:
         nodes = [self._node(k) for k in range(n)]
         end = self._terminal()
         value, slope = end[:2]
-        eps = self.problem.compliance + 1e-14
+        eps = self.problem.softness + 1e-14
         for k in reversed(range(n)):
             ws.k[k], self.feed[k], value, slope = riccati_step(*nodes[k][:8], eps, value, slope)  # type: ignore[call-arg]
         dx, du = [x0 - ws.x[0]], []
         kkt, along, bend = 0.0, 0.0, 0.0
-        soft = self.problem.compliance > WISH
+        soft = self.problem.softness > MIN_SOFTNESS
         for k, (a, b, gap, h, _, c, d, e, own, g) in enumerate(nodes):
             du.append(ws.k[k] @ dx[k] + self.feed[k])
             dz = np.concatenate([dx[k], du[k]])
             kkt, along, bend = max(kkt, np.abs(own @ dz).max()), along + g @ dz, bend + dz @ h @ dz
-            self.wish_step[k] = e + np.hstack([c, d]) @ dz - self.wish[k]
-            along += sum(self.wish[k, soft] * self.wish_step[k, soft] / self.problem.compliance[soft])
+            self.soft_step[k] = e + np.hstack([c, d]) @ dz - self.soft_residual[k]
+            along += sum(self.soft_residual[k, soft] * self.soft_step[k, soft] / self.problem.softness[soft])
             dx.append(a @ dx[k] + b @ du[k] + gap)
             self.own[k].step(self.mu, dz)
         kkt, along = max(kkt, np.abs(end[2] @ dx[n]).max()), along + end[3] @ dx[n]

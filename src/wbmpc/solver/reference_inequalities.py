@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.ocp.constraint_classification import Kind, Place
+from wbmpc.ocp.constraint_classification import Kind, RowGroup
 
 
 class RowState:
     """Slacks t, multipliers l and L1 slacks s of one node's rows; see :mod:`wbmpc.solver.inequalities` for the formulas."""
 
-    def __init__(self, place: Place, measured: bool) -> None:
-        rows = place.rows
-        table = np.array([(r.kind, r.place, r.sign, r.offset, r.penalty, r.state_only) for r in rows], float).reshape(
-            -1, 6
-        )
-        self.kind, self.place, self.sign, self.offset, self.given, state_only = table.T
+    def __init__(self, group: RowGroup, measured: bool) -> None:
+        rows = group.rows
+        table = np.array(
+            [(r.kind, r.variable, r.sign, r.offset, r.penalty, r.state_only) for r in rows], float
+        ).reshape(-1, 6)
+        self.kind, self.variable, self.sign, self.offset, self.given, state_only = table.T
         self.rho = 1.0
         self.counts = ~(state_only.astype(bool) & measured)
         self.bounds_inputs = (self.kind == Kind.HARD) & ~state_only.astype(bool)
-        self.boxes = len(place.boxes)
+        self.boxes = len(group.boxes)
         self.hard, self.multiplier, self.equal = (self.kind == k for k in Kind)
         self.soft = self.hard & np.isfinite(self.penalty)
         n = len(rows)
@@ -36,7 +36,7 @@ class RowState:
 
     def values(self, z: np.ndarray, general: Any) -> np.ndarray:
         """h at z = [x; u]; ``general``: values of the rows that are not of one variable."""
-        index = self.place[: self.boxes].astype(int)
+        index = self.variable[: self.boxes].astype(int)
         return np.concatenate(
             [self.sign[: self.boxes] * z[index] + self.offset[: self.boxes], np.array(general).ravel()]
         )
@@ -45,7 +45,7 @@ class RowState:
         """h and its Jacobian by z."""
         self.h = self.values(z, general)
         selection = np.zeros((self.boxes, z.size))
-        selection[np.arange(self.boxes), self.place[: self.boxes].astype(int)] = self.sign[: self.boxes]
+        selection[np.arange(self.boxes), self.variable[: self.boxes].astype(int)] = self.sign[: self.boxes]
         self.jacobian = np.vstack([selection, np.array(jacobian).reshape(-1, z.size)])
 
     def start(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
@@ -94,12 +94,12 @@ class RowState:
             pull = np.where(self.multiplier, -np.maximum(0.0, self.l - self.penalty * self.h) * self.change, 0.0)
         return float(np.where(self.counts, hard + soft + pull, 0.0).sum())
 
-    def reach(self, tau: float) -> tuple[float, float]:
+    def reach(self, fraction: float) -> tuple[float, float]:
         """Largest primal and dual step."""
 
         def longest(value: np.ndarray, step: np.ndarray, mask: np.ndarray) -> float:
-            mask = mask & self.counts & (step < -tau * value)
-            return float(np.min(-tau * value[mask] / step[mask], initial=1.0))
+            mask = mask & self.counts & (step < -fraction * value)
+            return float(np.min(-fraction * value[mask] / step[mask], initial=1.0))
 
         primal = min(longest(self.t, self.dt, self.hard), longest(self.s, self.ds, self.soft))
         return primal, min(longest(self.l, self.dl, self.hard), longest(self.penalty - self.l, -self.dl, self.soft))

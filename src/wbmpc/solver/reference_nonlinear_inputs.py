@@ -51,7 +51,7 @@ def hold_inputs(
         if worst < least:
             least, best = worst, u.copy()
         slopes = np.zeros((rows.boxes, z.size))
-        slopes[np.arange(rows.boxes), rows.place[: rows.boxes].astype(int)] = rows.sign[: rows.boxes]
+        slopes[np.arange(rows.boxes), rows.variable[: rows.boxes].astype(int)] = rows.sign[: rows.boxes]
         slopes = np.vstack([slopes, np.array(jacobian).reshape(-1, z.size)])[:, x.size :]
         change = np.zeros_like(u)
         for row in np.flatnonzero(held):

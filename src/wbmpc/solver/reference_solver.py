@@ -5,6 +5,7 @@ It is the oracle of the tests and the fallback where no code can be generated.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -13,27 +14,12 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
-from wbmpc.ocp.transcription import WISH
-from wbmpc.solver.memory_layout import (
-    COST,
-    GIVEN_WAY,
-    LAST_ALPHA,
-    LIMIT_TOLERANCE,
-    LONGEST,
-    MISSED,
-    MOST_AT,
-    PASSED,
-    PASSED_AT,
-    SETTINGS,
-    UNDUE,
-    UNEQUAL,
-    UNEQUAL_ROW,
-    VIOLATION,
-)
+from wbmpc.ocp.transcription import MIN_SOFTNESS
+from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
 from wbmpc.solver.reference_direction import InterpretedDirections
 from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
-from wbmpc.solver.settings import AT_REST, BIAS, HUGE, UNSETTLED
+from wbmpc.solver.settings import THRESHOLDS
 
 
 def lacking(problem: Transcription, settings: Any) -> str:
@@ -71,7 +57,7 @@ class InterpretedSolver(InterpretedDirections):
     def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
         """States and inputs a step further; with ``single`` the policy is rolled out."""
         ws = self.ws
-        ws.state[[MISSED, GIVEN_WAY]] = 0.0
+        ws.state[[StateField.INPUT_VIOLATION, StateField.MIXED_VIOLATION]] = 0.0
         if not single and not self.hold:
             return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
         x, u = np.zeros_like(ws.x), np.zeros_like(ws.u)
@@ -102,10 +88,10 @@ class InterpretedSolver(InterpretedDirections):
     def _tell_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's inputs are outside, where its rows are h."""
         state, by = self.ws.state, np.where(rows.bounds_inputs, -h, 0.0)
-        if by.max(initial=0.0) > max(state[MISSED], state[GIVEN_WAY]):
-            state[MOST_AT] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
-        state[MISSED] = max(state[MISSED], by[~rows.soft].max(initial=0.0))
-        state[GIVEN_WAY] = max(state[GIVEN_WAY], by[rows.soft].max(initial=0.0))
+        if by.max(initial=0.0) > max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]):
+            state[StateField.INPUT_VIOLATION_ROW] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
+        state[StateField.INPUT_VIOLATION] = max(state[StateField.INPUT_VIOLATION], by[~rows.soft].max(initial=0.0))
+        state[StateField.MIXED_VIOLATION] = max(state[StateField.MIXED_VIOLATION], by[rows.soft].max(initial=0.0))
 
     def _tell_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's state is outside, where its rows are h."""
@@ -113,14 +99,23 @@ class InterpretedSolver(InterpretedDirections):
 
         state, by = self.ws.state, np.where(rows.hard & rows.counts & ~rows.bounds_inputs, -h, 0.0)
         by[by <= LIMIT_TOLERANCE] = 0.0
-        if by.max(initial=0.0) > state[PASSED]:
-            state[[PASSED, PASSED_AT]] = by.max(), k * self.ws.rows_h.shape[1] + int(np.argmax(by))
-        state[UNDUE] = max(state[UNDUE], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0))
+        if by.max(initial=0.0) > state[StateField.STATE_VIOLATION]:
+            state[[StateField.STATE_VIOLATION, StateField.STATE_VIOLATION_ROW]] = (
+                by.max(),
+                k * self.ws.rows_h.shape[1] + int(np.argmax(by)),
+            )
+        state[StateField.UNRELAXED_VIOLATION] = max(
+            state[StateField.UNRELAXED_VIOLATION], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0)
+        )
 
     def run(
-        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
-    ) -> tuple[int, int]:
-        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps."""
+        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray,
+        check: Callable[[], None] = lambda: None,
+    ) -> tuple[int, int]:  # fmt: skip
+        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps.
+
+        ``check`` is called before every iteration and may raise.
+        """
         from wbmpc.solver.receding import sample
 
         missing = lacking(self.problem, settings)
@@ -128,13 +123,13 @@ class InterpretedSolver(InterpretedDirections):
             raise InputError(f"the interpreted backend has no {missing}; valid: 'compiled'")
         ws = self.ws
         for k in range(len(ws.grid)):
-            sample.python(*tables, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
+            sample.python(tables.numbers, tables.integers, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
         if delta > 0.0:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
-        self.mu, self.shift = c.mu_start, 0.0
+        self.mu, self.shift = c.initial_barrier, 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
-        self.hold = 1 + int(c.keep_multipliers) if self.problem.curved else int(rolled)
+        self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self._start_rows(*start)
         if c.single_shooting:
@@ -142,8 +137,8 @@ class InterpretedSolver(InterpretedDirections):
                 self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
             self._start_rows(*start)
-        self.wish = self._equality_values(ws.x, ws.u)
-        return self._iterate_to_the_end(x0, c, log)
+        self.soft_residual = self._equality_values(ws.x, ws.u)
+        return self._iterate_to_the_end(x0, c, log, check)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
@@ -151,12 +146,14 @@ class InterpretedSolver(InterpretedDirections):
             rows.rho = 1.0
             rows.start(mu, least, keep, keep_slacks)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Slacks and multipliers start anew."""
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
-    def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
+    def _iterate_to_the_end(
+        self, x0: np.ndarray, c: Any, log: np.ndarray, check: Callable[[], None]
+    ) -> tuple[int, int]:
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
@@ -165,14 +162,15 @@ class InterpretedSolver(InterpretedDirections):
             and bool(c.compute_kkt or (c.max_extra_iterations and c.rollout_restart))
             and not c.single_shooting
         )
-        run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
+        run, self.shift = _Progress(int(c.iterations), c.barrier, c.initial_barrier, self.hold, again), 0.0
         while run.count < run.limit:
+            check()
             self.shift = run.shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             row = log[run.count]
             row[:] = np.nan
-            paid, apart, wished = self._wishes(self.ws.x, self.ws.u)
-            row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + wished - apart
+            paid, apart, of_soft = self._soft_equality_terms(self.ws.x, self.ws.u)
+            row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + of_soft - apart
             row[4:7] = 0.0, row[1], self._equalities()
             run.count += 1
             try:
@@ -199,21 +197,21 @@ class InterpretedSolver(InterpretedDirections):
         row[2:4], row[7:] = (kkt, size), (residual, product, self.mu, run.shift, 1.0)
         if not np.isfinite([cost, violation, s["slope"]]).all():
             return NOT_FINITE
-        self.ws.state[[COST, VIOLATION]] = row[:2]
-        if abs(cost) > HUGE or size > HUGE:
+        self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
+        if abs(cost) > THRESHOLDS.divergence or size > THRESHOLDS.divergence:
             return DIVERGED
         feasible = max(violation, residual) <= c.feasibility
         moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))
-        if self.problem.compliance.any() and residual <= c.feasibility and moved <= AT_REST:
+        if self.problem.softness.any() and residual <= c.feasibility and moved <= THRESHOLDS.at_rest:
             feasible = row[1] - self._equalities() <= c.feasibility
         if self.mu < run.last_mu:
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
-        small = moved <= UNSETTLED or not last
+        small = moved <= THRESHOLDS.settled or not last
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
-            if last and (not self.has_rows or run.bias <= BIAS or self.mu <= c.mu_floor):
+            if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
                 return CONVERGED
-            run.level = max(0.2 * self.mu, c.mu_floor) if last else run.level
+            run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
         if run.again and self._starts_anew(x0, c):
@@ -221,7 +219,7 @@ class InterpretedSolver(InterpretedDirections):
             return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
         if alpha == 0.0:
-            self.ws.state[[COST, VIOLATION]] = row[:2]
+            self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
             if self.hold == 1 and not c.keep_multipliers:  # once more along the step itself
                 self.hold = 0
                 return None
@@ -234,19 +232,17 @@ class InterpretedSolver(InterpretedDirections):
         error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.compute_kkt else 0.0
         self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual), run)
         self.policy, self.hold = True, run.hold
-        row[4] = self.ws.state[LAST_ALPHA] = alpha
+        row[4] = self.ws.state[StateField.LAST_STEP] = alpha
         self._one_more(c, alpha, run)
         return None
 
     def _starts_anew(self, x0: np.ndarray, c: Any) -> bool:
-        """As starts_anew of the compiled solver."""
-        from wbmpc.solver.driver import JAMMED
-
+        """As restart_from_rollout of the compiled solver."""
         rows = self.own[0]
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
         ahead[-rows.change <= 0.5 * ahead] = 0.0
-        reach = min(r.reach(c.tau)[0] for r in self.own)
-        if reach > JAMMED or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
+        reach = min(r.reach(c.fraction_to_boundary)[0] for r in self.own)
+        if reach > THRESHOLDS.jammed or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
             return False
         hold, self.hold = self.hold, max(self.hold, 1)
         x, u = self._trial({}, 0.0, x0, True)
@@ -273,7 +269,7 @@ class InterpretedSolver(InterpretedDirections):
         run.last_kkt = kkt
         if not c.compute_kkt:
             run.first = self._longest_step(s["du"], run.count == 1)
-        primal, dual = (min(v) for v in zip(*(r.reach(c.tau) for r in self.own), strict=True))
+        primal, dual = (min(v) for v in zip(*(r.reach(c.fraction_to_boundary) for r in self.own), strict=True))
         base = (cost, violation, s["slope"], drop)
         return self._search(s, x0, c, base, run.penalty, run.first, primal), dual, primal
 
@@ -286,13 +282,13 @@ class InterpretedSolver(InterpretedDirections):
 
         (alpha, primal, dual), (product, residual) = lengths, found
         solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
-        self.wish += alpha * self.wish_step
+        self.soft_residual += alpha * self.soft_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
         if not self.has_rows:
             return
         after = next_mu.python(self.mu, run.level, error, product)
-        after = min(c.mu_start, 10.0 * self.mu) if primal < 0.1 else after
+        after = min(c.initial_barrier, 10.0 * self.mu) if primal < 0.1 else after
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
                 run.last_kkt = np.inf
@@ -307,23 +303,29 @@ class InterpretedSolver(InterpretedDirections):
         if run.count < run.limit:
             return
         self._watch(c)
-        outside, most = self.ws.state[MISSED] > LIMIT_TOLERANCE, int(c.iterations) + int(c.max_extra_iterations)
+        outside, most = (
+            self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE,
+            int(c.iterations) + int(c.max_extra_iterations),
+        )
         if run.limit < most and (
-            alpha < 0.9 * run.first or outside or self.ws.state[UNDUE] > 0.0 or self._misses_equality(c)
+            alpha < 0.9 * run.first
+            or outside
+            or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
+            or self._misses_equality(c)
         ):
             run.limit += 1
-        elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.compliance.size:
+        elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.softness.size:
             run.hold = self.hold = 2
             run.limit += 1
 
     def _watch(self, c: Any) -> None:
         """In real time: by how much inputs are outside straight hard rows, and states from node 1 on outside theirs."""
         ws, last = self.ws, len(self.ws.u)
-        ws.state[[PASSED, UNDUE]] = 0.0
+        ws.state[[StateField.STATE_VIOLATION, StateField.UNRELAXED_VIOLATION]] = 0.0
         if not c.keep_multipliers:
             return
         if not self.hold:
-            ws.state[[MISSED, GIVEN_WAY]] = 0.0
+            ws.state[[StateField.INPUT_VIOLATION, StateField.MIXED_VIOLATION]] = 0.0
         for k, rows in enumerate(self.own):
             h = self._rows(k, ws.x[k], ws.u[min(k, last - 1)])
             if not self.hold and k < last:
@@ -333,7 +335,7 @@ class InterpretedSolver(InterpretedDirections):
     def _status_at_the_limit(self, c: Any, status: int) -> int:
         from wbmpc.solver.driver import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE
 
-        if self.ws.state[MISSED] > LIMIT_TOLERANCE:
+        if self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
             return INPUT_INFEASIBLE
         return EQUALITY_INFEASIBLE if self._misses_equality(c) else status
 
@@ -348,9 +350,9 @@ class InterpretedSolver(InterpretedDirections):
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w))
         d = cd[:, self.problem.nx :]
         by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), LEAST_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
-        by[self.problem.compliance > WISH] = 0.0
+        by[self.problem.softness > MIN_SOFTNESS] = 0.0
         if by.size:
-            state[[UNEQUAL, UNEQUAL_ROW]] = by.max(), np.argmax(by)
+            state[[StateField.EQUALITY_RESIDUAL, StateField.EQUALITY_ROW]] = by.max(), np.argmax(by)
         return float(by.max(initial=0.0))
 
     def _equalities(self) -> float:
@@ -363,13 +365,15 @@ class InterpretedSolver(InterpretedDirections):
 
         state, last, self.last_du = self.ws.state, self.last_du, du
         size = float(np.sum(last * last))
-        if state[LONGEST] == 0.0:
-            state[LONGEST] = 1.0
+        if state[StateField.MAX_STEP] == 0.0:
+            state[StateField.MAX_STEP] = 1.0
         elif first:
-            state[LONGEST] = min(1.1 * state[LONGEST], 1.0)
+            state[StateField.MAX_STEP] = min(1.1 * state[StateField.MAX_STEP], 1.0)
         elif size > 0.0:
-            state[LONGEST] = next_longest.python(state[LONGEST], state[LAST_ALPHA], float(np.sum(du * last)) / size)
-        return float(state[LONGEST])
+            state[StateField.MAX_STEP] = next_longest.python(
+                state[StateField.MAX_STEP], state[StateField.LAST_STEP], float(np.sum(du * last)) / size
+            )
+        return float(state[StateField.MAX_STEP])
 
     def _row_cost(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> float:
         """What the rows add to the cost at a point."""
@@ -378,7 +382,7 @@ class InterpretedSolver(InterpretedDirections):
         return float(sum(w * r.merit(v, alpha, self.mu)[0] for w, r, v in zip(h, self.own, values, strict=True)))
 
     def _search(
-        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, ...], penalty: float, first: float,
+        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, float, float, float], penalty: float, first: float,
         reach: float,
     ) -> float:  # fmt: skip
         """The accepted step length, 0 for none; the iterate has moved."""
@@ -390,11 +394,11 @@ class InterpretedSolver(InterpretedDirections):
             x, u = self._trial(s, alpha, x0, single)
             merit = self._merit(x, u, x0, alpha)
             forced = ratio < c.min_step
-            good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
+            good = np.isfinite(merit).all() if forced else accept.python(merit[0], merit[1], *base, penalty, alpha)
             if good:
-                paid, apart, wished = self._wishes(x, u, alpha)
+                paid, apart, of_soft = self._soft_equality_terms(x, u, alpha)
                 cost = merit[0] - self._row_cost(x, u, alpha) - paid
-                self.ws.state[[COST, VIOLATION]] = cost, merit[1] + wished - apart
+                self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
                 self.ws.x[:], self.ws.u[:] = x, u
                 for row in self.ws.x:
                     self._normalise(row)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.transcription import WISH
+from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.barriers import (
     BARRIER,
     INTERVAL,
@@ -14,14 +14,12 @@ from wbmpc.solver.barriers import (
     barrier_lanes,
     barrier_value,
 )
-from wbmpc.solver.compilation import BOOL, INT, INTS, LANES, NONE, NUM, NUM2, NUM4, NUMS, call7, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, call7, compiled
 from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.inequalities import add_rows_product, linearise_rows
 from wbmpc.solver.memory_layout import (
     AB,
     BASE,
-    BENT,
-    CURVED,
     DU,
     DX,
     END_BOXES,
@@ -44,34 +42,32 @@ from wbmpc.solver.memory_layout import (
     LX,
     LZ,
     NG,
+    NONLINEAR_EQUALITIES,
+    NONLINEAR_INPUT_ROWS,
     NP,
     NU,
     NX,
     PATH_BOXES,
     PULLED,
     RICCATI,
-    ROW_COST,
     ROW_GENERAL,
     ROW_J,
     SCRATCH,
-    SHIFT,
     SMALL,
+    SOFT_RESIDUAL,
     STATE,
     TERMINAL,
-    UNEQUAL,
-    UNEQUAL_ROW,
     UNPACK_EQUALITIES,
     UNPACK_MATRIX,
     UNPACK_ROWS,
     VALUE,
-    WISH_R,
-    WISHED,
     E,
     G,
     H,
     K,
     N,
     P,
+    StateField,
     U,
     X,
 )
@@ -91,8 +87,8 @@ from wbmpc.solver.stages import stage_end
 LEAST_SLOPE = 1e-3
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
+@compiled
+def linearise_block(m: Floats, o: Integers, first: int, count: int, slot: int) -> None:
     """Dynamics, cost, equality rows and general rows of ``count`` ≤ 8 nodes from ``first`` on; Hessians into the buffers from
     ``slot`` on, equality rows into their eight. What is left to do is :func:`finish_node`."""
     nx, nu, lz, values = o[NX], o[NU], o[LZ], o[LANE_VALUES]
@@ -101,7 +97,7 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
     load_block(m, o, first, count, o[X], o[U])
     linearise_dynamics(m, o, first, count)
     if (
-        o[ROW_GENERAL] + o[EXACT] + o[BENT] > 0
+        o[ROW_GENERAL] + o[EXACT] + o[NONLINEAR_EQUALITIES] > 0
     ):  # rows and second derivatives add where the cost's functions write nothing
         for i in range(count * size):
             m[matrix + i] = 0.0
@@ -118,8 +114,8 @@ def linearise_block(m, o, first, count, slot):  # type: ignore[no-untyped-def]
         unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_J] + first * rows, rows, count)
 
 
-@compiled(NUM4, NUMS, INTS, INT, INT, INT)
-def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
+@compiled
+def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[float, float, float, float]:
     """What the block's functions do not do of node k: limits, gradient, shift, sums: (cost, gap, violation of equalities, of
     rows). The rows' part of the cost is also added up in ``state``.
     """
@@ -139,27 +135,27 @@ def finish_node(m, o, k, lane, slot):  # type: ignore[no-untyped-def]
         m[gradient + i] = m[matrix + i * lz + nx]
     take_rows_of_lane(m, o, lane)
     row_cost, row_violation = linearise_rows(m, o, k, x, u, matrix, lz)
-    shift = m[o[STATE] + SHIFT]
+    shift = m[o[STATE] + StateField.SHIFT]
     if shift > 0.0:
         for i in range(nx + 1 + nu):
             m[matrix + i * lz + i] += shift
     for q in range(o[NG]):
         violation += abs(m[rows + q * lz + nx])
-        if m[o[EPS] + q] > WISH:
-            e, r = m[rows + q * lz + nx], m[o[WISH_R] + k * o[NG] + q]
-            m[o[STATE] + WISHED] += abs(e) - abs(e - r)
+        if m[o[EPS] + q] > MIN_SOFTNESS:
+            e, r = m[rows + q * lz + nx], m[o[SOFT_RESIDUAL] + k * o[NG] + q]
+            m[o[STATE] + StateField.SOFT_EQUALITY_VIOLATION] += abs(e) - abs(e - r)
             row_cost += 0.5 * r * r / m[o[EPS] + q]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
-    elif o[CURVED] + o[BENT] > 0:
+    elif o[NONLINEAR_INPUT_ROWS] + o[NONLINEAR_EQUALITIES] > 0:
         add_curvature(m, o, k, matrix, rows)
-    m[o[STATE] + ROW_COST] += row_cost
+    m[o[STATE] + StateField.ROW_COST] += row_cost
     return cost + row_cost, gap, violation, row_violation
 
 
-@compiled(NUM2, NUMS, INTS)
-def linearise_end(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def linearise_end(m: Floats, o: Integers) -> tuple[float, float]:
     """Terminal cost and rows' violation; Hessian and gradient into ``terminal`` and the value function."""
     n, nx, lx = o[N], o[NX], o[LX]
     x, end = o[X] + n * nx, o[TERMINAL]
@@ -172,20 +168,20 @@ def linearise_end(m, o):  # type: ignore[no-untyped-def]
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
     row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
-    m[o[STATE] + ROW_COST], m[o[STATE] + WISHED] = row_cost, 0.0
+    m[o[STATE] + StateField.ROW_COST], m[o[STATE] + StateField.SOFT_EQUALITY_VIOLATION] = row_cost, 0.0
     if o[EXACT] > 0:
         exact_end(m, o, end)
-    elif o[BENT] > 0:
+    elif o[NONLINEAR_EQUALITIES] > 0:
         costate_end(m, o)
     for i in range(nx):
-        m[end + i * lx + i] += m[o[STATE] + SHIFT]
+        m[end + i * lx + i] += m[o[STATE] + StateField.SHIFT]
     for i in range((nx + 1) * lx):
         m[o[VALUE] + i] = m[end + i]
     return cost + row_cost, violation
 
 
-@compiled(NONE, NUMS, INTS)
-def symmetrise(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def symmetrise(m: Floats, o: Integers) -> None:
     """Mirror the value function: an antisymmetric rounding error would grow with the open loop's unstable modes."""
     value, lx = o[VALUE], o[LX]
     for i in range(o[NX]):
@@ -193,8 +189,8 @@ def symmetrise(m, o):  # type: ignore[no-untyped-def]
             m[value + j * lx + i] = m[value + i * lx + j]
 
 
-@compiled(NUM4, NUMS, INTS, BOOL)
-def backward(m, o, keep):  # type: ignore[no-untyped-def]
+@compiled
+def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, float]:
     """Linearise and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
 
     ``keep``: every node keeps its Hessian (for the KKT residual); else eight buffers are enough.
@@ -224,14 +220,14 @@ def backward(m, o, keep):  # type: ignore[no-untyped-def]
     return cost, gaps, violations, rows
 
 
-@compiled(NUM, NUMS, INTS)
-def first_equalities(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def first_equalities(m: Floats, o: Integers) -> float:
     """The worst equality of the plan's first input, as a share of what its row [C e D] makes of inputs: |g| / (|D| + Σ |D_i u_i|).
 
-    Rows with a compliance to speak of are wishes. The buffer still has the first node's rows: they were eliminated last.
+    Rows with a softness to speak of are soft. The buffer still has the first node's rows: they were eliminated last.
     """
     nu, lz, values, state = o[NU], o[LZ], o[LANE_VALUES], o[STATE]
-    m[state + UNEQUAL] = 0.0
+    m[state + StateField.EQUALITY_RESIDUAL] = 0.0
     load_block(m, o, 0, min(LANES, o[N]), o[X], o[U])
     stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)
     for q in range(o[NG]):
@@ -240,13 +236,13 @@ def first_equalities(m, o):  # type: ignore[no-untyped-def]
             square += m[row + i] ** 2
             size += abs(m[row + i] * m[o[U] + i])
         by = abs(m[values + LANES * q]) / (max(np.sqrt(square), LEAST_SLOPE) + size)
-        if m[o[EPS] + q] <= WISH and by > m[state + UNEQUAL]:
-            m[state + UNEQUAL], m[state + UNEQUAL_ROW] = by, q
-    return m[state + UNEQUAL]
+        if m[o[EPS] + q] <= MIN_SOFTNESS and by > m[state + StateField.EQUALITY_RESIDUAL]:
+            m[state + StateField.EQUALITY_RESIDUAL], m[state + StateField.EQUALITY_ROW] = by, q
+    return m[state + StateField.EQUALITY_RESIDUAL]
 
 
-@compiled(NUM2, NUMS, INTS, NUMS)
-def forward(m, o, x0):  # type: ignore[no-untyped-def]
+@compiled
+def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
     """The step: (largest component, directional derivative of the cost)."""
     n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
     largest, slope = 0.0, 0.0
@@ -276,15 +272,15 @@ def forward(m, o, x0):  # type: ignore[no-untyped-def]
     return largest, slope
 
 
-@compiled(NUM2, NUMS, INTS)
-def kkt_residual(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def kkt_residual(m: Floats, o: Integers) -> tuple[float, float]:
     """(max |H δz|, δzᵀ H δz), after :func:`wbmpc.solver.inequalities.rows_step`.
 
     With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate, H without what the rows and
     the shift have put into it; the second number is with them.
     """
     n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, curvature, nz, shift = 0.0, 0.0, nx + 1 + nu, m[o[STATE] + SHIFT]
+    largest, curvature, nz, shift = 0.0, 0.0, nx + 1 + nu, m[o[STATE] + StateField.SHIFT]
     for k in range(n):
         h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
         add_rows_product(m, o, k, m[o[GRID] + k + 1] - m[o[GRID] + k])

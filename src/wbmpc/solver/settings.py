@@ -9,41 +9,54 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 
-#: A plan that has grown beyond this [units of the states], or a cost, has diverged.
-HUGE = 1e10
-#: A step that is larger than this beside 1 + |x| or 1 + |u| has not settled, however small the gradient is.
-UNSETTLED = 1e-3
-#: The same for equalities with a compliance: what they still lack when nothing moves is their share.
-AT_REST = 1e-7
-#: By how much the plan may still depend on μ at the end (of 1 + |x| or 1 + |u|), and how far μ falls for that at most.
-BIAS, LEAST_MU = 1e-4, 1e-18
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Constants of the iteration. Steps and biases are relative to 1 + |x| and 1 + |u|.
+
+    ``divergence``: a plan [units of the states] or a cost that is larger has diverged. ``settled``: the largest step of a solution,
+    however small the gradient is. ``at_rest``: the same for soft equalities, whose residual is then theirs. ``bias``: by how much a
+    solution may still depend on the barrier parameter; ``min_barrier``: as far as it falls for that. ``jammed``: steps that slacks
+    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``).
+    """
+
+    divergence: float = 1e10
+    settled: float = 1e-3
+    at_rest: float = 1e-7
+    bias: float = 1e-4
+    min_barrier: float = 1e-18
+    jammed: float = 0.25
 
 
-def _count(value: object, least: int) -> bool:
-    """Whether this is a whole number of at least ``least``."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= least)
+THRESHOLDS = Thresholds()
+
+
+def _count(value: object, minimum: int) -> bool:
+    """Whether this is a whole number of at least ``minimum``."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= minimum)
 
 
 @dataclass(frozen=True)
 class InteriorPoint:
     """How hard inequalities are treated.
 
-    ``mode``: "converge" drives μ from ``mu_start`` to ``mu`` (by default the solver's tolerance times 1e-4,
+    ``mode``: "converge" drives μ from ``initial_barrier`` to ``barrier`` (by default the solver's tolerance times 1e-4,
     and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
-    it at ``mu`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
-    per solve is enough. Rows are in units of their range. ``tau``: fraction to the boundary. ``max_extra_iterations``: at most so many
-    more iterations while the step is cut below 0.9 of the longest that is tried (docs/explanation/solver.md).
+    it at ``barrier`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
+    per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
+    and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
+    0.9 of the longest that is tried (docs/explanation/solver.md).
     ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
-    motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of the ball robot
+    motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of a balancing robot
     began metres off, and a push of 120 N s felled it instead of 260.
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/results/limits-and-race.md).
     """
 
     mode: Literal["converge", "real_time"] = "converge"
-    mu: float | None = None
-    mu_start: float = 0.1
+    barrier: float | None = None
+    initial_barrier: float = 0.1
     min_slack: float | None = None
-    tau: float = 0.995
+    fraction_to_boundary: float = 0.995
     max_extra_iterations: int = 10
     rollout_restart: bool = True
     reset: bool = True
@@ -51,7 +64,7 @@ class InteriorPoint:
     def __post_init__(self) -> None:
         if self.mode not in ("converge", "real_time"):
             raise unknown_name("interior point mode", self.mode, ("converge", "real_time"))
-        for name in ("mu", "mu_start", "min_slack"):
+        for name in ("barrier", "initial_barrier", "min_slack"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"interior point: {name} must be positive and finite, got {value}")
@@ -59,25 +72,27 @@ class InteriorPoint:
             raise InputError(
                 f"interior point: max_extra_iterations must be a whole number, at least 0, got {self.max_extra_iterations}"
             )
-        if not 0.0 < self.tau < 1.0:
-            raise InputError(f"interior point: tau must be between 0 and 1, got {self.tau}")
+        if not 0.0 < self.fraction_to_boundary < 1.0:
+            raise InputError(
+                f"interior point: fraction_to_boundary must be between 0 and 1, got {self.fraction_to_boundary}"
+            )
 
     def numbers(self, tolerance: float) -> dict[str, float]:
         """What the compiled code needs; ``tolerance``: of the solver's KKT residual."""
         real_time = self.mode == "real_time"
         # beside a row that is only just active the solution moves by the square root of μ
-        mu = self.mu if self.mu is not None else (1e-3 if real_time else 1e-4 * tolerance)
-        least = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
+        mu = self.barrier if self.barrier is not None else (1e-3 if real_time else 1e-4 * tolerance)
+        min_slack = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
         return {
-            "mu_start": mu if real_time else max(self.mu_start, mu),
-            "mu_end": mu,
+            "initial_barrier": mu if real_time else max(self.initial_barrier, mu),
+            "barrier": mu,
             "keep_multipliers": float(real_time),
-            "min_slack": least,
-            "tau": 0.99 if real_time else self.tau,
+            "min_slack": min_slack,
+            "fraction_to_boundary": 0.99 if real_time else self.fraction_to_boundary,
             "max_extra_iterations": float(self.max_extra_iterations if real_time else 0),
             "keep_slacks": float(real_time and not self.reset),
             "rollout_restart": float(self.rollout_restart),
-            "mu_floor": mu if real_time or self.mu is not None else min(LEAST_MU, mu),
+            "min_barrier": mu if real_time or self.barrier is not None else min(THRESHOLDS.min_barrier, mu),
         }
 
 
@@ -144,7 +159,7 @@ class SQP:
         return cls(iterations=iterations, **(given | more))  # type: ignore[arg-type]
 
     @property
-    def most_iterations(self) -> int:
+    def max_iterations(self) -> int:
         """Rows that the iteration log needs: a start anew, and a last time with inputs held within rows, come on top."""
         return self.iterations + max(int(self.interior_point.max_extra_iterations), 0) + 2
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.ocp.transcription import WISH
+from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.barriers import BARRIER, CHAIN_C, CHAIN_W, COUNTED, INTERVAL, LANE_COST, barrier_lanes
-from wbmpc.solver.compilation import INT, INTS, LANES, NONE, NUM, NUM2, NUMS, call2, call4, call5, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, call2, call4, call5, compiled
 from wbmpc.solver.memory_layout import (
     AB,
     ARG,
@@ -61,8 +61,8 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.stages import interval, jump_sensitivity, jumps_after
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT, INT, INT)
-def stage_lanes(o, function, x, u, r0, r1, r2):  # type: ignore[no-untyped-def]
+@compiled
+def stage_lanes(o: Integers, function: int, x: int, u: int, r0: int, r1: int, r2: int) -> None:
     """Call a function of eight nodes' (x, u, p, w, h); states, inputs and results at offsets into the memory."""
     base = o[BASE]
     o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * u, base + 8 * o[LANE_P]
@@ -71,22 +71,22 @@ def stage_lanes(o, function, x, u, r0, r1, r2):  # type: ignore[no-untyped-def]
     call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT)
-def pack(o, source, width, out, count):  # type: ignore[no-untyped-def]
+@compiled
+def pack(o: Integers, source: int, width: int, out: int, count: int) -> None:
     """``count`` nodes' ``width`` numbers each, from ``source`` on, side by side to ``out``."""
     base = o[BASE]
     call5(o[PACK], base + 8 * source, 8 * width, (width + 7) // 8, base + 8 * out, count - 1)
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT, INT)
-def unpack(o, function, lanes, out, size, count):  # type: ignore[no-untyped-def]
+@compiled
+def unpack(o: Integers, function: int, lanes: int, out: int, size: int, count: int) -> None:
     """The entries in ``lanes`` to ``count`` matrices, ``size`` doubles apart."""
     base = o[BASE]
     call4(o[function], base + 8 * lanes, base + 8 * out, 8 * size, count - 1)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
-def load_block(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
+@compiled
+def load_block(m: Floats, o: Integers, first: int, count: int, x: int, u: int) -> None:
     """States, inputs, parameters and intervals of a block; ``x``, ``u``: where the trajectories are."""
     nx, nu = o[NX], o[NU]
     pack(o, x + first * nx, nx, o[LANE_X], count)
@@ -99,8 +99,8 @@ def load_block(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
         m[o[LANE_SMALL] + COUNTED + i] = 1.0 if i < count else 0.0
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
-def offset_lanes(m, o, out, x, f, c):  # type: ignore[no-untyped-def]
+@compiled
+def offset_lanes(m: Floats, o: Integers, out: int, x: int, f: int, c: float) -> None:
     """out = x + c h f."""
     h = o[LANE_SMALL] + INTERVAL
     step = c * m[h : h + LANES]
@@ -108,8 +108,8 @@ def offset_lanes(m, o, out, x, f, c):  # type: ignore[no-untyped-def]
         m[out + i : out + i + LANES] = m[x + i : x + i + LANES] + step * m[f + i : f + i + LANES]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def combine_lanes(m, o, out, k1):  # type: ignore[no-untyped-def]
+@compiled
+def combine_lanes(m: Floats, o: Integers, out: int, k1: int) -> None:
     """out = x + h (k1 + 2 k2 + 2 k3 + k4) / 6 with the slopes one after the other."""
     h, x, size = o[LANE_SMALL] + INTERVAL, o[LANE_X], LANES * o[NX]
     step = m[h : h + LANES] / 6.0
@@ -119,8 +119,8 @@ def combine_lanes(m, o, out, k1):  # type: ignore[no-untyped-def]
         m[out + i : out + i + LANES] = m[x + i : x + i + LANES] + step * total
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def normalise_lanes(m, o, x, ab):  # type: ignore[no-untyped-def]
+@compiled
+def normalise_lanes(m: Floats, o: Integers, x: int, ab: int) -> None:
     """Unit length of the quaternions of a state; with ``ab`` ≥ 0 the derivative of that onto its rows."""
     size, boxes = LANES * o[LZ], o[PATH_BOXES] + o[END_BOXES]
     for s in range(o[QUATERNIONS]):
@@ -142,8 +142,8 @@ def normalise_lanes(m, o, x, ab):  # type: ignore[no-untyped-def]
                     m[b : b + LANES] = (m[b : b + LANES] - m[a : a + LANES] * along) * inverse
 
 
-@compiled(INT, NUMS, INTS, INT)
-def integrate_lanes(m, o, function):  # type: ignore[no-untyped-def]
+@compiled
+def integrate_lanes(m: Floats, o: Integers, function: int) -> int:
     """Runge-Kutta steps of a block; returns where the ends are. ``function``: the dynamics, or they with their Jacobians, which
     then go to the sensitivities of the steps in ``lane_ab``."""
     size, x, u, k1 = LANES * o[NX], o[LANE_X], o[LANE_U], o[LANE_F]
@@ -173,8 +173,8 @@ def integrate_lanes(m, o, function):  # type: ignore[no-untyped-def]
     return end
 
 
-@compiled(NONE, NUMS, INTS)
-def start_sensitivity(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def start_sensitivity(m: Floats, o: Integers) -> None:
     """``lane_ab`` before the chain rule: the unit matrix, for RK4 with the first slope's part."""
     nx, lz, ab, j1, h = o[NX], o[LZ], o[LANE_AB], o[LANE_J1], o[LANE_SMALL] + INTERVAL
     weight = m[h : h + LANES] / 6.0
@@ -185,8 +185,8 @@ def start_sensitivity(m, o):  # type: ignore[no-untyped-def]
         m[at : at + LANES] = m[at : at + LANES] + 1.0
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, NUM)
-def chain(m, o, j, s, t, c, weight):  # type: ignore[no-untyped-def]
+@compiled
+def chain(m: Floats, o: Integers, j: int, s: int, t: int, c: float, weight: float) -> None:
     """t = j + c h j_x s; lane_ab += weight h t."""
     base, small = o[BASE], o[LANE_SMALL]
     h = m[small + INTERVAL : small + INTERVAL + LANES]
@@ -195,8 +195,8 @@ def chain(m, o, j, s, t, c, weight):  # type: ignore[no-untyped-def]
     call5(o[CHAIN], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * o[LANE_AB], base + 8 * (small + CHAIN_C))
 
 
-@compiled(NONE, NUMS, INTS, INT, INT)
-def linearise_dynamics(m, o, first, count):  # type: ignore[no-untyped-def]
+@compiled
+def linearise_dynamics(m: Floats, o: Integers, first: int, count: int) -> None:
     """[A b B] of a block that is loaded."""
     nx, lx, lz, size = o[NX], o[LX], o[LZ], (o[NX] + 1) * o[LZ]
     end, ab = integrate_lanes(m, o, LANES_DYNAMICS_J), o[AB] + first * size
@@ -215,8 +215,8 @@ def linearise_dynamics(m, o, first, count):  # type: ignore[no-untyped-def]
                 m[own + i * lz + nx] = m[after + i] - m[o[LANE_NEXT] + LANES * i + lane]
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def single_lane(m, o, lane):  # type: ignore[no-untyped-def]
+@compiled
+def single_lane(m: Floats, o: Integers, lane: int) -> None:
     """What exact second derivatives need of one node: Jacobians of both slopes, the state in the middle."""
     for i in range(o[NX] * o[LZ]):
         m[o[J1] + i] = m[o[LANE_J1] + LANES * i + lane]
@@ -225,22 +225,22 @@ def single_lane(m, o, lane):  # type: ignore[no-untyped-def]
         m[o[SLOPES] + 4 * o[LX] + i] = m[o[LANE_F] + LANES * (4 * o[NX] + i) + lane]
 
 
-@compiled(NONE, NUMS, INTS)
-def evaluate_rows(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def evaluate_rows(m: Floats, o: Integers) -> None:
     """Values of the general rows of a block that is loaded."""
     if o[ROW_GENERAL] > 0:
         stage_lanes(o, LANES_ROWS, o[LANE_X], o[LANE_U], o[LANE_VALUES], o[LANE_VALUES], o[LANE_VALUES])
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def take_rows_of_lane(m, o, lane):  # type: ignore[no-untyped-def]
+@compiled
+def take_rows_of_lane(m: Floats, o: Integers, lane: int) -> None:
     """Values of one node's general rows into ``small`` from entry 16 on."""
     for j in range(o[ROW_GENERAL]):
         m[o[SMALL] + 16 + j] = m[o[LANE_VALUES] + LANES * j + lane]
 
 
-@compiled(NUM, NUMS, INTS, INT, INT, INT, INT)
-def gaps(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
+@compiled
+def gaps(m: Floats, o: Integers, first: int, count: int, x: int, u: int) -> float:
     """Σ |end of the interval − next state| of a block that is loaded from the trajectories ``x``, ``u``."""
     nx, counted, jumped = o[NX], o[LANE_SMALL] + COUNTED, 0.0
     end = integrate_lanes(m, o, LANES_DYNAMICS)
@@ -263,15 +263,15 @@ def gaps(m, o, first, count, x, u):  # type: ignore[no-untyped-def]
     return np.sum(inner) + jumped
 
 
-@compiled(INT, INTS)
-def equality_size(o):  # type: ignore[no-untyped-def]
+@compiled
+def equality_size(o: Integers) -> int:
     """Doubles between the equality rows of two nodes: [C e D] and Dᵀ."""
     return (o[NG] * o[LZ] + o[NU] * o[LG] + 7) // 8 * 8
 
 
-@compiled(NUM2, NUMS, INTS)
-def cost_and_equalities(m, o):  # type: ignore[no-untyped-def]
-    """Path cost and barriers times h, and Σ |equality row| without those that are wishes, of a block that is loaded."""
+@compiled
+def cost_and_equalities(m: Floats, o: Integers) -> tuple[float, float]:
+    """Path cost and barriers times h, and Σ |equality row| without those that are soft, of a block that is loaded."""
     small, values = o[LANE_SMALL], o[LANE_VALUES]
     counted = m[small + COUNTED : small + COUNTED + LANES] > 0.0
     stage_lanes(o, LANES_COST, o[LANE_X], o[LANE_U], small + LANE_COST, values, values)
@@ -286,6 +286,6 @@ def cost_and_equalities(m, o):  # type: ignore[no-untyped-def]
         stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], values, values, values)
         for q in range(o[NG]):
             at = values + LANES * q
-            if m[o[EPS] + q] <= WISH:
+            if m[o[EPS] + q] <= MIN_SOFTNESS:
                 violation = violation + np.where(counted, abs(m[at : at + LANES]), 0.0)
     return np.sum(cost), np.sum(violation)

@@ -1,4 +1,4 @@
-"""Compiled code of equality rows g with a compliance ε to speak of: g(z) = r with a cost of ½ r² / ε.
+"""Compiled code of equality rows g with a softness ε to speak of: g(z) = r with a cost of ½ r² / ε.
 
 The quadratic problem has r eliminated: after a full step r is what the linearised row is. The line search has r as a variable that
 moves along its own step, from r = g at the start: as for any SQP the merit then falls along the step. With |g| among the
@@ -7,9 +7,9 @@ violations it would not (g ≠ 0 at the solution), and with ½ g² / ε as a cos
 
 from __future__ import annotations
 
-from wbmpc.ocp.transcription import WISH
+from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.barriers import COUNTED
-from wbmpc.solver.compilation import INT, INTS, LANES, NONE, NUM, NUM3, NUMS, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.memory_layout import (
     DU,
     DX,
@@ -26,9 +26,9 @@ from wbmpc.solver.memory_layout import (
     NG,
     NU,
     NX,
+    SOFT_RESIDUAL,
+    SOFT_RESIDUAL_STEP,
     UNPACK_EQUALITIES,
-    WISH_R,
-    WISH_STEP,
     E,
     N,
     U,
@@ -37,8 +37,8 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.simd_batch import equality_size, load_block, stage_lanes, unpack
 
 
-@compiled(NONE, NUMS, INTS)
-def start_wishes(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def start_soft_residuals(m: Floats, o: Integers) -> None:
     """r = g at the iterate."""
     for first in range(0, o[N], LANES):
         count = min(LANES, o[N] - first)
@@ -46,11 +46,11 @@ def start_wishes(m, o):  # type: ignore[no-untyped-def]
         stage_lanes(o, LANES_EQUALITY, o[LANE_X], o[LANE_U], o[LANE_VALUES], o[LANE_VALUES], o[LANE_VALUES])
         for lane in range(count):
             for q in range(o[NG]):
-                m[o[WISH_R] + (first + lane) * o[NG] + q] = m[o[LANE_VALUES] + LANES * q + lane]
+                m[o[SOFT_RESIDUAL] + (first + lane) * o[NG] + q] = m[o[LANE_VALUES] + LANES * q + lane]
 
 
-@compiled(NUM, NUMS, INTS)
-def wishes_step(m, o):  # type: ignore[no-untyped-def]
+@compiled
+def soft_residual_steps(m: Floats, o: Integers) -> float:
     """Step of r along the directions dx, du; returns the slope of ½ r² / ε."""
     nx, lz, slope = o[NX], o[LZ], 0.0
     for block in range(
@@ -70,37 +70,37 @@ def wishes_step(m, o):  # type: ignore[no-untyped-def]
                     ahead += m[row + i] * m[o[DX] + k * o[LX] + i]
                 for i in range(o[NU]):
                     ahead += m[row + nx + 1 + i] * m[o[DU] + k * o[NU] + i]
-                m[o[WISH_STEP] + at] = ahead - m[o[WISH_R] + at]
-                if m[o[EPS] + q] > WISH:
-                    slope += m[o[WISH_R] + at] * m[o[WISH_STEP] + at] / m[o[EPS] + q]
+                m[o[SOFT_RESIDUAL_STEP] + at] = ahead - m[o[SOFT_RESIDUAL] + at]
+                if m[o[EPS] + q] > MIN_SOFTNESS:
+                    slope += m[o[SOFT_RESIDUAL] + at] * m[o[SOFT_RESIDUAL_STEP] + at] / m[o[EPS] + q]
     return slope
 
 
-@compiled(NUM3, NUMS, INTS, INT, INT, NUM)
-def wish_of(m, o, k, lane, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def soft_equality_terms(m: Floats, o: Integers, k: int, lane: int, alpha: float) -> tuple[float, float, float]:
     """Of node k, whose equality rows are in ``lane``: (Σ ½ r² / ε, Σ |g − r|, Σ |g|) with r a step of ``alpha`` further."""
     paid, apart, missed = 0.0, 0.0, 0.0
     for q in range(o[NG]):
-        if m[o[EPS] + q] > WISH:
+        if m[o[EPS] + q] > MIN_SOFTNESS:
             g = m[o[LANE_VALUES] + LANES * q + lane]
-            r = m[o[WISH_R] + k * o[NG] + q] + alpha * m[o[WISH_STEP] + k * o[NG] + q]
+            r = m[o[SOFT_RESIDUAL] + k * o[NG] + q] + alpha * m[o[SOFT_RESIDUAL_STEP] + k * o[NG] + q]
             paid, apart, missed = paid + 0.5 * r * r / m[o[EPS] + q], apart + abs(g - r), missed + abs(g)
     return paid, apart, missed
 
 
-@compiled(NUM3, NUMS, INTS, INT, NUM)
-def wishes_of_block(m, o, first, alpha):  # type: ignore[no-untyped-def]
-    """As :func:`wish_of`, of a block that is loaded and whose equality rows have been evaluated."""
+@compiled
+def soft_equality_terms_of_block(m: Floats, o: Integers, first: int, alpha: float) -> tuple[float, float, float]:
+    """As :func:`soft_equality_terms`, of a block that is loaded and whose equality rows have been evaluated."""
     paid, apart, missed = 0.0, 0.0, 0.0
     for lane in range(LANES):
         if m[o[LANE_SMALL] + COUNTED + lane] > 0.0:
-            p, a, s = wish_of(m, o, first + lane, lane, alpha)
+            p, a, s = soft_equality_terms(m, o, first + lane, lane, alpha)
             paid, apart, missed = paid + p, apart + a, missed + s
     return paid, apart, missed
 
 
-@compiled(NONE, NUMS, INTS, NUM)
-def take_wishes(m, o, alpha):  # type: ignore[no-untyped-def]
+@compiled
+def take_soft_residuals(m: Floats, o: Integers, alpha: float) -> None:
     """r moves by a step of ``alpha``."""
     for i in range(o[N] * o[NG]):
-        m[o[WISH_R] + i] += alpha * m[o[WISH_STEP] + i]
+        m[o[SOFT_RESIDUAL] + i] += alpha * m[o[SOFT_RESIDUAL_STEP] + i]

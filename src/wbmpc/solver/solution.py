@@ -13,7 +13,7 @@ from wbmpc.solver.workspace import LOG
 
 
 class Status(Enum):
-    """How a solve ended; the value is a sentence."""
+    """How a solve ended; the value is a message."""
 
     CONVERGED = "converged: the optimality conditions hold to the tolerance"
     RELAXED = "converged, but a hard limit cannot be held: it was relaxed as little as possible"
@@ -58,7 +58,7 @@ class Solution:
 
     @property
     def usable(self) -> bool:
-        """Whether the trajectory is finite and was not refused."""
+        """Whether the trajectory is finite and was not rejected."""
         bad = (Status.NOT_FINITE, Status.DIVERGED, Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
         return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
 

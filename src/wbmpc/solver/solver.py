@@ -15,35 +15,21 @@ import numpy as np
 
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
-from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
-from wbmpc.solver.diagnostics import verdict
-from wbmpc.solver.memory_layout import (
-    CONTRADICTED,
-    COST,
-    GIVEN_WAY,
-    HELD_BY,
-    HELD_FOR,
-    HELD_SHARE,
-    LIMIT_TOLERANCE,
-    LONGEST,
-    MISSED,
-    MOST_AT,
-    PASSED,
-    PASSED_AT,
-    UNDUE,
-    UNEQUAL,
-    UNEQUAL_ROW,
-    VIOLATION,
-)
+from wbmpc.solver.diagnostics import diagnose
+from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
+from wbmpc.solver.trajectory import Trajectory
+from wbmpc.solver.warm_start import trajectories
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
     from wbmpc.kernel import Kernel
+    from wbmpc.solver.receding import Tables
 
 _LOG = logging.getLogger("wbmpc")
 _STATUS = (
@@ -55,6 +41,12 @@ _STATUS = (
     Status.INPUT_INFEASIBLE,
     Status.EQUALITY_INFEASIBLE,
 )
+
+
+def _read_only(part: np.ndarray) -> np.ndarray:
+    view = part.view()
+    view.flags.writeable = False
+    return view
 
 
 @cache
@@ -73,13 +65,22 @@ def one_jump(first: float, second: float) -> str:
 
 @dataclass
 class Solver:
-    """One problem bound to one solver: owns the kernel, the memory and the warm start."""
+    """One problem bound to one solver: owns the kernel, the memory and the warm start.
+
+    For one thread at a time: who calls it while another thread is in it gets :class:`SolverBusy`.
+    """
 
     ocp: OptimalControlProblem
     settings: SQP = field(default_factory=SQP)
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        #: who is in the memory; also for who reads a plan from it after the solve
+        self.exclusive = Exclusive("the solver")
+        with Interruptible():
+            self._make()
+
+    def _make(self) -> None:
         self._given_grid = self.ocp.grid
         if isinstance(self.settings, SLQ):
             self.ocp = self.ocp.refined(self.settings.step)
@@ -95,10 +96,8 @@ class Solver:
             self.ws = self.twin.ws
         self.references: dict[str, Reference] = {}
         self.schedule = DEFAULT
-        #: time [s] at which the trajectories in memory begin, for who rewrites them (MPC's guess)
-        self.begins = 0.0
-        self._tables = None
-        self.log = np.zeros((self.settings.most_iterations, len(LOG)))
+        self._tables: Tables | None = None
+        self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
         if self.kernel is not None:
             self._bind()
@@ -138,10 +137,10 @@ class Solver:
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
         """What the term ``name`` compares with from now on."""
-        places = self.problem.references.slices
-        if name not in places:
-            raise unknown_name("reference", name, places)
-        width = places[name].stop - places[name].start
+        slices = self.problem.references.slices
+        if name not in slices:
+            raise unknown_name("reference", name, slices)
+        width = slices[name].stop - slices[name].start
         if reference.values.shape[1] != width:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
@@ -155,7 +154,7 @@ class Solver:
             return
         from wbmpc.solver.receding import overwrite
 
-        overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
+        overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
@@ -164,9 +163,9 @@ class Solver:
         self.schedule = schedule
         self._tables = None
 
-    def set_weight(self, name: str, weight: Weight, place: Literal["path", "terminal"] = "path") -> None:
+    def set_weight(self, name: str, weight: Weight, at: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
-        key = f"{place}.{name}"
+        key = f"{at}.{name}"
         costs = [k for k in self.problem.constant.slices if k != "parameters"]
         if key not in costs:
             raise unknown_name("weight", key, costs)
@@ -180,38 +179,67 @@ class Solver:
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
         self.ws.w[part] = vector
 
-    def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
+    def warm_start(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
 
         Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
-        linear between its nodes, inputs hold over its intervals.
+        linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
+        :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
-        given = {"x": np.asarray(x, float), "u": np.zeros(self.problem.nu) if u is None else np.asarray(u, float)}
-        own, fine = self._given_grid, self.ocp.grid
-        if own.size < fine.size and given["x"].shape == (own.size, self.problem.nx):
-            given["x"] = np.stack([np.interp(fine, own, column) for column in given["x"].T], axis=1)
-        if own.size < fine.size and given["u"].shape == (own.size - 1, self.problem.nu):
-            given["u"] = given["u"][np.searchsorted(own, fine[:-1] + 1e-9) - 1]
-        for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
-            if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
-                raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
-        self.ws.x[:], self.ws.u[:] = given["x"], given["u"]
+        given = trajectories(self.ocp, self._given_grid, x, u)
+        with self.exclusive:
+            self.ws.x[:], self.ws.u[:] = given
 
-    def forget(self) -> None:
-        """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
+    def reset(self) -> None:
+        """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
+        self.ws.state[
+            [StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL, StateField.BLOCKED_TIME]
+        ] = 0.0
         if self.settings.backend == "interpreted":
-            self.twin.forget()
+            self.twin.reset()
         else:
             self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
 
-    def tables(self):  # type: ignore[no-untyped-def]
+    # ------------------------------------------------------------------ what the last solve left
+    def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:
+        """The present states and inputs; ``start`` [s]: when their horizon starts. Not copied: read-only, and overwritten by
+        the next solve."""
+        parts = (self.ws.grid, self.ws.x, self.ws.u)
+        return Trajectory(start, *(part.copy() if copy else _read_only(part) for part in parts))
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Feedback of the present trajectory, (N, nu, nx), read-only: u = u_k + K_k (x − x_k)."""
+        return _read_only(self.ws.k[:, :, : self.problem.nx])
+
+    @property
+    def node_parameters(self) -> np.ndarray:
+        """References, mode values and switches of every node as the last solve sampled them, (N + 1, np), read-only; which is
+        which: ``problem.node.slices``."""
+        return _read_only(self.ws.p)
+
+    @property
+    def constants(self) -> np.ndarray:
+        """The model's parameters and all weights, read-only; which is which: ``problem.constant.slices``."""
+        return _read_only(self.ws.w[: self.problem.constant.size])
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """The model's parameters, read-only."""
+        return _read_only(self.ws.w[self.problem.constant.slices["parameters"]])
+
+    def non_finite_part(self) -> str:
+        """Which part of the present plan has numbers that are not finite; empty if none."""
+        parts = {"planned state": self.ws.x, "planned input": self.ws.u, "feedback gain": self.ws.k}
+        return next((name for name, values in parts.items() if not np.isfinite(values).all()), "")
+
+    def tables(self) -> Tables:
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
 
         if self._tables is None:
             for name, term in self.ocp.terms.items():
-                if isinstance(term.residual, FramePose) and name not in self.references:
+                if getattr(term.residual, "reference_required", False) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
             if self.schedule is DEFAULT:
                 self.problem.check_schedule(DEFAULT)
@@ -221,17 +249,19 @@ class Solver:
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
-        self._check_terms()
-        if self.settings.backend == "interpreted":
-            self.x0 = x0
-            return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
-        self.x0[:] = x0
-        tables, out = self.tables(), self._out
-        self._entry(
-            self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
-            self._numbers, self._log, ctypes.addressof(out),
-        )  # fmt: skip
-        return out[0], out[1]
+        with self.exclusive:
+            self._check_terms()
+            if self.settings.backend == "interpreted":
+                self.x0 = x0
+                with Interruptible() as signals:
+                    return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log, signals.check)
+            self.x0[:] = x0
+            tables, out = self.tables(), self._out
+            self._entry(
+                self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
+                self._numbers, self._log, ctypes.addressof(out),
+            )  # fmt: skip
+            return out[0], out[1]
 
     def _check_terms(self) -> None:
         """Raise :class:`InputError` if the problem's terms are no longer those that the solver was made of."""
@@ -258,16 +288,19 @@ class Solver:
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
         if self.settings.backend == "interpreted":
-            return self.twin.simulate(x, u, h)
+            with self.exclusive, Interruptible():
+                return self.twin.simulate(x, u, h)
         # dozens of times in a controller's tick: the addresses that do not change are not asked for again
         x, u, out = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), np.empty(self.problem.nx)
-        self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
+        with self.exclusive:
+            self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
         return out
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
 
-        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
+        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's message. Raises
+        :class:`SolverBusy` while another thread is in the solver.
         """
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
@@ -280,12 +313,13 @@ class Solver:
                 f"mode schedule: {without + self.ocp.intervals - 1} events within the horizon, but {self.ocp.intervals - 1} inner"
                 " nodes: more intervals are needed"
             )
-        start = time.perf_counter()
-        status, count = self.run(x0, t0)
-        elapsed = time.perf_counter() - start
-        solution = self.solution(status, count, elapsed)
-        if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
-            solution = verdict(self, solution)
+        with self.exclusive, Interruptible():
+            start = time.perf_counter()
+            status, count = self.run(x0, t0)
+            elapsed = time.perf_counter() - start
+            solution = self.solution(status, count, elapsed)
+            if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
+                solution = diagnose(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -306,8 +340,12 @@ class Solver:
     def _lost_jumps(self, t0: float) -> list[tuple[float, float]]:
         """Pairs of successive events [s] that fall into one interval of the fixed grid of a horizon from ``t0`` [s]."""
         events = np.array(self.schedule.events)
-        place = np.searchsorted(t0 + self.ocp.grid + 1e-9, events)  # an event on a node belongs to the interval before
-        same = np.flatnonzero((place[1:] == place[:-1]) & (place[1:] > 0) & (place[1:] <= self.ocp.intervals))
+        interval = np.searchsorted(
+            t0 + self.ocp.grid + 1e-9, events
+        )  # an event on a node belongs to the interval before
+        same = np.flatnonzero(
+            (interval[1:] == interval[:-1]) & (interval[1:] > 0) & (interval[1:] <= self.ocp.intervals)
+        )
         return [(float(events[i]), float(events[i + 1])) for i in same]
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
@@ -326,7 +364,8 @@ class Solver:
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
-        return verdict(self, self.solution(status, count, elapsed))
+        with self.exclusive, Interruptible():
+            return diagnose(self, self.solution(status, count, elapsed))
 
     @cached_property
     def checks(self) -> Checks:
@@ -347,8 +386,8 @@ class Solver:
             u=self.ws.u.copy(),
             gain=self.ws.k[:, :, : self.problem.nx].copy(),
             iterations=count,
-            cost=float(self.ws.state[COST]),
-            violation=float(self.ws.state[VIOLATION]),
+            cost=float(self.ws.state[StateField.COST]),
+            violation=float(self.ws.state[StateField.VIOLATION]),
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
@@ -358,41 +397,47 @@ class Solver:
     def missed(self, status: Status) -> str:
         """The equality of the first input, or the hard row, that the last plan misses most; empty where none is missed.
 
-        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (curved rows).
+        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         state = self.ws.state
         if status is Status.EQUALITY_INFEASIBLE:
             return self._unequal()
-        by, of_inputs = max(state[MISSED], self.passed), max(state[MISSED], state[GIVEN_WAY])
+        by, of_inputs = (
+            max(state[StateField.INPUT_VIOLATION], self.limit_violation),
+            max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]),
+        )
         if by <= LIMIT_TOLERANCE:
             return ""
-        node, row = divmod(int(state[MOST_AT if of_inputs == by else PASSED_AT]), self.ws.rows_h.shape[1])
+        node, row = divmod(
+            int(state[StateField.INPUT_VIOLATION_ROW if of_inputs == by else StateField.STATE_VIOLATION_ROW]),
+            self.ws.rows_h.shape[1],
+        )
         limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        sentence = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
+        message = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
         if of_inputs == by:
-            return sentence
-        return f"{sentence}, {'not yet reached' if state[UNDUE] == by else 'where its slack gives way'}"
+            return message
+        return f"{message}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
 
     def _unequal(self) -> str:
-        names, row = self.problem.equality_names(), int(self.ws.state[UNEQUAL_ROW])
-        by = f"by {100.0 * self.ws.state[UNEQUAL]:.3g} % of the row's size"
+        names, row = self.problem.equality_names(), int(self.ws.state[StateField.EQUALITY_ROW])
+        by = f"by {100.0 * self.ws.state[StateField.EQUALITY_RESIDUAL]:.3g} % of the row's size"
         if row < len(names):
             return f"{names[row]} {by}, at the first input"
         node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
         own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        node_by, row_by = divmod(int(self.ws.state[HELD_BY]), self.ws.rows_h.shape[1])
+        node_by, row_by = divmod(int(self.ws.state[StateField.BLOCKING_ROW]), self.ws.rows_h.shape[1])
         others = f"'{self.problem.path.rows[row_by].name}' at node {node_by}" if node_by >= 0 else "others"
         return f"{own.name} {by} at node {node}: it cannot be met together with {others}"
 
     @property
-    def passed(self) -> float:
+    def limit_violation(self) -> float:
         """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
-        worst = float(max(self.ws.state[PASSED], self.ws.state[GIVEN_WAY]))
+        worst = float(max(self.ws.state[StateField.STATE_VIOLATION], self.ws.state[StateField.MIXED_VIOLATION]))
         return worst if worst > LIMIT_TOLERANCE else 0.0
 
     @property
-    def apart(self) -> float:
+    def initial_state_mismatch(self) -> float:
         """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
         beside 1 + |x|; 0 up to the tolerance."""
         worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import BOOL, INT, INTS, NONE, NUM, NUMS, call2, compiled
+from wbmpc.solver.compilation import Floats, Integers, call2, compiled
 from wbmpc.solver.memory_layout import (
     ARG,
     BASE,
@@ -33,8 +33,8 @@ from wbmpc.solver.memory_layout import (
 )
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT, INT, INT, INT)
-def stage(o, function, x, u, p, r0, r1, r2):  # type: ignore[no-untyped-def]
+@compiled
+def stage(o: Integers, function: int, x: int, u: int, p: int, r0: int, r1: int, r2: int) -> None:
     """Call a stage function of (x, u, p, w, h); all arguments are offsets into the memory."""
     base = o[BASE]
     o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * u, base + 8 * p
@@ -43,8 +43,8 @@ def stage(o, function, x, u, p, r0, r1, r2):  # type: ignore[no-untyped-def]
     call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
 
 
-@compiled(NONE, INTS, INT, INT, INT, INT, INT)
-def stage_end(o, function, x, p, r0, r1):  # type: ignore[no-untyped-def]
+@compiled
+def stage_end(o: Integers, function: int, x: int, p: int, r0: int, r1: int) -> None:
     """Call a stage function of (x, p, w): of the end of the horizon, or of an event."""
     base = o[BASE]
     o[ARG], o[ARG + 1], o[ARG + 2] = base + 8 * x, base + 8 * p, base + 8 * o[W]
@@ -52,26 +52,26 @@ def stage_end(o, function, x, p, r0, r1):  # type: ignore[no-untyped-def]
     call2(o[function], o.ctypes.data + 8 * ARG, o.ctypes.data + 8 * RES)
 
 
-@compiled(INT, INTS)
-def row_index(o):  # type: ignore[no-untyped-def]
-    """First of the rows' entries in the table: their places in [x, 1, u]; behind them, whether an event ends an interval."""
+@compiled
+def row_index(o: Integers) -> int:
+    """First of the rows' entries in the table: their indices in [x, 1, u]; behind them, whether an event ends an interval."""
     return INDEX + o[PATH_BOXES] + o[END_BOXES] + o[QUATERNIONS]
 
 
-@compiled(INT, INTS)
-def row_count(o):  # type: ignore[no-untyped-def]
+@compiled
+def row_count(o: Integers) -> int:
     """Length of the row table: 0 without rows that have a state of their own."""
     return o[ROW_TOTAL]
 
 
-@compiled(BOOL, INTS, INT)
-def jumps_after(o, k):  # type: ignore[no-untyped-def]
+@compiled
+def jumps_after(o: Integers, k: int) -> bool:
     """Whether an event with a jump of the state ends interval k."""
     return o[JUMPS] > 0 and o[row_index(o) + row_count(o) + k] > 0
 
 
-@compiled(NONE, NUMS, INTS, INT)
-def normalise(m, o, x):  # type: ignore[no-untyped-def]
+@compiled
+def normalise(m: Floats, o: Integers, x: int) -> None:
     """Unit length of the quaternions of a state."""
     boxes = o[PATH_BOXES] + o[END_BOXES]
     for s in range(o[QUATERNIONS]):
@@ -81,15 +81,15 @@ def normalise(m, o, x):  # type: ignore[no-untyped-def]
             m[x + i] /= norm
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
-def offset_state(m, o, out, x, f, c):  # type: ignore[no-untyped-def]
+@compiled
+def offset_state(m: Floats, o: Integers, out: int, x: int, f: int, c: float) -> None:
     """out = x + c f."""
     for i in range(o[NX]):
         m[out + i] = m[x + i] + c * m[f + i]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM)
-def combine(m, o, out, x, k1, h):  # type: ignore[no-untyped-def]
+@compiled
+def combine(m: Floats, o: Integers, out: int, x: int, k1: int, h: float) -> None:
     """out = x + h (k1 + 2 k2 + 2 k3 + k4) / 6 with the slopes one after the other."""
     lx = o[LX]
     for i in range(o[NX]):
@@ -97,8 +97,8 @@ def combine(m, o, out, x, k1, h):  # type: ignore[no-untyped-def]
         m[out + i] = m[x + i] + h / 6.0 * (m[k] + 2.0 * m[k + lx] + 2.0 * m[k + 2 * lx] + m[k + 3 * lx])
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, NUM, INT)
-def integrate(m, o, x, u, p, h, out):  # type: ignore[no-untyped-def]
+@compiled
+def integrate(m: Floats, o: Integers, x: int, u: int, p: int, h: float, out: int) -> None:
     """One Runge-Kutta step of the state at offset ``x`` to ``out``."""
     lx = o[LX]
     k1 = o[SLOPES]
@@ -117,8 +117,8 @@ def integrate(m, o, x, u, p, h, out):  # type: ignore[no-untyped-def]
     normalise(m, o, out)
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT, INT)
-def interval(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
+@compiled
+def interval(m: Floats, o: Integers, k: int, x: int, u: int, out: int) -> None:
     """The state at the end of interval k, after the jump if an event ends it."""
     p, nx = o[P] + k * o[NP], o[NX]
     integrate(m, o, x, u, p, m[o[GRID] + k + 1] - m[o[GRID] + k], out)
@@ -128,8 +128,8 @@ def interval(m, o, k, x, u, out):  # type: ignore[no-untyped-def]
             m[out + i] = m[o[SLOPES] + i]
 
 
-@compiled(NONE, NUMS, INTS, INT, INT, INT)
-def jump_sensitivity(m, o, x, p, ab):  # type: ignore[no-untyped-def]
+@compiled
+def jump_sensitivity(m: Floats, o: Integers, x: int, p: int, ab: int) -> None:
     """x = g(x) in place; rows of ab times the Jacobian of g."""
     nx, lx, lz = o[NX], o[LX], o[LZ]
     jacobian, rows, after = o[S1], o[S2], o[SLOPES]

@@ -53,16 +53,16 @@ DIMENSIONS = (
     "row_general",
     "end_boxes",
     "end_general",
-    "rows",  # their places per node, a multiple of eight
+    "rows",  # entries for them per node, a multiple of eight
     "row_end",  # first of the end's rows in the row table
     "row_total",  # length of a column of the row table
     "jumps",
     "align",
     "exact",  # whether the Hessian is the exact one
     "policy",  # whether the gains belong to the present trajectory
-    "curved",  # whether hard rows are curved in the inputs
-    "bent",  # whether equalities or rows with multipliers are
-    "wishes",  # whether equalities have a compliance to speak of
+    "nonlinear_input_rows",  # whether hard rows are nonlinear in the inputs
+    "nonlinear_equalities",  # whether equalities or rows with multipliers are
+    "soft_equalities",  # whether any equality is soft (:data:`wbmpc.ocp.transcription.MIN_SOFTNESS`)
     "multipliers",  # whether rows have multipliers of an augmented Lagrangian
 )
 BLOCKS = (
@@ -104,16 +104,16 @@ BLOCKS = (
     "rows_dt",
     "rows_ds",
     "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
-    "row_table",  # (6, path rows, then end rows, each up to a multiple of eight): see places.py
+    "row_table",  # (6, path rows, then end rows, each up to a multiple of eight): see memory_layout.py
     "row_jacobian",  # (N, nr, lz)
     "row_scaled",  # (nr, lz)
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (32,): μ, shift of the Hessian, … (see places.py)
+    "state",  # (32,): μ, shift of the Hessian, … (see memory_layout.py)
     "filter",  # (64, 2): cost, violation
-    "wish",  # (N, equalities): what wishes are to be, and by how much that changes
-    "wish_step",
+    "soft_residual",  # (N, equalities): residuals of soft equalities as variables, and their step
+    "soft_residual_step",
     "adjoint",  # (4, lx): costate, its two multiples, spare
     "pulled",  # (lz,): Jᵀ σ J δz of one node
     "row_trial",  # (rows,): values at a trial point of one node
@@ -175,9 +175,9 @@ def aligned(count: int) -> np.ndarray:
 
 
 class BoxTable(NamedTuple):
-    """Relaxed barriers on h = sign z[place] + offset, z = [x; u]."""
+    """Relaxed barriers on h = sign z[variable] + offset, z = [x; u]."""
 
-    place: np.ndarray
+    variable: np.ndarray
     sign: np.ndarray
     offset: np.ndarray
     mu: np.ndarray
@@ -275,8 +275,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "grid_old": (n + 1,),
         "state": (32,),
         "filter": (64, 2),
-        "wish": (n, max(s.ng, 1)) if problem.wishes else (1,),
-        "wish_step": (n, max(s.ng, 1)) if problem.wishes else (1,),
+        "soft_residual": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
+        "soft_residual_step": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
         "adjoint": (4, s.lx),
         "pulled": (s.lz,),
         "row_trial": (rows,),
@@ -291,9 +291,9 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
     return shapes | {name: (n + 1, rows) for name in _ROWS}
 
 
-def _extended(places: list[int] | np.ndarray, nx: int) -> np.ndarray:
-    """Places in [x; u] as places in [x, 1, u]."""
-    index = np.asarray(places, dtype=np.int64)
+def _extended(variables: list[int] | np.ndarray, nx: int) -> np.ndarray:
+    """Indices in [x; u] as indices in [x, 1, u]."""
+    index = np.asarray(variables, dtype=np.int64)
     return np.where(index >= nx, index + 1, index)
 
 
@@ -306,7 +306,7 @@ def _filled(rows: list[Row]) -> list[Row]:
 
 
 def _row_table(rows: list[Row]) -> np.ndarray:
-    """The columns of the row table (see places.py)."""
+    """The columns of the row table (see memory_layout.py)."""
     used = [r is not _NO_ROW for r in rows]
     columns = [
         (r.sign, r.offset, r.penalty, r.kind, y and not r.state_only, y) for r, y in zip(rows, used, strict=True)
@@ -327,11 +327,11 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         view[grid][:] = problem.ocp.grid
     view["ab"][:, s.nx, s.nx] = 1.0
     view["dx"][:, s.nx] = 1.0
-    view["eps"][: s.ng] = problem.compliance + 1e-14
+    view["eps"][: s.ng] = problem.softness + 1e-14
     weights = problem.default_weights()
     view["w"][: weights.size] = weights
     boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
-    if boxes.place.size:
+    if boxes.variable.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
     rows = [*_filled(problem.path.rows), *_filled(problem.end.rows)]
     view["row_table"][:, : len(rows)] = _row_table(rows)
@@ -341,10 +341,10 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
-        problem.curved, problem.bent, problem.wishes, any(r.kind != Kind.HARD for r in rows),
+        problem.nonlinear_input_rows, problem.nonlinear_equalities, problem.soft_equalities, any(r.kind != Kind.HARD for r in rows),
     ]  # fmt: skip
     indices = [
-        *_extended(boxes.place, s.nx), *quaternions, *_extended([r.place for r in rows], s.nx),
+        *_extended(boxes.variable, s.nx), *quaternions, *_extended([r.variable for r in rows], s.nx),
         *([0] * problem.ocp.intervals),
     ]  # fmt: skip
     table = np.array(

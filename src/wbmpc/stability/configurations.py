@@ -1,7 +1,7 @@
 """The leg configurations H, X and A of a base with two front and two rear legs.
 
 Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), Fig. 2 and Table I. The paper gives no angles; these reproduce all
-six areas of the table. (The commands of the authors' release, leggedrobotics/swerve_steering: 0.72 rad for X and −0.5,
+six areas of the table. (The commands of the authors' release: 0.72 rad for X and −0.5,
 0.72 rad for A, give 1.80 and 0.45, 1.16 and 0.75 m².)
 """
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.stability.robot import standing
 
 #: Outward angles [rad] of front and rear legs from the body's x axis, ahead and behind (negative: turned inwards).
@@ -26,14 +27,20 @@ def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArr
     Names need a base with two front and two rear hinges, one on each side (:func:`corners`). Raises :class:`InputError` for
     angles outside the limits.
     """
-    geometry = standing(robot).geometry
-    if not geometry.has_hinge:
-        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+    geometry = _hinged(robot)
     if isinstance(configuration, str) and configuration.upper() in CONFIGURATIONS:
         return _named(robot, configuration.upper())
     angles = _parsed(configuration, geometry.modules)
     refuse_beyond(robot, "leg", angles, "configuration")
     return angles
+
+
+def _hinged(robot: RobotModel) -> ModuleGeometry:
+    """The legs of a robot, if they can turn."""
+    geometry = standing(robot).modules
+    if geometry is None or not geometry.has_hinge:
+        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+    return geometry
 
 
 def refuse_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], what: str) -> None:
@@ -50,9 +57,7 @@ def corners(robot: RobotModel) -> dict[str, int]:
 
     Raises :class:`InputError` for bases without two front and two rear hinges, one on each side.
     """
-    g = standing(robot).geometry
-    if not g.has_hinge:
-        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+    g = _hinged(robot)
     x, y = (g.hinge - g.hinge.mean(axis=0)).T
     sides, ends = np.where(y > 0.0, "L", "R"), np.where(x > 0.0, "F", "B")
     found = {f"{side}{end}": i for i, (side, end) in enumerate(zip(sides, ends, strict=True))}
@@ -66,7 +71,7 @@ def corners(robot: RobotModel) -> dict[str, int]:
 
 def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
     places = corners(robot)
-    (ahead, behind), heading = CONFIGURATIONS[name], standing(robot).geometry.leg_heading
+    (ahead, behind), heading = CONFIGURATIONS[name], _hinged(robot).leg_heading
     # a leg along its half of the x axis moves its foot to the left by a positive angle if it is a front leg, else by a negative one
     wanted = {"LF": (0.0, ahead), "RF": (0.0, -ahead), "LB": (np.pi, -behind), "RB": (np.pi, behind)}
     angles = np.zeros(4)

@@ -52,10 +52,11 @@ class _Paper:
 
 def draw(a: Assessment, path: NDArray[np.float64] | None = None) -> str:
     """The picture as SVG text; ``path`` (k, 2) [m]: a way of the zero-moment point."""
-    geometry, feet = standing(a.robot).geometry, a.stance.feet
+    modules, feet = standing(a.robot).modules, a.stance.feet
+    body = feet if modules is None else modules.hinge
     zmp = a.stance.zmp if np.isfinite(a.stance.zmp).all() else feet.mean(axis=0)
     far = np.abs(feet).max() + 0.35
-    paper = _Paper(np.vstack([feet, geometry.hinge, np.clip(zmp, -far, far)]))
+    paper = _Paper(np.vstack([feet, body, np.clip(zmp, -far, far)]))
     _grid(paper)
     for k, region in enumerate(a.regions):
         colour = _REGIONS[k % len(_REGIONS)]
@@ -97,8 +98,10 @@ def _grid(paper: _Paper) -> None:
 
 
 def _robot(paper: _Paper, a: Assessment) -> None:
-    """Body, legs and wheels."""
-    g, state = standing(a.robot).geometry, a.robot.state
+    """Body, legs and wheels, where the feet are steered wheels."""
+    g, state = standing(a.robot).modules, a.robot.state
+    if g is None:
+        return
     leg = a.x[state["leg"]] if "leg" in state else np.zeros(g.modules)
     headings = g.wheel_heading + g.leg_angles(leg) + a.x[state["steer"]]
     around = g.hinge[np.argsort(np.arctan2(*g.hinge.T[::-1]))]

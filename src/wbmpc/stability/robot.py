@@ -1,7 +1,7 @@
 """The support of a described robot: contacts, masses, loads and margins, as symbols and as numbers.
 
-Only robots on steered wheels (swerve bases) with at least three modules stand on feet. Everything is in axes of the world
-(z along the ground's normal), with the origin on the ground under the base's frame.
+Only bases with a footprint (:class:`wbmpc.bases.base.Footprint`) of at least three points stand by themselves. Everything is in
+axes of the world (z along the ground's normal), with the origin on the ground under the base's frame.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.swerve.model import SwerveBase
+from wbmpc.bases.base import Base, Footprint
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import Chain, FramePose, constant, cross
@@ -28,43 +28,33 @@ Feet = Sequence[int]
 LARGEST = 1e9
 
 
-def standing(robot: RobotModel) -> SwerveBase:
-    """The robot's base if it stands on three feet or more, or :class:`InputError`."""
-    base = robot.base
-    if not isinstance(base, SwerveBase) or base.geometry.modules < 3:
-        kind = (
-            f"of {base.geometry.modules}"
-            if isinstance(base, SwerveBase)
-            else f"of type '{robot.description.base.type}'"
-        )
+def standing(robot: RobotModel) -> Footprint:
+    """Where the robot stands, on three feet or more, or :class:`InputError`."""
+    footprint: Footprint | None = robot.base.footprint
+    feet = 0 if footprint is None else footprint.size
+    if footprint is None or feet < 3:
         raise InputError(
-            f"{robot.description.name}: stability needs a swerve base with 3 modules or more, not one {kind}"
+            f"{robot.description.name}: stability needs a base that stands on 3 feet or more; this one, of type "
+            f"'{robot.description.base.type}', stands on {feet}"
         )
-    return base
+    return footprint
 
 
 class Support:
     """Symbolic expressions of one robot at a state x (nx): CasADi SX, for residuals and compiled functions."""
 
     def __init__(self, robot: RobotModel, x: ca.SX) -> None:
-        self.robot, self.base, self.x = robot, standing(robot), x
+        self.robot, self.x = robot, x
+        self.base: Base = robot.base
+        footprint = standing(robot)
         root = self.base.root(x)
         self._ground = root.position
         above = ca.vertcat(0.0, 0.0, root.position[2])
         chain = self.base.chain(x)
         self.chain = Chain(chain.links, chain.values, FramePose(above, root.quaternion, root.rotation))
         self.mass = float(sum(link.mass for link in self.chain.links))
-        self.feet = self._feet(root.rotation)
+        self.feet = ca.horzcat(*[root.rotation[0:2, 0:2] @ foot for foot in footprint.expressions(x)]).T
         self.com = self._com()
-
-    def _feet(self, rotation: ca.SX) -> ca.SX:
-        g, parts = self.base.geometry, self.base.slices(self.x, True)
-        feet = []
-        for i in range(g.modules):
-            angle = float(g.leg_heading[i]) + (parts["leg"][i] if g.has_hinge else 0.0)
-            on_body = constant(g.hinge[i]) + float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
-            feet.append(rotation[0:2, 0:2] @ on_body)
-        return ca.horzcat(*feet).T
 
     def _com(self) -> ca.SX:
         total = ca.SX(3, 1)
@@ -142,10 +132,8 @@ class Support:
 
 
 def counter_clockwise(robot: RobotModel, feet: Feet | None = None) -> tuple[int, ...]:
-    """Modules (all on the hull when left out) in the order in which they stand around at the robot's home."""
-    base = standing(robot)
-    leg = robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(base.geometry.modules)
-    points = base.geometry.steer_axes(leg)
+    """Feet (all on the hull when left out) in the order in which they stand around at the robot's home."""
+    points = standing(robot).positions(robot.home)
     if feet is None:
         return tuple(hull(points))
     chosen = list(feet)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 #: Pixels per metre; half the height of a strip and its border [m]; colours.
@@ -37,7 +37,7 @@ class Ground:
 
 
 def storyboard(
-    geometry: SwerveGeometry, body: tuple[float, float], way: Array, snapshots: Sequence[Snapshot], ground: Ground,
+    geometry: ModuleGeometry, body: tuple[float, float], way: Array, snapshots: Sequence[Snapshot], ground: Ground,
     rows: int = 3,
 ) -> str:  # fmt: skip
     """SVG text: a way along x (points ``way`` (k, 2) [m]) in ``rows`` strips from left to right, one below the other.
@@ -106,7 +106,7 @@ def _ground(ground: Ground, low: float, high: float) -> list[str]:
     return parts
 
 
-def _base(g: SwerveGeometry, body: tuple[float, float], s: Snapshot) -> list[str]:
+def _base(g: ModuleGeometry, body: tuple[float, float], s: Snapshot) -> list[str]:
     """Outline, legs and wheels."""
     c, n = np.cos(s.pose[2]), np.sin(s.pose[2])
     world = lambda points: points @ np.array([[c, n], [-n, c]]) + s.pose[:2]

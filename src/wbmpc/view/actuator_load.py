@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.robots import BallBaseDescription, RobotDescription, SwerveBaseDescription
+from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.swerve.description import SwerveBaseDescription
+from wbmpc.robots import RobotDescription
 
 Array = np.ndarray
 #: Names of the groups; ``drives`` are a ball's omni wheels, whose limit is a torque: the others' are speeds.

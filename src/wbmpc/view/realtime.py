@@ -27,8 +27,9 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Running
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
+from wbmpc.view.history import Factor
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
 from wbmpc.view.steering import Controls, Steering, no_orders
@@ -50,12 +51,14 @@ class RealtimeView(Window):
 
     def __init__(
         self, title: str, robot: str, host: str = "127.0.0.1", port: int = 8080, *,
-        opened: Callable[[str], None] = lambda url: None,
+        opened: Callable[[str], None] = lambda url: None, with_token: bool = True,
     ) -> None:  # fmt: skip
-        super().__init__(title, host, port, opened)
+        super().__init__(title, host, port, opened, with_token)
         self.robot_name, self.robot = robot, load_robot(robot)
         self.wants_reset = self.ended = self.stopped = False
         self._orders, self._shown_at, self._late = no_orders(), -np.inf, 0.0
+        self._runner: RealTimeRunner | None = None
+        self._before = ""
 
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
         """Start the process; returns when it answers."""
@@ -74,7 +77,7 @@ class RealtimeView(Window):
             pushes=seen is not None,
         )
         nx = mpc.ocp.dynamics.state.size
-        self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,)})
+        self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
             "brakes": (),
@@ -88,7 +91,8 @@ class RealtimeView(Window):
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
             return
-        self.moments.write(t=t, late=self._late, x=self._agent.state())
+        counts = {n: np.nan if self._runner is None else self._runner.own[n] for n in ("ticks", "misses")}
+        self.moments.write(t=t, late=self._late, x=self._agent.state(), **counts)
         self._shown_at, self._late = t, 0.0
 
     # ------------------------------------------------------------------ the MPC's thread
@@ -96,15 +100,15 @@ class RealtimeView(Window):
         """Steer this MPC from now on, before each of its solves; ``agent`` is the runner's."""
         self._agent, self._shown_at = agent, -np.inf
         self.wants_reset = self.stopped = False
-        self.say("")
+        self.say(self._before)
         lift = np.array([0.0, 0.0, self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
-        steering = Steering(running, lift)
+        steering = Steering(running, lift, self.reject)
         steering.skip(self._orders)
         before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
 
-        def guess(solver: Solver, t: float, x0: Array) -> None:
+        def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
             message = self.orders.read()
             if message is not None:
                 self._orders = message.values
@@ -115,19 +119,20 @@ class RealtimeView(Window):
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
-            if before is not None:
-                before(solver, t, x0)
+            return None if before is None else before(t, x0, trajectory)
 
         mpc.guess = guess
 
     # ------------------------------------------------------------------ the session's thread
     def follow(self, runner: RealTimeRunner) -> str:
         """Start the runner and wait until the user, Ctrl-C or a safe stop ends it; returns why."""
+        self._runner = runner
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
                 time.sleep(_LOOK)
             self.say(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
+        self._before = f"Before: {runner.state}" if runner.stopped else ""
         return self._reason(runner)
 
     def _reason(self, runner: RealTimeRunner) -> str:
@@ -164,9 +169,10 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     base = np.full(3, np.nan)
     if Steering.base_of(mpc):
         base = reference["state"].at(t)[layout["base"]]
+    states = mpc.solver.trajectory(copy=False).x
     way = np.zeros((0, 3)) if hand is None else hand.values[:, :3] + lift
     return {
-        "plan": filled(mpc.solver.ws.x[_chosen(len(mpc.solver.ws.x))], (PLAN, layout.size)), "goal": goal, "base_goal": base,
+        "plan": filled(states[_chosen(len(states))], (PLAN, layout.size)), "goal": goal, "base_goal": base,
         "reference": filled(way, (REFERENCE, 3)), "solve": mpc.solve_time, "deadline": mpc.period,
     }  # fmt: skip
 
@@ -192,7 +198,10 @@ class Picture:
         self._lift = self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0
         self._loads = Loads(self.robot.description, self._reader.joint_names)
         self._moment: dict[str, Array] = {"t": np.array(0.0), "late": np.array(np.nan), "x": self.robot.home}
+        self._moment |= {name: np.array(np.nan) for name in ("ticks", "misses")}
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
+        self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
+        self._factor = Factor()
         self._before: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(GROUPS, np.nan)
 
@@ -215,6 +224,8 @@ class Picture:
             **errors(hand, plan["goal"], poses[self._reader.scene.index], plan["base_goal"]),
             "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
+            "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
+            "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": poses, "goal": plan["goal"],

@@ -9,23 +9,25 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
+from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
+from wbmpc.bases.ball.settings import BallControllerSettings as RezeroSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.robots import BallBaseDescription, SwerveBaseDescription
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Ending, Timing, Watch, Watcher, run_lockstep
-from wbmpc.studies.minniti2019.task import STEPS_AND_PUSHES, RezeroSettings, leaning_of, set_home_references
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView
@@ -91,13 +93,13 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     if view.process is None:
         view.open(mpc, simulated.seen)
     view.guide(mpc, agent, simulated.push)
-    slices, memory = model.solver.problem.constant.slices, model.solver.ws.w
     times = RealTimeSettings(
         1.0 / timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
         keep=isinstance(robot.description.base, BallBaseDescription),
     )  # fmt: skip
-    parameters = lambda: memory[slices["parameters"]]
-    return RealTimeRunner(simulated, agent, mpc, times, clock, parameters=parameters, watch=view.watch), simulated
+    return RealTimeRunner(
+        simulated, agent, mpc, times, clock, parameters=lambda: model.solver.parameters, watch=view.watch
+    ), simulated
 
 
 def _plant_of(robot_name: str, seed: int) -> BallPlant | SwervePlant:
@@ -107,7 +109,7 @@ def _plant_of(robot_name: str, seed: int) -> BallPlant | SwervePlant:
 def _plant(robot: RobotModel, seed: int) -> BallPlant | SwervePlant:
     """The simulated robot at home, perturbed against the model."""
     if isinstance(robot.description.base, BallBaseDescription):
-        home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+        home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
         return BallPlant(robot.description, home, torque, None, seed)
     return SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
 
@@ -128,7 +130,7 @@ def _swerve(robot: RobotModel, seed: int) -> tuple[Any, ...]:
 
 def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     settings = RezeroSettings().mpc
-    home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque)
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import schur
 from scipy.optimize import linprog
 
-from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import constant
 from wbmpc.model.robot import RobotModel
@@ -60,8 +60,8 @@ class Balance:
     @classmethod
     def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
         """About the equilibrium for arm angles [rad]."""
-        base = robot._ball()
-        x, u = robot.equilibrium(arm)
+        base = ball_base(robot)
+        x, u = robot.base.numeric.equilibrium(arm)
         a, b, pushed, offset, mass = _linear(robot, base, x, u)
         pole, component = divergent(a, offset)
         effect, answer = (component @ slope / pole for slope in (b, pushed))
@@ -104,7 +104,7 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
     by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
-    own = robot.mass_matrix(x[:n])[:BASE, :BASE]
+    own = robot.base.numeric.mass_matrix(x[:n])[:BASE, :BASE]
     mass = np.linalg.inv(own)
     a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
     accelerates = lambda slope: np.vstack([np.zeros((BASE, slope.shape[1])), mass @ slope[:BASE]])

@@ -12,17 +12,18 @@ import numpy as np
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.checks import not_negative, numbers, positive, whole
 from wbmpc.errors import InputError, NotFinite, SensorFailure
 from wbmpc.estimation.disturbance import DisturbanceObserver
-from wbmpc.estimation.sensor_faults import EncoderMonitor
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import BallCommand, BallMeasurement
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.
@@ -70,9 +71,11 @@ class BallController:
         self._torques: deque[np.ndarray] = deque([torque.copy()] * known, maxlen=known)
         self.observer: DisturbanceObserver | None = None
         if observer:
-            self.observer = DisturbanceObserver(self._step, robot.mass_matrix, robot.base.nq)
+            self.observer = DisturbanceObserver(self._step, robot.base.numeric.mass_matrix, robot.base.nq)
         self.disturbance = np.zeros(robot.base.nq)
-        self.payload = PayloadEstimator(robot.tool_weight) if observer and "payload" in robot.parameters else None
+        self.payload = (
+            PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
+        )
         self.shoves: PushEstimator | None = None
         self.leaning: LeanControl | None = None
         self.measured: BallMeasurement | None = None

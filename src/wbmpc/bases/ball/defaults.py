@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.ball import residuals as ball_residuals
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
-from wbmpc.studies.minniti2019.held_arm import ServoedArm
 
 
 class HandCost(Settings):
@@ -87,16 +87,16 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
             residuals.FramePose(robot, robot.tool, axes="reference"),
             list(pose),
             norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),
-            at="all",
+            at="path+terminal",
             terminal_weight=list(cost.terminal * pose),
         )
     )
     frame_twist = residuals.FrameTwist(robot, robot.tool)
-    ocp.add(Cost("twist", frame_twist, list(twist), at="all", terminal_weight=list(cost.terminal * twist)))
-    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
+    ocp.add(Cost("twist", frame_twist, list(twist), at="path+terminal", terminal_weight=list(cost.terminal * twist)))
+    ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))
     inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
-    ocp.add(Cost("effort", residuals.JointEffort(robot), t.arm))
+    ocp.add(Cost("effort", ball_residuals.JointEffort(robot), t.arm))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, None)
     return ocp
@@ -106,12 +106,14 @@ def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettin
     """Hard limits of the arm's angles and speeds."""
     limits = robot.limits
     box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
-    free_state = residuals.State(robot, ["arm"], tracked=False)
-    rates = residuals.State(robot, ["arm_velocity"], tracked=False)
+    free_state = residuals.State(robot, ["arm"], reference=None)
+    rates = residuals.State(robot, ["arm_velocity"], reference=None)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
-    ocp.add(Constraint("ranges", free_state, box("arm"), at="all", penalty=barrier, hard=hard))
+    ocp.add(Constraint("ranges", free_state, box("arm"), at="path+terminal", penalty=barrier, hard=hard))
     ocp.add(
-        Constraint("speeds", rates, box("arm_velocity"), at="all", penalty=barrier, hard=hard, slack=cost.speed_slack)
+        Constraint(
+            "speeds", rates, box("arm_velocity"), at="path+terminal", penalty=barrier, hard=hard, slack=cost.speed_slack
+        )
     )
 
 
@@ -120,39 +122,28 @@ def limit_torques(
 ) -> None:
     """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean."""
     barrier, hard, limits = RelaxedBarrier(settings.barrier_mu, 0.1), settings.limits == "hard", robot.limits
-    free = residuals.Input(robot, groups, tracked=False)
+    free = residuals.Input(robot, groups, reference=None)
     box = sets.Box(limits.input_lower[free.indices], limits.input_upper[free.indices])
     ocp.add(Constraint("torques", free, box, penalty=barrier, hard=hard))
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
-        ocp.add(Constraint("spin", residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
+        ocp.add(Constraint("spin", ball_residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
     if cost.lean > 0.0:
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
         answer = balance.answer if "force" in robot.input else 0.0
         pushed = groups is None  # a base whose arm others move has parameters of its own
-        lean = residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
+        lean = ball_residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
         reach = cost.lean * float(balance.reach.min())
-        ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="all", penalty=barrier, hard=hard))
-
-
-def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """What is left of that problem for a base whose arm somebody else moves (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`): ball, yaw,
-    rates and wheel torques, the same limits."""
-    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
-    b = cost.body
-    body: dict[str, Any] = {
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
-        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
-        "arm": 0.0,
-        "arm_velocity": 0.0,
-    }
-    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
-    ocp.add(Cost("body", residuals.State(robot), body, at="all", terminal_weight=end))
-    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], tracked=False), cost.torque.wheel))
-    limit_torques(ocp, robot, settings, cost, ["wheel"])
-    return ocp
+        ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="path+terminal", penalty=barrier, hard=hard))
 
 
 def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
     """The MPC of that problem with its real-time settings."""
     return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)
+
+
+def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
+    """Rest at home for body, twist and torques."""
+    mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)

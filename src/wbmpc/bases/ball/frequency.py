@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.mpc.filters import FilterMemory
-from wbmpc.mpc.mpc import Observation
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import BallCommand
+from wbmpc.types import Observation
 
 
 class FrequencyAwareController(BallController):

@@ -7,14 +7,26 @@ rotation R the wheels turn at ψ̇ = −(r / r_w) aᵀ Rᵀ (Ω − ω), Ω = (�
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.numeric import BallNumeric
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.model.kinematics import Chain, solve_spd
+from wbmpc.model.joints import Limits, joint_limits
+from wbmpc.model.kinematics import Chain, FramePose, solve_spd
+from wbmpc.model.layout import Layout
 from wbmpc.model.tree import Frame, Link, Tree
-from wbmpc.robots import BallBaseDescription, RobotDescription
+from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Footprint
+    from wbmpc.model.robot import RobotModel
+    from wbmpc.ocp import Constraint
 
 _EULER = (("yaw", (0, 0, 1)), ("pitch", (0, 1, 0)), ("roll", (1, 0, 0)))
 
@@ -32,7 +44,7 @@ class BallBase:
 
     def __init__(self, description: RobotDescription, tree: Tree, ball: Link) -> None:
         assert isinstance(description.base, BallBaseDescription)
-        self.base, self.ball = description.base, ball
+        self.base, self.ball, self.name = description.base, ball, description.name
         self.radius = self.base.ball_radius
         self.spin_mass = float(ball.inertia[0, 0]) / self.radius**2
         links, shift = self._virtual(tree.links[0], ball)
@@ -58,6 +70,16 @@ class BallBase:
         if self.base.payload:
             self.parameters["payload"] = ["mass"]
         self.unit_quaternions: tuple[int, ...] = ()
+        self.mode_bounds: dict[str, tuple[float, float]] = {}
+        self.brakes: dict[str, str] = {}
+        self.footprint: Footprint | None = None
+        self.wheels, self.balances = 0, True
+        self.ground, self.body_height = -self.radius, self.radius
+
+    @cached_property
+    def numeric(self) -> BallNumeric:
+        """The same equations for numbers."""
+        return BallNumeric(self)
 
     def _mount(self, description: RobotDescription) -> NDArray[np.float64]:
         """Position (3) [m] of the inertial unit, the frame ``imu``, in the base's frame; the origin without one."""
@@ -109,6 +131,10 @@ class BallBase:
         """The mass [kg] at the tool among the parameters w, if the model has it: the last of the base's own."""
         last = sum(map(len, self.parameters.values()))
         return w[last - 1] if "payload" in self.parameters else None
+
+    def root(self, x: ca.SX) -> FramePose:
+        """Pose of the base's frame, whose origin is the ball's centre."""
+        return self.chain(x).link_pose(4)
 
     def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link; the root does not move by itself."""
@@ -195,3 +221,33 @@ class BallBase:
         slope = ca.substitute(ca.jacobian(residual, ca.vertcat(x, u)), a, f[self.nq :])
         kinematic = ca.horzcat(ca.SX(self.nq, self.nq), ca.SX.eye(self.nq), ca.SX(self.nq, u.shape[0]))
         return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q, w), slope))
+
+    # ------------------------------------------------------------------ description
+    def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
+        """No rows: the coordinates contain the rolling of the ball."""
+        return ca.SX(0, 1)
+
+    def constraints(self, robot: RobotModel) -> list[Constraint]:
+        """None: every torque is possible."""
+        return []
+
+    def limits(self, description: RobotDescription) -> Limits:
+        """Ranges and speeds of the arm (state), torques of wheels and arm (input)."""
+        limits = description.limits
+        found = joint_limits(self, description, ("arm",), limits.effort, {}, {"wheel": limits.wheel_effort})
+        part = Layout(self.state)["arm_velocity"]
+        found.state_upper[part] = [limits.velocity.get(name, np.inf) for name in self.state["arm_velocity"]]
+        found.state_lower[part] = -found.state_upper[part]
+        return found
+
+    def home(self, robot: RobotModel) -> NDArray[np.float64]:
+        """The equilibrium with the arm at the description's home: the base leans."""
+        return self.numeric.equilibrium([robot.description.home.get(n, 0.0) for n in self.state["arm"]])[0]
+
+
+def ball_base(robot: RobotModel) -> BallBase:
+    """The base of a robot that balances on a ball. Raises :class:`InputError` for one of another type."""
+    if not isinstance(robot.base, BallBase):
+        kind = robot.description.base.type
+        raise InputError(f"{robot.description.name}: a base of type ball is needed, it has one of type '{kind}'")
+    return robot.base

@@ -13,15 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.perturbation import check_perturbation
 from wbmpc.bases.ball.sensors import BallSensors, Inertial, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
-from wbmpc.robots import BallBaseDescription, RobotDescription, load_spec
+from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables
-from wbmpc.simulation.perturbation import SWERVE_ONLY, Perturbation
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (
     GROUND,
     ROBOT,
@@ -36,7 +39,7 @@ from wbmpc.simulation.world import (
     set_options,
     unwrap,
 )
-from wbmpc.types import BallCommand, BallMeasurement, Truth
+from wbmpc.types import Truth
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
@@ -93,10 +96,7 @@ class BallPlant(InWorld):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
         p = self.perturbation = perturbation or Perturbation()
-        if self.perturbation.brake_fault != "none":
-            raise InputError("plant.brake_fault: is for swerve robots only; a ball robot has no brakes")
-        p.refuse(["payload"], "is for swerve robots only; a ball robot's mass at the hand is 'payload'")
-        p.refuse(SWERVE_ONLY, "is for swerve robots only")
+        check_perturbation(p)
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
         self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)

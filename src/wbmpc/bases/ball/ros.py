@@ -13,7 +13,10 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallNoise
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -24,8 +27,6 @@ from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import BallSettings
-from wbmpc.studies.minniti2019.task import leaning_of, resting
-from wbmpc.types import BallCommand, BallMeasurement
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
@@ -81,12 +82,26 @@ class BusBallAgent(BallController):
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
 
+    def follow(self, message: BallMessage) -> None:
+        """A message while nobody commands the drives moves the estimator only."""
+        assert self.estimator is not None
+        if self._sampled is not None and message.time - self._sampled <= 1e-6:
+            return
+        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        self._sampled = message.time
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            state = self.estimator.correct(*fix)
+        self.measured = self.seen = BallMeasurement(message.now, state, max(message.now - message.time, 0.0))
+
     def parameters(self) -> dict[str, Array]:
         """An announced moment counts as the generalised forces that it is for the robot as it stands now."""
         force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
         if moment.any():
             assert self.measured is not None
-            disturbance = disturbance + self.robot.tool_moment(self.measured.state[: self.robot.base.nq], moment)
+            disturbance = disturbance + self.robot.base.numeric.tool_moment(
+                self.measured.state[: self.robot.base.nq], moment
+            )
         return {**super().parameters(), "disturbance": disturbance, "force": force}
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
@@ -105,7 +120,7 @@ def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
     """Rest, for ever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
     looks farthest ahead (the last ones end with the horizon)."""
     planned = policy.state(t)
-    rest, torque = robot.equilibrium(planned[robot.state["arm"]])
+    rest, torque = robot.base.numeric.equilibrium(planned[robot.state["arm"]])
     rest = rest.copy()
     rest[:3] = planned[:3]
     u = np.zeros(policy.u.shape[1])
@@ -179,12 +194,11 @@ class BallPilot:
         )  # where the robot is put on the floor: x, y, yaw; how well that is known
         self._standing: tuple[float, Array] | None = None
         self._answer = np.zeros(6)
-        parameters = self._model.solver.problem.constant.slices["parameters"]
-        self.parameters: Callable[[], Array] = lambda: self._model.solver.ws.w[parameters]
-        self._torque = robot.equilibrium(robot.home[robot.state["arm"]])[1]
+        self.parameters: Callable[[], Array] = lambda: self._model.solver.parameters
+        self._torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
-        robot.mass_matrix(robot.home[: robot.base.nq])
-        robot.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
+        robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])
+        robot.base.numeric.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
@@ -225,13 +239,19 @@ class BallPilot:
         return {"wheel": command.torque[:n], "arm": command.torque[n:]}
 
     # ------------------------------------------------------------------ states
-    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> BallMessage:
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> BallMessage:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
         assert imu is not None
         return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
 
     def stand(self, m: BallMessage) -> None:
-        """Somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is."""
+        """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
+        run the estimator goes on, wherever the robot rolls or falls."""
+        if self.agent.seen is not None:
+            self.agent.follow(m)
+            return
         before, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
             self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
@@ -239,7 +259,7 @@ class BallPilot:
         if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
             self._standing = m.time, before[1]
             return
-        x = self.robot.equilibrium(m.arm)[0].copy()
+        x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
         self._standing = m.time, x
 
@@ -252,7 +272,7 @@ class BallPilot:
 
     def begin(self, x: Array) -> None:
         """A new run: the robot stands upright and at rest, where it was last."""
-        rest, self._torque = self.robot.equilibrium(x[self.robot.state["arm"]])
+        rest, self._torque = self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]])
         self._place = x[:3].copy()
         start = rest.copy()
         start[:3] = self._place

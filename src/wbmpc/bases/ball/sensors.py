@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.errors import unknown_name
-from wbmpc.robots import BallBaseDescription
 from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
 
 Array = NDArray[np.float64]

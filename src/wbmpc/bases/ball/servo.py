@@ -7,9 +7,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.checks import numbers
 from wbmpc.simulation.perturbation import quantise
-from wbmpc.types import BallCommand
 
 Array = NDArray[np.float64]
 #: Speeds are differences of encoder readings over this time [s].

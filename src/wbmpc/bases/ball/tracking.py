@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import BallCommand, BallMeasurement
 
 Array = NDArray[np.float64]
 

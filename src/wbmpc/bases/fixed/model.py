@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Footprint
+    from wbmpc.model.robot import RobotModel
+    from wbmpc.ocp import Constraint
 
 
 class FixedBase:
@@ -22,12 +31,20 @@ class FixedBase:
         self.mode: dict[str, list[str]] = {}
         self.parameters: dict[str, list[str]] = {}
         self.unit_quaternions: tuple[int, ...] = ()
+        self.mode_bounds: dict[str, tuple[float, float]] = {}
+        self.brakes: dict[str, str] = {}
+        self.footprint: Footprint | None = None
+        self.wheels, self.balances = 0, False
+        self.ground, self.body_height = 0.0, float(position[2])
+
+    def root(self, x: ca.SX) -> FramePose:
+        """Pose of the body's frame."""
+        rotation = constant(lie.quaternion_to_rotation(self.quaternion))
+        return FramePose(constant(self.position), constant(self.quaternion), rotation)
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state."""
-        rotation = constant(lie.quaternion_to_rotation(self.quaternion))
-        root = FramePose(constant(self.position), constant(self.quaternion), rotation)
-        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._joints)}, root)
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._joints)}, self.root(x))
 
     def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link; the root stands."""
@@ -36,3 +53,20 @@ class FixedBase:
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ = u."""
         return u
+
+    def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
+        """No rows: nothing rolls."""
+        return ca.SX(0, 1)
+
+    def constraints(self, robot: RobotModel) -> list[Constraint]:
+        """None: every joint rate is possible."""
+        return []
+
+    def limits(self, description: RobotDescription) -> Limits:
+        """Ranges (state), speeds and accelerations (input) of the arm's joints."""
+        limits = description.limits
+        return joint_limits(self, description, ("arm",), limits.velocity, limits.acceleration, {})
+
+    def home(self, robot: RobotModel) -> NDArray[np.float64]:
+        """The arm at the description's home."""
+        return joint_home(self, robot.description, ("arm",))

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.ocp import Mode, ModeSchedule
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _LEVER = 0.5
 _AT_ONCE = 1e3
 
 
-def floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> tuple[float, Array]:
+def floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> tuple[float, Array]:
     """How firmly the wheels hold the base (0: not at all), and the body motion (vx, vy, ω) [m/s, rad/s] that they hold least.
 
     ``leg`` (n) [rad], ``brake`` (n, 1 = open). A wheel at the end of a leg that swings holds the base only along that leg: from
@@ -49,7 +49,7 @@ def described(motion: Array) -> str:
     return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
-def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
+def refuse_floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
     """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing,
     or for what is not finite or of another length."""
     n = geometry.modules
@@ -63,7 +63,7 @@ def refuse_floating(geometry: SwerveGeometry, leg: ArrayLike, brake: ArrayLike) 
 
 
 def refuse_floating_way(
-    geometry: SwerveGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
+    geometry: ModuleGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
 ) -> None:
     """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
     against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.model import SwerveGeometry
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 #: Times of channels that differ by less [s] are the same (a microsecond's rounding, or single precision, is no other time).
@@ -141,7 +141,7 @@ def _beside(at: Array, times: Array, turned: Array, where: str) -> Array:
 
 
 def replay(
-    geometry: SwerveGeometry,
+    geometry: ModuleGeometry,
     record: WheelRecord,
     *,
     prior: WheelCalibration | None = None,
@@ -172,7 +172,7 @@ def replay(
     return odometry
 
 
-def _refuse_other_legs(geometry: SwerveGeometry, record: WheelRecord) -> None:
+def _refuse_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
     """Raise :class:`InputError` for legs that are not those of this base."""
     if geometry.has_hinge:
         if record.leg.shape[1] == 0:
@@ -229,7 +229,7 @@ def _shown(before: WheelCalibration, found: WheelCalibration, part: slice) -> tu
     return root, shown, ways
 
 
-def _numbers(wheels: WheelCalibration, geometry: SwerveGeometry) -> Array:
+def _numbers(wheels: WheelCalibration, geometry: ModuleGeometry) -> Array:
     """Zeros [rad] and relative errors of radii (2n)."""
     return np.concatenate([wheels.steer_zero, wheels.wheel_radius / geometry.wheel_radius - 1.0])
 
@@ -259,7 +259,7 @@ REFUSED, MISFIT, ABSURD = 0.1, 9.0, 0.15
 
 
 def fit_wheels(
-    geometry: SwerveGeometry,
+    geometry: ModuleGeometry,
     record: WheelRecord,
     *,
     prior: WheelCalibration | None = None,
@@ -284,7 +284,7 @@ def fit_wheels(
 
 
 def _fits_without_gyro(
-    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+    geometry: ModuleGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
 ) -> bool:
     if not record.gyro.any():
         return False
@@ -296,7 +296,7 @@ def _fits_without_gyro(
 
 
 def _fitted(
-    geometry: SwerveGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
+    geometry: ModuleGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
 ) -> WheelFit:
     """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
@@ -321,7 +321,7 @@ def _fitted(
 
 
 def _as_believed(
-    geometry: SwerveGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
+    geometry: ModuleGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
 ) -> WheelCalibration:
     """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins
     is for the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
@@ -344,7 +344,7 @@ def _contradicted(odometry: FusedOdometry) -> bool:
 
 
 def _doubts(
-    geometry: SwerveGeometry, before: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
+    geometry: ModuleGeometry, before: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
 ) -> list[float]:
     """Factors by which zeros and radii are to be doubted more than before: 1 where they need not."""
     apart = _numbers(found, geometry) - _numbers(before, geometry)
@@ -389,7 +389,7 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibrat
 
 
 def calibrate(
-    geometry: SwerveGeometry,
+    geometry: ModuleGeometry,
     record: WheelRecord,
     *,
     prior: WheelCalibration | None = None,

@@ -16,7 +16,7 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.leg_guard import LegGuard
-from wbmpc.bases.swerve.model import aligned_steering, wheel_velocities
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.checks import not_negative, positive
 from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.estimation.fused_odometry import FusedOdometry
@@ -24,9 +24,9 @@ from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import Observation
+from wbmpc.model.wheels import aligned_steering, wheel_velocities
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import SwerveCommand, SwerveMeasurement
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: Steering errors [rad]: of a start from which wheels are aligned first; that stop a base on its way; that end a stop.
@@ -69,7 +69,7 @@ class SwerveController:
     base stands until they do not. ``sag`` (m) [rad/s]: by what the arm's joints turn besides what they are told, as under a
     load that nobody fed forward; it is taken off the commands. ``monitor``: of brakes that do not answer; left out, one with
     the usual tolerances (None for fixed legs); it looks every :data:`LOOK`, and before a stop. ``faulty`` is called with each
-    fault that it finds. ``scrubbing``: plans let wheels slip sideways while they turn about, and the odometry hardly listens to
+    fault that it finds. ``allow_side_slip``: plans let wheels slip sideways while they turn about, and the odometry hardly listens to
     those.
     ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict,
     as of one that hangs in the air.
@@ -93,7 +93,7 @@ class SwerveController:
         use_gyro: bool = True,
         monitor: BrakeMonitor | None = None,
         faulty: Callable[[BrakeFault], None] | None = None,
-        scrubbing: bool = False,
+        allow_side_slip: bool = False,
         odd_wheels: bool = False,
         friction: bool = False,
         smoothing: float = 0.0,
@@ -119,7 +119,7 @@ class SwerveController:
         self.lag = lag
         steer = robot.state["steer"]
         self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
-        self.monitor, self.faulty, self.scrubbing = monitor or brake_monitor(robot), faulty, scrubbing
+        self.monitor, self.faulty, self.allow_side_slip = monitor or brake_monitor(robot), faulty, allow_side_slip
         self._watched: Tick | None = None  # the newest tick since the last stop, and when the monitor looked last
         self._looked = -np.inf
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
@@ -149,20 +149,24 @@ class SwerveController:
         """Take in the message of this tick."""
         before, self.measured = self.measured or measurement, measurement
         m = measurement
-        turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
+        turning = self._mean_rate(before, m) if self.use_gyro else None
         self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
         if self.odd_wheels:
             self._note_odd_wheel(m.time - before.time)
         slips = (self._scrubs > 0.0) | (self._odd > 0.0)  # one sound wheel alone tells no motion
         weights = np.where(slips, SCRUB_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None, weights=weights)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         for group, drives in self.friction.items():
             drives.learn(getattr(m, group) - getattr(before, group), m.time - before.time)
         if self._smoothing is not None:
             self._smooth(self._smoothing, m.time - before.time)
+
+    def _mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+        """What the gyro says of the yaw rate [rad/s] from one message to the next; None if it says nothing."""
+        return 0.5 * float(before.gyro[2] + now.gyro[2])
 
     def _note_odd_wheel(self, h: float) -> None:
         """Which wheel goes elsewhere than all others do."""
@@ -209,7 +213,7 @@ class SwerveController:
     def base_pose(self) -> np.ndarray:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
         x, y, yaw = self.pose
-        return np.array([x, y, self.robot.base.height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+        return np.array([x, y, self.robot.base.body_height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
 
     @property
     def leg(self) -> np.ndarray:
@@ -314,8 +318,8 @@ class SwerveController:
         off = float(np.abs(error).max()) if self.planned_steering else 0.0
         self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
         u = self._held(policy.feedforward(t + self.lag))
-        if self.scrubbing:
-            self._note_scrubbing(planned, u)
+        if self.allow_side_slip:
+            self._note_side_slip(planned, u)
         most = self.robot.limits.actuator_upper[given["steer"]]
         gain = max(self.steer_gain, ALIGN_GAIN) if self.aligning else self.steer_gain
         steer = np.clip(u[given["steer"]] + gain * error, -most, most)
@@ -365,7 +369,7 @@ class SwerveController:
         step = limits.input_rate[index] * self.period
         return self.friction[group].command(wanted, limits.actuator_upper[index], step)
 
-    def _note_scrubbing(self, steer: np.ndarray, u: np.ndarray) -> None:
+    def _note_side_slip(self, steer: np.ndarray, u: np.ndarray) -> None:
         """Which wheels slip sideways under the planned angles ``steer`` (n) and input u."""
         geometry, given = self.robot.base.geometry, self.robot.input
         rate = u[given["leg"]] if "leg" in given else 0.0

@@ -17,7 +17,7 @@ from wbmpc.settings import MpcSettings, Settings, Weight
 #: Of the rolling rows in a receding horizon. The planned steering angles that a plan is shifted to are consistent up to the
 #: integration error of an interval only, and rows of four wheels that nearly depend on each other can then be met exactly
 #: by absurd motions only. On uniform grids (0.1 and 0.2 s) 0 fails, 1e-9 to 1e-4 do not; the plan slips by 1e-6 m/s at most.
-ROLLING_COMPLIANCE = 1e-6
+ROLLING_SOFTNESS = 1e-6
 
 
 class HandCost(Settings):
@@ -60,14 +60,14 @@ def swerve_problem(
     robot: RobotModel,
     settings: MpcSettings,
     cost: SwerveCost,
-    side_compliance: float = 0.0,
+    side_softness: float = 0.0,
     *,
     accelerations: bool = False,
-    scrubbing: bool = False,
+    allow_side_slip: bool = False,
 ) -> OptimalControlProblem:
     """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
-    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``scrubbing``: the
+    ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``allow_side_slip``: the
     reference "rolling" lets wheels slip sideways while they turn about.
     """
     first = settings.first_interval or None
@@ -81,19 +81,18 @@ def swerve_problem(
     rates = {g: v for g, v in rates.items() if g in robot.input}
     end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
     frame = residuals.FramePose(robot, robot.tool)
-    ocp.add(Cost("hand", frame, list(hand), at="all", terminal_weight=list(cost.terminal * hand)))
-    ocp.add(Cost("state", state, posture, at="all", terminal_weight=end))
+    ocp.add(Cost("hand", frame, list(hand), at="path+terminal", terminal_weight=list(cost.terminal * hand)))
+    ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
-    ocp.add(Constraint("rolling", residuals.Rolling(robot, scrubbing), compliance=side_compliance))
-    if "leg" in robot.input:
-        ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
+    for constraint in robot.base.constraints(robot, side_softness, allow_side_slip=allow_side_slip):
+        ocp.add(constraint)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     limits = robot.limits
-    free_state = residuals.State(robot, tracked=False)
+    free_state = residuals.State(robot, reference=None)
     box = sets.Box(limits.state_lower, limits.state_upper)
-    ocp.add(Constraint("positions", free_state, box, at="all", penalty=barrier, hard=hard))
+    ocp.add(Constraint("positions", free_state, box, at="path+terminal", penalty=barrier, hard=hard))
     limited = [g for g in robot.input.groups if accelerations and np.isfinite(limits.input_rate[robot.input[g]]).all()]
-    free_input = residuals.Input(robot, tracked=False)
+    free_input = residuals.Input(robot, reference=None)
     box = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", free_input, box, penalty=barrier, hard=hard))
     if limited:  # with a slack, unlike speeds: a brake that closes under a moving leg stops wheels harder than they may
@@ -107,12 +106,12 @@ def swerve_mpc(
     settings: MpcSettings,
     cost: SwerveCost,
     guess: Guess | None = None,
-    side_compliance: float = ROLLING_COMPLIANCE,
+    side_softness: float = ROLLING_SOFTNESS,
     *,
-    scrubbing: bool = False,
+    allow_side_slip: bool = False,
 ) -> MPC:
     """The MPC of that problem with its real-time settings."""
-    ocp = swerve_problem(robot, settings, cost, side_compliance, accelerations=True, scrubbing=scrubbing)
+    ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
     return MPC(ocp, settings.solver(), settings.rate, guess=guess)
 
 

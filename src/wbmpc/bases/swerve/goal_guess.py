@@ -6,11 +6,16 @@ where it is (see :mod:`wbmpc.bases.swerve.steering_planner`, which needs a previ
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess
 from wbmpc.model.robot import RobotModel
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC, References
 
 Array = np.ndarray
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.
@@ -24,12 +29,18 @@ class GoalGuess:
         self.robot, self._base = robot, robot.state["base"]
         self.goal = robot.home[self._base].copy()
         self._guess = SteeringGuess(robot, self.preview)
+        self._references: References | None = None
 
-    def __call__(self, solver: Solver, t: float, x0: Array) -> None:
-        goal = solver.references["state"].at(t)[self._base]
+    def bind(self, mpc: MPC) -> None:
+        """Whose reference the goal is."""
+        self._references = mpc.reference
+
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
+        assert self._references is not None, "the guess of an MPC"
+        goal = self._references["state"].at(t)[self._base]
         if _size(goal - self.goal) > THERE:
             self.goal, self._guess = goal.copy(), SteeringGuess(self.robot, self.preview)
-        self._guess(solver, t, x0)
+        return self._guess(t, x0, trajectory)
 
     def preview(self, times: Array, pose: Array) -> Array:
         """Body twists (n, 3) of a straight way with a cosine's profile from ``pose`` (3) now to the goal."""

@@ -6,59 +6,40 @@ steer axis s_i = h_i + L d(φ_i); its velocity in the body frame is v + ω ẑ �
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.bases.swerve.description import ModuleDescription, SwerveBaseDescription
 from wbmpc.errors import InputError
+from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
+from wbmpc.model.layout import Layout
 from wbmpc.model.tree import Tree
-from wbmpc.robots import ModuleDescription, RobotDescription, SwerveBaseDescription
+from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Footprint
+    from wbmpc.model.robot import RobotModel
+    from wbmpc.ocp import Constraint
 
 Array = NDArray[np.float64]
-
+_LOG = logging.getLogger("wbmpc")
+#: By how much [rad] a steering range may be short of half a turn (files say 1.57): a wheel points 0.01 rad off at worst.
+NEARLY = 0.02
 
 # A wheel whose contact lies farther [m] from the steer axis is a caster, which these equations do not describe; a hinged leg that
 # is shorter [m] is moved by no wheel. Wheels that differ by more [m] in height leave the robot standing on some of them.
 _LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
 
 
-@dataclass(frozen=True)
-class SwerveGeometry:
-    """Numbers of a swerve base, in the body frame. n modules.
-
-    ``hinge`` (n, 2) [m]; ``leg_length`` (n,) from hinge to steer axis [m]; ``leg_heading`` (n,) of the leg and
-    ``wheel_heading`` (n,) of the wheel at zero joint angles [rad]. Fixed legs have their angle in the headings; joint
-    angles and rates of legs have no effect on them.
-    """
-
-    hinge: Array
-    leg_length: Array
-    leg_heading: Array
-    wheel_heading: Array
-    wheel_radius: float
-    has_hinge: bool
-
-    @property
-    def modules(self) -> int:
-        """Number of modules n."""
-        return len(self.hinge)
-
-    def leg_angles(self, leg: ArrayLike) -> Array:
-        """Leg angles (n,) or rates as far as the legs can turn: zero for fixed legs."""
-        return np.broadcast_to(np.asarray(leg, float) * self.has_hinge, self.modules)
-
-    def steer_axes(self, leg: ArrayLike) -> Array:
-        """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""
-        a = self.leg_heading + self.leg_angles(leg)
-        return self.hinge + self.leg_length[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1)
-
-
-def read_geometry(description: RobotDescription, tree: Tree) -> tuple[SwerveGeometry, float]:
+def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeometry, float]:
     """Geometry from the tree at zero joint angles, and the height [m] of the body's frame above the ground.
 
     Raises :class:`InputError` for modules that this model does not describe.
@@ -90,7 +71,7 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[SwerveGeom
         wheel.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
         height.append(base.wheel_radius - float(poses[rolling][0][2]))
     _check_level(description.source, [m.wheel for m in base.modules], np.array(height))
-    geometry = SwerveGeometry(
+    geometry = ModuleGeometry(
         hinge=np.array(hinge),
         leg_length=np.array(length),
         leg_heading=np.array(leg),
@@ -144,50 +125,42 @@ def _check_wheel_turns(description: RobotDescription, tree: Tree, wheel: str) ->
         )
 
 
-def wheel_velocities(geometry: SwerveGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:
-    """Velocities (n, 2) [m/s] of the steer axes in the body frame for a twist (vx, vy, ω) and leg rates (n,)."""
-    s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float)
-    swing = (s - geometry.hinge) * geometry.leg_angles(leg_rate)[:, None]
-    return np.stack([vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]], axis=1)
+class ModuleFootprint:
+    """A swerve base stands under its steer axes."""
+
+    def __init__(self, base: SwerveBase) -> None:
+        self._base, self.size = base, base.geometry.modules
+        self.modules: ModuleGeometry | None = base.geometry
+
+    def positions(self, x: Array) -> Array:
+        """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
+        base = self._base
+        start = len(base.state["base"])
+        leg = x[start : start + self.size] if base.geometry.has_hinge else np.zeros(self.size)
+        return base.geometry.steer_axes(leg)
+
+    def expressions(self, x: ca.SX) -> list[ca.SX]:
+        """The same (2 each) as symbols of the state."""
+        g, parts = self._base.geometry, self._base.slices(x, True)
+        feet = []
+        for i in range(g.modules):
+            angle = float(g.leg_heading[i]) + (parts["leg"][i] if g.has_hinge else 0.0)
+            feet.append(constant(g.hinge[i]) + float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle)))
+        return feet
 
 
-def rolling_inverse_kinematics(
-    geometry: SwerveGeometry, leg: ArrayLike, steer: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0
-) -> tuple[Array, Array]:
-    """Steering angles (n,) [rad] (the branch nearest to ``steer``) and wheel speeds (n,) [rad/s] that roll a motion."""
-    v = wheel_velocities(geometry, leg, twist, leg_rate)
-    steer = np.asarray(steer, float)
-    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-    change = np.arctan2(v[:, 1], v[:, 0]) - heading
-    change = (change + np.pi / 2) % np.pi - np.pi / 2
-    still = np.hypot(v[:, 0], v[:, 1]) < 1e-9
-    target = np.where(still, steer, steer + change)
-    heading = heading + (target - steer)
-    speed = (v[:, 0] * np.cos(heading) + v[:, 1] * np.sin(heading)) / geometry.wheel_radius
-    return target, speed
-
-
-def beyond_range(steer: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
-    """By how much [rad] wheels at angles ``steer`` (..., n) are out of their ranges (n), whichever way round they roll."""
-    low, high = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
-    all_round = high - low >= np.pi
-    middle = np.where(all_round, 0.0, 0.5 * (np.where(all_round, 0.0, low) + np.where(all_round, 0.0, high)))
-    off = np.abs((np.asarray(steer, float) - middle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
-    return np.where(all_round, 0.0, np.maximum(off - 0.5 * (high - low), 0.0))
-
-
-def aligned_steering(geometry: SwerveGeometry, leg: ArrayLike, steer: ArrayLike) -> Array:
-    """Steering angles (n,) [rad] near ``steer`` that have a common centre: those of the twist that slips least there.
-
-    The twist is the last right singular vector of the side-slip rows; the turn is weighed with the modules' distance.
-    """
-    s, steer = geometry.steer_axes(leg), np.asarray(steer, float)
-    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-    lever = float(np.sqrt(np.mean(np.sum((s - s.mean(axis=0)) ** 2, axis=1))))
-    c, d = np.cos(heading), np.sin(heading)
-    rows = np.stack([-d, c, (c * s[:, 0] + d * s[:, 1]) / lever], axis=1)
-    twist = np.linalg.svd(rows)[2][-1] / [1.0, 1.0, lever]
-    return rolling_inverse_kinematics(geometry, leg, steer, twist)[0]
+def _warn_of_short_steering(description: RobotDescription, names: Sequence[str], limits: Limits, part: slice) -> None:
+    """A wheel with less than half a turn of steering cannot roll in every direction: possible, but not what is expected."""
+    low, high = limits.state_lower[part], limits.state_upper[part]
+    short = np.flatnonzero(high - low < np.pi - NEARLY)
+    if short.size:
+        i = int(short[0])
+        more = f" (and {short.size - 1} more)" if short.size > 1 else ""
+        _LOG.warning(
+            "%s: steering joint '%s'%s turns from %g to %g rad, less than half a turn: no wheel rolls along what is left out, "
+            "%g to %g rad, and motions that ask for it drag the wheel",
+            description.source, names[i], more, low[i], high[i], high[i], low[i] + np.pi,
+        )  # fmt: skip
 
 
 class SwerveBase:
@@ -197,20 +170,23 @@ class SwerveBase:
         assert isinstance(description.base, SwerveBaseDescription)
         self.base = description.base
         self.tree = tree
-        self.geometry, self.height = read_geometry(description, tree)
-        modules, arm = self.base.modules, description.arm.joints
-        hinges = [m.hinge for m in modules if m.hinge]
-        legs = {"leg": hinges} if hinges else {}
-        joints = {**legs, "steer": [m.steer for m in modules], "wheel": [m.wheel for m in modules], "arm": list(arm)}
+        self.geometry, self.body_height = read_geometry(description, tree)
+        hinges = [m.hinge for m in self.base.modules if m.hinge]
+        joints = {**self.base.joint_groups(), "arm": list(description.arm.joints)}
         self.quaternion = self.base.orientation == "quaternion"
         pose = ["x", "y", "z", "qw", "qx", "qy", "qz"] if self.quaternion else ["x", "y", "yaw"]
         self.state: dict[str, list[str]] = {"base": pose, **joints}
         self.input: dict[str, list[str]] = {"base": ["vx", "vy", "wz"], **joints}
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
         self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
+        self.brakes = dict.fromkeys(self.mode, "leg")
+        self.footprint: Footprint | None = ModuleFootprint(self)
+        self.wheels = self.geometry.modules
+        self.ground, self.balances = 0.0, False
         self.parameters: dict[str, list[str]] = {"drift": ["vx", "vy", "wz"]}
-        self.unit_quaternions = (3,) if self.quaternion else ()
+        self.unit_quaternions: tuple[int, ...] = (3,) if self.quaternion else ()
         self._start = len(pose)
+        self._groups = tuple(joints)
         self._joints = [tree.joint(n) for group in joints.values() for n in group]
 
     def slices(self, vector: ca.SX, state: bool) -> dict[str, ca.SX]:
@@ -227,7 +203,7 @@ class SwerveBase:
         if self.quaternion:
             return FramePose(x[0:3], x[3:7], lie.quaternion_to_rotation(x[3:7]))
         up = np.array([0.0, 0.0, 1.0])
-        position = ca.vertcat(x[0], x[1], self.height)
+        position = ca.vertcat(x[0], x[1], self.body_height)
         return FramePose(position, ca.sparsify(lie.quaternion_about(up, x[2])), rotation_about(up, x[2]))
 
     def chain(self, x: ca.SX) -> Chain:
@@ -273,3 +249,37 @@ class SwerveBase:
             rolling.append(c * vx + d * vy - g.wheel_radius * given["wheel"][i])
             side.append(-d * vx + c * vy)
         return ca.vertcat(*rolling, *side)
+
+    def constraints(
+        self, robot: RobotModel, side_softness: float = 0.0, *, allow_side_slip: bool = False
+    ) -> list[Constraint]:
+        """Rolling wheels, with the softness of their rows; closed brakes where legs are hinged. ``allow_side_slip``: the
+        reference of "rolling" says which wheels may slip sideways."""
+        from wbmpc.ocp import Constraint, residuals
+
+        rolling = Constraint("rolling", residuals.Rolling(robot, allow_side_slip), softness=side_softness)
+        brakes = [Constraint("brakes", residuals.LockedJoints(robot))] if self.brakes else []
+        return [rolling, *brakes]
+
+    def limits(self, description: RobotDescription) -> Limits:
+        """Ranges of the joints (state); the body's twist, speeds and accelerations of the joints (input)."""
+        limits = description.limits
+        twist = {"base": [limits.base_linear, limits.base_linear, limits.base_angular]}
+        found = joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, twist)
+        steering = self.base.joint_groups()["steer"]
+        found.actuator_upper[Layout(self.input)["steer"]] = [
+            limits.drive_velocity.get(name, limits.velocity.get(name, np.inf)) for name in steering
+        ]
+        return found
+
+    def warn(self, description: RobotDescription) -> None:
+        """Log what is possible but not what is expected: a wheel that cannot roll in every direction."""
+        part = Layout(self.state)["steer"]
+        _warn_of_short_steering(description, self.state["steer"], self.limits(description), part)
+
+    def home(self, robot: RobotModel) -> Array:
+        """The joints at the description's home, the body at the origin."""
+        x = joint_home(self, robot.description, self._groups)
+        if self.quaternion:
+            x[:7] = [0, 0, self.body_height, 1, 0, 0, 0]
+        return x

@@ -17,9 +17,12 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brakes import Brakes
+from wbmpc.bases.swerve.description import SwerveBaseDescription
+from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.perturbation import check_perturbation
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots import RobotDescription, SwerveBaseDescription, load_spec
+from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
@@ -36,7 +39,7 @@ from wbmpc.simulation.world import (
     add_light,
     set_options,
 )
-from wbmpc.types import SwerveCommand, SwerveMeasurement, Truth
+from wbmpc.types import Truth
 
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
@@ -49,15 +52,6 @@ TYRE = [0.01, 1.0]
 #: Gain [N m s/rad] of the wheel and steer servos; of the arm's per N m of effort limit, but not below its floor.
 _VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
-#: Settings of the plant that are for ball robots, and what swerve robots have in their place.
-_UNREAD = (
-    (("dead_time", "wheel_spring", "arm_spring"), "a swerve robot's drives have 'plant.drive_lag'"),
-    (
-        ("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
-        "a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', 'plant.gyro_noise'",
-    ),
-    (("spin_friction",), "a swerve robot's wheels hold the floor by 'plant.friction' alone"),
-)
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
 
@@ -100,10 +94,7 @@ class SwervePlant(InWorld):
         refuse_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
-        if self.perturbation.cables > 0.0:
-            raise InputError("plant.cables: is for ball robots only; swerve-drive and swerve-plaster have their own")
-        for names, instead in _UNREAD:
-            self.perturbation.refuse(names, f"is for ball robots only; {instead}")
+        check_perturbation(self.perturbation)
         self._refuse_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)

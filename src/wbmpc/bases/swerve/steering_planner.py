@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.swerve.model import SwerveGeometry, rolling_inverse_kinematics
 from wbmpc.model.robot import RobotModel
-from wbmpc.solver import Solver
+from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
+from wbmpc.solver import Trajectory
 
 #: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
 SLOW, FAST, MOVING = 0.02, 0.04, 0.005
@@ -67,7 +67,7 @@ class SteeringPlan:
 
 
 def plan_steering(
-    geometry: SwerveGeometry,
+    geometry: ModuleGeometry,
     leg: np.ndarray,
     steer: np.ndarray,
     times: np.ndarray,
@@ -159,7 +159,7 @@ def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
 
 
 def wheel_directions(
-    geometry: SwerveGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
+    geometry: ModuleGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
     already has the direction that comes next (or keeps its last)."""
@@ -188,49 +188,52 @@ class SteeringGuess:
         self._armed, self._done = True, False
         self._look = -np.inf
 
-    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
+    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         base = self.robot.input["base"]
-        now = float(speed(solver.ws.u[0, base]))
-        if now > FAST:
+        current = float(speed(trajectory.u[0, base]))
+        if current > FAST:
             self._armed, self._done = False, False
-        elif now < SLOW:
+        elif current < SLOW:
             self._armed = True
         if not self._armed or self._done:
-            self._go_on(solver, t, x0)
-            return
-        grid = solver.ws.grid
+            return trajectory if self._go_on(trajectory, t, x0) else None
+        grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
-        if soon.max() < MOVING or not self._stuck(solver, twists):
-            return
+        if soon.max() < MOVING or not self._stuck(trajectory, twists):
+            return None
         self._done, self._look = True, t + WRITTEN
-        self._write(solver, twists, x0, self.plan(t, float(grid[-1]), x0))
+        self._write(trajectory, twists, x0, self.plan(t, float(grid[-1]), x0))
+        return trajectory
 
-    def _stuck(self, solver: Solver, twists: np.ndarray) -> bool:
+    def _stuck(self, trajectory: Trajectory, twists: np.ndarray) -> bool:
         """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
         return True
 
-    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        """Where wheels of the plan stop following the preview, as at the end of their range, write the way on anew, with a stop."""
+    def _go_on(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
+        """Where wheels of the plan stop following the preview, as at the end of their range, write the rest of it with a stop.
+
+        Returns whether it did."""
         if t < self._look:
-            return
+            return False
         self._look = t + LOOK
-        grid = solver.ws.grid
+        grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
-        lost = self._lost(solver, twists, x0)
+        lost = self._lost(trajectory, twists, x0)
         if lost is None:
-            return
+            return False
         plan = self.plan(t, float(grid[-1]), x0)
         stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
         self._look = t + WRITTEN
-        self._write(solver, twists, x0, plan, max(min(stop, lost) - 1, 0))
+        self._write(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
+        return True
 
-    def _lost(self, solver: Solver, twists: np.ndarray, x0: np.ndarray) -> int | None:
+    def _lost(self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray) -> int | None:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
         leg, steer = self._angles(x0)
-        geometry, grid = self.robot.base.geometry, solver.ws.grid
+        geometry, grid = self.robot.base.geometry, trajectory.grid
         ways, speeds = wheel_directions(geometry, leg, steer, twists)
-        off = np.abs(_wrapped(ways - solver.ws.x[:, self.robot.state["steer"]])) > OFF
+        off = np.abs(_wrapped(ways - trajectory.x[:, self.robot.state["steer"]])) > OFF
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)
         for k, now in enumerate(off):
@@ -250,10 +253,12 @@ class SteeringGuess:
         state, modules = self.robot.state, self.robot.base.geometry.modules
         return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
 
-    def _write(self, solver: Solver, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0) -> None:
+    def _write(
+        self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0
+    ) -> None:
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
         state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
-        grid, x, u = solver.ws.grid, solver.ws.x, solver.ws.u
+        grid, x, u = trajectory.grid, trajectory.x, trajectory.u
         leg, steer = self._angles(x0)
         pose = x0[state["base"]].copy()
         if start > 0:

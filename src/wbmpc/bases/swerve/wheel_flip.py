@@ -2,7 +2,7 @@
 
 A wheel at the end of its steering range has to go half a turn back and roll on the other way round. While it turns it cannot roll
 where the base goes. Either the base stops (:mod:`wbmpc.bases.swerve.steering_planner`), which costs the way of a turn, or the wheel slips sideways
-and the others carry the base on. Here the row of its side slip is lifted for the turn (``scrubbing`` of
+and the others carry the base on. Here the row of its side slip is lifted for the turn (``allow_side_slip`` of
 :class:`wbmpc.ocp.residuals.Rolling`), and the turn is written into the plan, seconds ahead, where the wheel slips least: at
 best while the base rests. The base's own plan stays as it is, so that the solver takes what is written at once.
 """
@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wbmpc.bases.swerve.model import wheel_velocities
 from wbmpc.bases.swerve.steering_planner import (
     LOOK,
     NODES,
@@ -26,8 +26,12 @@ from wbmpc.bases.swerve.steering_planner import (
     wheel_directions,
 )
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.ocp import Reference
-from wbmpc.solver import Solver
+from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC, References
 
 #: Length of a turn [s] and of its ramps: speed and acceleration stay below those of the drives.
 TURN, RAMP = 0.8, 0.12
@@ -137,7 +141,7 @@ def fast_enough(robot: RobotModel) -> bool:
 class WheelFlipGuess(SteeringGuess):
     """A :class:`SteeringGuess` under which the base does not stop for wheels on its way.
 
-    The problem's rolling rows are ``scrubbing`` ones of the name "rolling", whose reference this sets. ``turns``: those to come and
+    The problem's rolling rows are ones with ``allow_side_slip`` of the name "rolling", whose reference this sets. ``turns``: those to come and
     under way.
     """
 
@@ -148,30 +152,36 @@ class WheelFlipGuess(SteeringGuess):
         self._angle = np.arange(state.size)[state["steer"]]  # places in state and input
         self._rate, self._roll = (np.arange(given.size)[given[g]] for g in ("steer", "wheel"))
         self.turns: tuple[Turn, ...] = ()
+        self._references: References | dict[str, Reference] = {}
         self._lifted: tuple[Turn, ...] | None = None
         # written before the last solve; a moment [s] behind them and the angle [rad] there
         self._new: tuple[Turn, ...] = ()
         self._mark = (0.0, 0.0)
 
-    def __call__(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        self.turns = tuple(turn for turn in self.turns if turn.end > t - PAST)
-        self._forget_refused(solver, t)
-        super().__call__(solver, t, x0)
-        self._lift(solver)
+    def bind(self, mpc: MPC) -> None:
+        """Whose rolling rows' reference this sets."""
+        self._references = mpc.reference
 
-    def _forget_refused(self, solver: Solver, t: float) -> None:
-        """Turns that were written before the last solve count no more if its plan was refused: the plan before has none of them."""
+    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
+        self.turns = tuple(turn for turn in self.turns if turn.end > t - PAST)
+        self._drop_rejected(trajectory, t)
+        found = super().__call__(t, x0, trajectory)
+        self._lift()
+        return found
+
+    def _drop_rejected(self, trajectory: Trajectory, t: float) -> None:
+        """Turns that were written before the last solve count no more if its plan was rejected: the plan before has none of them."""
         new, self._new = self._new, ()
-        if new and abs(self._planned(solver, new[-1].wheel, self._mark[0]) - self._mark[1]) > 0.5 * np.pi:
+        if new and abs(self._planned(trajectory, new[-1].wheel, self._mark[0]) - self._mark[1]) > 0.5 * np.pi:
             self.turns = tuple(turn for turn in self.turns if turn not in new)
             self._look = t + LOOK
 
-    def _planned(self, solver: Solver, wheel: int, t: float | np.ndarray) -> np.ndarray:
+    def _planned(self, trajectory: Trajectory, wheel: int, t: float | np.ndarray) -> np.ndarray:
         """Angles [rad] of a wheel at times t [s] in the solver's trajectories."""
-        return np.asarray(np.interp(t, solver.begins + solver.ws.grid, solver.ws.x[:, self._angle[wheel]]))
+        return np.asarray(np.interp(t, trajectory.times, trajectory.x[:, self._angle[wheel]]))
 
-    def _lift(self, solver: Solver) -> None:
-        """Tell the rolling rows who may slip when."""
+    def _lift(self) -> None:
+        """Set which wheels may slip when: the reference of the rolling rows."""
         if self.turns == self._lifted:
             return
         self._lifted = self.turns
@@ -180,30 +190,31 @@ class WheelFlipGuess(SteeringGuess):
         values = np.zeros((EDGES, self.robot.base.geometry.modules))
         for k, edge in enumerate(edges, 1):
             values[k, [turn.wheel for turn in self.turns if turn.start <= edge < turn.end]] = 1.0
-        solver.set_reference("rolling", Reference(times, values, "hold"))
+        self._references["rolling"] = Reference(times, values, "hold")
 
-    def _stuck(self, solver: Solver, twists: np.ndarray) -> bool:
+    def _stuck(self, trajectory: Trajectory, twists: np.ndarray) -> bool:
         """Whether the plan does not move as the preview's ``twists`` ask for, but for less than half of it."""
-        h, planned = np.diff(solver.ws.grid), solver.ws.u[:, self.robot.input["base"]]
+        h, planned = np.diff(trajectory.grid), trajectory.u[:, self.robot.input["base"]]
         stuck = bool(h @ speed(planned - twists[:-1]) > 0.5 * (h @ speed(twists[:-1])))
         if stuck:
             self.turns = ()
         return stuck
 
-    def _go_on(self, solver: Solver, t: float, x0: np.ndarray) -> None:
-        """Write turns into the plan where wheels come to the end of their range."""
+    def _go_on(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
+        """Whether anything was written: turns into the plan where wheels come to the end of their range."""
         if t < self._look - 1e-9:
-            return
+            return False
         self._look = t + LOOK
-        times, ways, speeds = self._ways(t, float(solver.ws.grid[-1]), x0)
-        before = self.turns
+        times, ways, speeds = self._ways(t, float(trajectory.grid[-1]), x0)
+        previous, written = self.turns, False
         for wheel in range(ways.shape[1]):
-            self._lead_back(solver, wheel, times, ways[:, wheel], speeds[:, wheel])
-            self._turn(solver, wheel, times, ways[:, wheel], speeds[:, wheel])
-        self._new = self.turns[len(before) :]
+            written |= self._lead_back(trajectory, wheel, times, ways[:, wheel], speeds[:, wheel])
+            self._turn(trajectory, wheel, times, ways[:, wheel], speeds[:, wheel])
+        self._new = self.turns[len(previous) :]
         if self._new:
-            when = min(self._new[-1].end + 0.1, float(solver.begins + solver.ws.grid[-1]) - 0.1)
-            self._mark = (when, float(self._planned(solver, self._new[-1].wheel, when)))
+            when = min(self._new[-1].end + 0.1, float(trajectory.start + trajectory.grid[-1]) - 0.1)
+            self._mark = (when, float(self._planned(trajectory, self._new[-1].wheel, when)))
+        return written or bool(self._new)
 
     def _ways(self, t: float, horizon: float, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (k) [s], directions (k, n) [rad], continuous from one near ``x0`` on, and speeds (k, n) [m/s] of the wheels."""
@@ -214,7 +225,7 @@ class WheelFlipGuess(SteeringGuess):
         ways[0] = steer + (ways[0] - steer + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         return times, np.unwrap(ways, axis=0, period=np.pi), speeds
 
-    def _turn(self, solver: Solver, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray) -> None:
+    def _turn(self, trajectory: Trajectory, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray) -> None:
         """Find the turns of one wheel behind those that are known, and write them into the plan."""
         earliest = max([times[0] + AHEAD, *(turn.end for turn in self.turns if turn.wheel == wheel)])
         known = earliest + SETTLED if earliest > times[0] + AHEAD else times[0]
@@ -223,7 +234,7 @@ class WheelFlipGuess(SteeringGuess):
             return
         # the way round is the plan's where it rolls; before, the wheel may be anywhere
         first = int(rolls[0])
-        way = way + np.pi * np.round((self._planned(solver, wheel, times[first]) - way[first]) / np.pi)
+        way = way + np.pi * np.round((self._planned(trajectory, wheel, times[first]) - way[first]) / np.pi)
         low, high = self.limits[0][wheel], self.limits[1][wheel]
         reserve = min(max(0.5 * (high - low - np.pi), 0.0), RESERVE)
         limits = low + reserve, high - reserve
@@ -231,20 +242,22 @@ class WheelFlipGuess(SteeringGuess):
         path[:first] = np.clip(path[:first], *limits)
         found = plan_turns(times[:seen], path, speeds[:seen], limits, self._fastest, earliest, self._busy(times[:seen]))
         for turn in (Turn(wheel, *one) for one in found):
-            self._write_turn(solver, turn, times, way)
+            self._write_turn(trajectory, turn, times, way)
             way = way + turn.by * turn.share(times)
             self.turns += (turn,)
 
-    def _lead_back(self, solver: Solver, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray) -> None:
-        """Write a wheel anew that the plan takes to the end of its range half a turn beside the way that turns are planned by.
+    def _lead_back(
+        self, trajectory: Trajectory, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray
+    ) -> bool:
+        """Whether a wheel was written anew: one that the plan takes to the end of its range half a turn beside the way that turns are planned by.
 
         Where a wheel nearly rests its direction goes round by up to half a turn, and the plan may go round on the other side.
         From there on no turn is planned for the way that the plan is on.
         """
         own = [turn for turn in self.turns if turn.wheel == wheel]
         if speeds[0] <= ROLLS or any(turn.start < times[0] + AHEAD and times[0] < turn.end + SETTLED for turn in own):
-            return
-        planned = self._planned(solver, wheel, times)
+            return False
+        planned = self._planned(trajectory, wheel, times)
         path = way + np.pi * np.round((planned[0] - way[0]) / np.pi)
         for turn in own:
             path = path + (turn.by * turn.share(times) if turn.start > times[0] else 0.0)
@@ -257,9 +270,10 @@ class WheelFlipGuess(SteeringGuess):
         pressed[int(SEEN * len(times)) :] = False
         if pressed.any():
             together = np.flatnonzero(~apart[: int(pressed.argmax())])
-            nodes = solver.begins + solver.ws.grid
+            nodes = trajectory.times
             angles = np.clip(np.interp(nodes, times, path), self.limits[0][wheel], self.limits[1][wheel])
-            self._write_angles(solver, wheel, float(times[together[-1]]), angles)
+            self._write_angles(trajectory, wheel, float(times[together[-1]]), angles)
+        return bool(pressed.any())
 
     def _busy(self, times: np.ndarray) -> np.ndarray:
         """Whether a turn from each of ``times`` (k) [s] on overlaps another one."""
@@ -268,17 +282,17 @@ class WheelFlipGuess(SteeringGuess):
             busy |= (times > turn.start - TURN) & (times < turn.end)
         return busy
 
-    def _write_turn(self, solver: Solver, turn: Turn, times: np.ndarray, way: np.ndarray) -> None:
+    def _write_turn(self, trajectory: Trajectory, turn: Turn, times: np.ndarray, way: np.ndarray) -> None:
         """From the plan's angles over to half a turn beside the direction ``way`` (k) [rad] at ``times`` (k) [s]; speeds follow."""
-        nodes = solver.begins + solver.ws.grid
+        nodes = trajectory.times
         target = np.clip(np.interp(nodes, times, way) + turn.by, self.limits[0][turn.wheel], self.limits[1][turn.wheel])
-        angles = solver.ws.x[:, self._angle[turn.wheel]]
-        self._write_angles(solver, turn.wheel, turn.start, angles + turn.share(nodes) * (target - angles))
+        angles = trajectory.x[:, self._angle[turn.wheel]]
+        self._write_angles(trajectory, turn.wheel, turn.start, angles + turn.share(nodes) * (target - angles))
 
-    def _write_angles(self, solver: Solver, wheel: int, start: float, angles: np.ndarray) -> None:
+    def _write_angles(self, trajectory: Trajectory, wheel: int, start: float, angles: np.ndarray) -> None:
         """A wheel's ``angles`` (N + 1) [rad] from time ``start`` [s] on into the plan; its speeds follow, the base's plan stays."""
-        x, u, j = solver.ws.x, solver.ws.u, self._angle[wheel]
-        nodes = solver.begins + solver.ws.grid
+        x, u, j = trajectory.x, trajectory.u, self._angle[wheel]
+        nodes = trajectory.times
         later = nodes >= start
         x[later, j] = angles[later]
         first = max(int(np.searchsorted(nodes, start)) - 1, 0)

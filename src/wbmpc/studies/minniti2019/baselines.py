@@ -9,19 +9,20 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import RezeroCost, base_problem
+from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.settings import Settings, Weight
+from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 
 if TYPE_CHECKING:
-    from wbmpc.studies.minniti2019.task import RezeroSettings
+    from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 Controller = Literal[
     "mpc", "lqr", "scheduled-lqr", "separate", "separate-integral", "separate-aware", "taskspace"
@@ -201,7 +202,7 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
         pose = p.mpc.reference["hand"].at(t)
         return pose[:3], pose[3:]
 
-    home, gains = p.robot.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
+    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
     more = (p.period, settings.drive_lag, settings.observer, p.estimator)
     agent = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     agent.stance = lambda t: p.mpc.reference["body"].at(t)
@@ -226,7 +227,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
     agent.forecast = _felt(p)
-    home = p.robot.equilibrium(p.arm)[0]
+    home = p.robot.base.numeric.equilibrium(p.arm)[0]
     planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
     return agent, planner
 

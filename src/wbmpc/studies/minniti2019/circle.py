@@ -7,23 +7,15 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
-from wbmpc.result import Metric, Plot, RunResult
-from wbmpc.simulation.lockstep import Ending, Progress
+from wbmpc.result import Metric, Plot
+from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
-from wbmpc.studies.minniti2019.task import (
-    AccurateSettings,
-    Task,
-    ball_felt,
-    ball_robot,
-    bent_arm,
-    common_plots,
-    hand_felt,
-    reaching,
-    rms,
-    run_task,
-)
+from wbmpc.studies.minniti2019.metrics import ball_felt, common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.settings import AccurateSettings
+from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
 
 NAME = "rezero-circle"
 SUMMARY = "the ball drives a circle while the hand stays still (Minniti et al. 2019, video)"
@@ -55,14 +47,14 @@ def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
     return settings.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
 
 
-def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     """One run."""
     if settings.yaw == "free":
         free = settings.cost.body.model_copy(update={"yaw": 0.0})
         settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
     robot = ball_robot(settings)
     arm = bent_arm(settings, robot)
-    home = robot.equilibrium(arm)[0]
+    home = robot.base.numeric.equilibrium(arm)[0]
     duration = settings.settle + settings.rounds * settings.lap + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))
@@ -92,4 +84,7 @@ def run(settings: RezeroCircleSettings, seed: int, progress: Progress | None = N
         places = ball_path(settings, times)
         reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
     task = Task(arm, duration, {"body": reference})
-    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
+
+
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroCircleSettings, build)

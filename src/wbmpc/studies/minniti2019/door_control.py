@@ -21,16 +21,17 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.force import ForceMonitor
 from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.door_filter import DoorFilter
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, place_of
-from wbmpc.types import BallMeasurement
+from wbmpc.types import Observation
 
 Array = np.ndarray
 _LOG = logging.getLogger("wbmpc")
@@ -309,8 +310,10 @@ class SensorlessForce:
         self._known = ca.Function("known", [q, torque], [known])
         self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
         still = np.zeros(n)
-        self.observer = MomentumObserver(robot.mass_matrix, lambda q, v: robot.inverse_dynamics(q, v, still))
-        self._load = robot.tool_weight
+        self.observer = MomentumObserver(
+            robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
+        )
+        self._load = robot.base.numeric.tool_weight
         self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
         self.force = np.zeros(3)
 

@@ -3,7 +3,7 @@
 Minniti et al. 2019 plan the wrench at the hand as a free input and leave the door's motion out (their section V-A): the
 optimiser may give the environment any impedance. Here the door's angle φ and rate are states, I φ̈ + d φ̇ + c = −ℓ nᵀF for the force
 F of the world on the hand, and the hand's distance from the panel is a function of robot and door whose second derivative a
-state-input equality keeps at zero (:class:`wbmpc.ocp.residuals.PanelContact`).
+state-input equality keeps at zero (:class:`wbmpc.studies.minniti2019.door_residuals.PanelContact`).
 """
 
 from __future__ import annotations

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import Array
-from wbmpc.types import BallCommand, BallMeasurement
 
 #: The rubber tip: radius [m], mass [kg], softness of its contact (time constant [s], damping ratio).
 TIP_RADIUS, TIP_MASS, TIP_CONTACT = 0.02, 0.05, [0.02, 1.0]

@@ -8,10 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
+from wbmpc.bases.ball.residuals import JointEffort
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
+from wbmpc.studies.minniti2019.door_residuals import PanelContact
 
 PUSHING = ("held", "moving")
 
@@ -62,14 +64,16 @@ def door_problem(
     ocp = OptimalControlProblem(dynamics, settings.horizon, settings.intervals, first_interval=first)
     _costs(ocp, robot, cost, push)
     if scheme.row:
-        ocp.add(Constraint("door", residuals.PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
+        ocp.add(Constraint("door", PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
         rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
         fast = sets.Box(-scheme.door_rate, scheme.door_rate)
         hard = settings.limits == "hard"
         ocp.add(
-            Constraint("door_rate", rate, fast, at="all", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard)
+            Constraint(
+                "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
+            )
         )
-    ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], tracked=False), modes=("free",)))
+    ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
     if scheme.cone:
@@ -87,7 +91,7 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
     turn = np.array([0.0] * 3 + [push.orientation, push.orientation, min(push.orientation, h.roll)])
     error = residuals.FramePose(robot, robot.tool, axes="reference")
     add = lambda name, residual, weight, **more: ocp.add(
-        Cost(name, residual, list(weight), at="all", terminal_weight=list(end * np.asarray(weight)), **more)
+        Cost(name, residual, list(weight), at="path+terminal", terminal_weight=list(end * np.asarray(weight)), **more)
     )
     add("hand", error, pose, norm=SmoothL1(h.limit), modes=("free",))
     add("turn", error, turn, modes=PUSHING)
@@ -101,6 +105,6 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
         weight[n["base_velocity"]] = [speed, speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
         add(name, residuals.State(robot), weight, modes=modes)
     ocp.add(Cost("torque", residuals.Input(robot, ["wheel", "arm"]), {"wheel": cost.torque.wheel, "arm": 0.0}))
-    ocp.add(Cost("effort", residuals.JointEffort(robot), cost.torque.arm))
+    ocp.add(Cost("effort", JointEffort(robot), cost.torque.arm))
     force = {"push": push.force, "across": push.tangential, "up": push.tangential}
     ocp.add(Cost("force", residuals.PushForce(robot), force, modes=PUSHING))

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
+from wbmpc.bases.ball.defaults import RezeroCost, limit_torques
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import solve_spd
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Cost, OptimalControlProblem, residuals
+from wbmpc.settings import MpcSettings
 
 
 class ServoedArm:
@@ -22,7 +28,7 @@ class ServoedArm:
     mode_bounds: dict[str, tuple[float, float]] = {}  # noqa: RUF012
 
     def __init__(self, robot: RobotModel) -> None:
-        base = robot._ball()
+        base = ball_base(robot)
         if base.base.payload:
             raise InputError(
                 f"{robot.description.name}: a base whose arm others move has no mass at the hand (base.payload)"
@@ -60,3 +66,21 @@ class ServoedArm:
         slope = ca.substitute(ca.jacobian(residual, outer), a, f[n : n + 5])
         kinematic = ca.horzcat(ca.SX(n, n), ca.SX.eye(n), ca.SX(n, u.shape[0]))
         return f, ca.vertcat(kinematic, -solve_spd(base.mass_matrix(q)[:5, :5], slope), ca.jacobian(arm, outer))
+
+
+def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+    """What is left of that problem for a base whose arm somebody else moves (:class:`ServoedArm`): ball, yaw, rates and wheel
+    torques, the same limits."""
+    ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
+    b = cost.body
+    body: dict[str, Any] = {
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
+        "base_velocity": [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate],
+        "arm": 0.0,
+        "arm_velocity": 0.0,
+    }
+    end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
+    ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))
+    ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], reference=None), cost.torque.wheel))
+    limit_torques(ocp, robot, settings, cost, ["wheel"])
+    return ocp

@@ -59,7 +59,7 @@ class RegulatorGains:
 
     def at(self, arm: Array) -> Array:
         """The gain for arm angles [rad]."""
-        x, u = self.robot.equilibrium(arm)
+        x, u = self.robot.base.numeric.equilibrium(arm)
         jacobian, hand = (np.array(v) for v in self._linear(x, u))
         size, s = x.size, self.weights
         a, b = jacobian[:, :size], jacobian[:, size:]
@@ -74,11 +74,11 @@ class RegulatorGains:
 
     def at_rest(self, arm: Array) -> Array:
         """(2 + nu, nq): how lean (pitch, roll) and torques at rest change with constant generalised forces, to first order."""
-        x, u = self.robot.equilibrium(arm)
+        x, u = self.robot.base.numeric.equilibrium(arm)
         n = self.robot.base.nq
         jacobian = np.array(self._linear(x, u)[0])[n:]
         slope = np.hstack([jacobian[:, 3:5], jacobian[:, x.size :]])
-        change: Array = -np.linalg.pinv(slope) @ np.linalg.inv(self.robot.mass_matrix(x[:n]))
+        change: Array = -np.linalg.pinv(slope) @ np.linalg.inv(self.robot.base.numeric.mass_matrix(x[:n]))
         return change
 
     @cached_property
@@ -115,7 +115,7 @@ class LqrController(BallController):
         """State and torques to be at."""
         x = self.wanted_state(t)
         if not np.array_equal(x, self._rest[0]):
-            self._rest = x, self.robot.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
+            self._rest = x, self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
         return self._rest
 
     def _gain(self, x: Array) -> Array:

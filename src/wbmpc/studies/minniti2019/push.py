@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.checks import whole
+from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
-from wbmpc.result import Metric, Plot, RunResult, Series
-from wbmpc.simulation.lockstep import Ending, Progress
-from wbmpc.studies.minniti2019.task import (
-    STEPS_AND_PUSHES,
-    Push,
-    RezeroSettings,
-    Task,
-    ball_felt,
-    ball_robot,
-    common_plots,
-    hand_felt,
-    rms,
-    run_task,
-)
+from wbmpc.result import Metric, Plot, Series
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies.minniti2019.metrics import common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.recovery import LAST, rest
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
 IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
-#: Recovered: in the last half second before the next push ball or hand are nearer than this [m] to their place as the robot knows
-#: it, and do not move farther than this in the world. (Wheels that slipped moved the robot's world; one that runs away, or swings
-#: its arm about, has not recovered, wherever it believes to be.)
-NEAR, LAST = 0.05, 0.5
 
 
 class RezeroPushSettings(RezeroSettings):
@@ -74,33 +64,6 @@ class RezeroPushHandSettings(RezeroPushSettings):
     """The hand is held: the weights of the steps."""
 
 
-@dataclass(frozen=True)
-class Rest:
-    """How ball or hand are for the last :data:`LAST` [s] before some time: farthest from their place as the robot knows it
-    (``felt``) and in the ``world``, and how far they move in the world (``moves``) [m]; infinite if the run had ended by then."""
-
-    felt: float = np.inf
-    world: float = np.inf
-    moves: float = np.inf
-
-    @property
-    def recovered(self) -> bool:
-        """Back in its place and at rest, see :data:`NEAR`."""
-        return max(self.felt, self.moves) < NEAR
-
-
-def rest(log: Log, held: str, place: np.ndarray, end: float) -> Rest:
-    """Before ``end`` [s]: of the ball, with ``place`` (2) [m], or of the hand, with ``place`` (3)."""
-    t = log.times("state")
-    window = (t >= end - LAST) & (t < end)
-    if not window.any() or t[-1] < end - 0.1:
-        return Rest()
-    felt = (hand_felt(log) if held == "hand" else ball_felt(log))[window]
-    world = (log.array("hand") if held == "hand" else log.array("state")[:, :2])[window]
-    most = lambda away: float(np.linalg.norm(away, axis=1).max())
-    return Rest(most(felt - place), most(world - place), most(world - world[-1]))
-
-
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     pushes, t = [], settings.settle
     for force in settings.forces:
@@ -110,7 +73,8 @@ def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     return Task(arm, t, pushes=tuple(pushes))
 
 
-def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress: Progress | None) -> RunResult:
+def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
+    """Pushes while the ``held`` "ball" or "hand" is to stay in its place."""
     robot = ball_robot(settings)
     task = _task(settings, robot.home[robot.state["arm"]])
     hand, ball = robot.pose(robot.home)[0], robot.home[:2]
@@ -139,45 +103,8 @@ def _run(name: str, held: str, settings: RezeroPushSettings, seed: int, progress
         ])  # fmt: skip
         return [*common_plots(log, hand, ball), pushes]
 
-    return run_task(name, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 
 
-def run_ball(settings: RezeroPushBallSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """Pushes while the ball is held."""
-    return _run(BALL, "ball", settings, seed, progress)
-
-
-def run_hand(settings: RezeroPushHandSettings, seed: int, progress: Progress | None = None) -> RunResult:
-    """Pushes while the hand is held."""
-    return _run(HAND, "hand", settings, seed, progress)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What came of one push: whether the robot ``stands`` at the end, whether it ``recovers`` (:data:`NEAR`), how far the ball was
-    from its place at most (``travel`` [m], while it stood)."""
-
-    stands: bool
-    recovers: bool
-    travel: float
-
-
-def push_once(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> Outcome:
-    """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s], watched for ``settings.pause`` from its begin on, as
-    the experiments do."""
-    robot, held = ball_robot(settings), "ball" if isinstance(settings, RezeroPushBallSettings) else "hand"
-    push = Push(1.0, length, tuple(force * np.array([np.cos(direction), np.sin(direction), 0.0])))
-    end = push.start + settings.pause
-    task = Task(robot.home[robot.state["arm"]], end, pushes=(push,))
-    place = robot.pose(robot.home)[0] if held == "hand" else robot.home[:2]
-
-    def figures(log: Log, ending: Ending) -> dict[str, Metric]:
-        travel = np.linalg.norm(log.array("state")[:, :2] - robot.home[:2], axis=1)
-        recovered = not ending.reason and rest(log, held, place, end).recovered
-        return {"recovered": Metric(float(recovered), "1"), "travel": Metric(float(travel.max()), "m")}
-
-    result = run_task("rezero-push", settings, seed, task, figures, lambda log: [], IDEALISATIONS)
-    if not result.metrics:
-        return Outcome(False, False, float("inf"))
-    found = result.metrics
-    return Outcome(result.completed, result.completed and found["recovered"].value > 0.0, found["travel"].value)
+BALL_EXPERIMENT = Experiment.of(BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"))
+HAND_EXPERIMENT = Experiment.of(HAND, SUMMARY.format("hand"), RezeroPushHandSettings, partial(build, "hand"))

@@ -18,13 +18,8 @@ import numpy as np
 
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.studies.minniti2019.push import (
-    Outcome,
-    RezeroPushBallSettings,
-    RezeroPushHandSettings,
-    RezeroPushSettings,
-    push_once,
-)
+from wbmpc.studies.minniti2019.push import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings
+from wbmpc.studies.minniti2019.push_once import Outcome, push_once
 
 MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}
 #: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.

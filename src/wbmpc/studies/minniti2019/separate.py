@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Observation
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import residuals
-from wbmpc.types import BallMeasurement
+from wbmpc.types import Observation
 
 Array = NDArray[np.float64]
 
@@ -120,7 +121,7 @@ class SeparateController(BallController):
 
     def _base_mass(self, q: Array) -> Array:
         """M with the base's columns alone: how the arm moves is no innovation."""
-        mass = self.robot.mass_matrix(q)
+        mass = self.robot.base.numeric.mass_matrix(q)
         mass[:, 5:] = 0.0
         return mass
 
@@ -152,9 +153,9 @@ class SeparateController(BallController):
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         assert policy is not None
         n, believed = self._n, self.believed(x)
-        weight = self.robot.inverse_dynamics(x[:n], x[n:], np.zeros(n))[5:]
+        weight = self.robot.base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))[5:]
         arm = self.loop.torque(
-            self.robot.mass_matrix(x[:n])[5:, 5:], weight, self._goal - x[self._part], x[n + 5 :],
+            self.robot.base.numeric.mass_matrix(x[:n])[5:, 5:], weight, self._goal - x[self._part], x[n + 5 :],
             self.period if acts else 0.0,
         )  # fmt: skip
         return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy.law(t, believed), arm])

@@ -8,65 +8,23 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from wbmpc import lie
-from wbmpc.log import Log
+from wbmpc.bases.ball.posture import resting
+from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.result import Metric, Plot, RunResult, Series
-from wbmpc.simulation.lockstep import Progress, Timing
-from wbmpc.studies.minniti2019.task import (
-    RezeroSettings,
-    Task,
-    ball_robot,
-    count_wheels,
-    hand_felt,
-    hand_turn_felt,
-    resting,
-    run_task,
-)
+from wbmpc.simulation.lockstep import Timing
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.step_figures import metrics, plots
+from wbmpc.studies.minniti2019.step_goals import IMPOSSIBLE, STEADY, STEPS, target
+from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
 
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
 
 IDEALISATIONS = ["with preview (the default) the MPC sees a step coming one horizon ahead"]
-
-
-@dataclass(frozen=True)
-class Step:
-    """A change of the hand's pose: translation [m] in the world, or a rotation [rad] about a world or hand axis."""
-
-    name: str
-    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] | None = None
-    angle: float = 0.0
-    of_hand: bool = False
-
-
-STEPS = (
-    Step("+x 0.2 m", (0.2, 0.0, 0.0)),
-    Step("-x 0.2 m", (-0.2, 0.0, 0.0)),
-    Step("+y 0.2 m", (0.0, 0.2, 0.0)),
-    Step("-y 0.2 m", (0.0, -0.2, 0.0)),
-    Step("+z 0.1 m", (0.0, 0.0, 0.1)),
-    Step("-z 0.1 m", (0.0, 0.0, -0.1)),
-    Step("yaw 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6),
-    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9, of_hand=True),
-)
-EULER = ("yaw", "pitch", "roll")
-#: A roll about the forearm, which an arm with yaw and two pitch joints does not have: asked for last, then home again.
-IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=True)
-
-
-#: Goal of the steady orientation [rad], and why it is missed where the robot's masses are not those of its model.
-TURN_GOAL = float(np.deg2rad(0.5))
-ROLL = (
-    "the roll about the forearm is part of it, which an arm with yaw and two pitch joints cannot turn: a robot whose centre of "
-    "mass is beside its plane leans to balance; '_arm_' is without it"
-)
-
-#: The last second [s] of a step is judged as steady; a move takes at least half a second [s].
-STEADY, MOVING = 1.0, 0.5
+#: A move takes at least so long [s].
+MOVING = 0.5
 
 
 class RezeroStepsSettings(RezeroSettings):
@@ -103,15 +61,6 @@ class RezeroStepsSettings(RezeroSettings):
         return self
 
 
-def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's pose after a step from home."""
-    if step.axis is None:
-        return position + np.array(step.move), quaternion
-    turn = lie.quaternion_about(step.axis, step.angle)
-    turned = lie.quaternion_multiply(quaternion, turn) if step.of_hand else lie.quaternion_multiply(turn, quaternion)
-    return position, turned
-
-
 @dataclass(frozen=True)
 class Schedule:
     """Home for ``settle``, the steps one after another, the impossible one, home again: times and poses that hold."""
@@ -141,7 +90,7 @@ class Schedule:
         return int(np.searchsorted(self.times, t + 1e-9, side="right")) - 1
 
 
-def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: RezeroStepsSettings, seed: int) -> Scenario:
     """One run over all steps."""
     robot = ball_robot(settings)
     schedule = Schedule.of(settings, robot)
@@ -154,116 +103,12 @@ def run(settings: RezeroStepsSettings, seed: int, progress: Progress | None = No
         mpc.reference["body"] = Reference.constant(body.values[i])
 
     references = {"hand": schedule.reference(), "body": body}
-    return run_task(
-        NAME, settings, seed,
+    return task_scenario(
+        settings, seed,
         Task(robot.home[robot.state["arm"]], schedule.duration, references),
-        lambda log, ending: _metrics(log, schedule, settings, ending.fell), lambda log: _plots(log, schedule, robot),
-        IDEALISATIONS, progress, None if settings.preview else hide_future,
+        lambda log, ending: metrics(log, schedule, settings, ending.fell), lambda log: plots(log, schedule, robot),
+        IDEALISATIONS, None if settings.preview else hide_future,
     )  # fmt: skip
 
 
-def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.ndarray:
-    """How much of a step is done: 0 before, 1 after it; from where the hand was asked to be before."""
-    i = step + 1
-    before, after = schedule.positions[i - 1], schedule.positions[i]
-    if np.linalg.norm(after - before) > 1e-6:
-        way = after - before
-        return (log.array("hand")[use] - before) @ way / (way @ way)
-    rotations = [
-        lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q)
-        for q in log.array("hand_quaternion")[use]
-    ]
-    whole = lie.quaternion_log(
-        lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), schedule.quaternions[i])
-    )
-    return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
-
-
-def _orientation_error(turns: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Mean rotation vector (3) [rad], hand axes, from a wanted quaternion (4) to those of the hand (n, 4)."""
-    inverse = lie.quaternion_conjugate(wanted)
-    errors = [lie.quaternion_log(lie.quaternion_multiply(inverse, q)) for q in turns]
-    return np.asarray(np.mean(errors, axis=0))
-
-
-def rise_time(t: np.ndarray, done: np.ndarray) -> float:
-    """Time from 10 to 90 % [s]; infinite if it never gets there."""
-    low, high = np.flatnonzero(done > 0.1), np.flatnonzero(done > 0.9)
-    return float(t[high[0]] - t[low[0]]) if low.size and high.size else float("inf")
-
-
-def _metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
-    t, hand, torque = log.times("hand"), log.array("hand"), log.array("torque")
-    wheels = count_wheels(log.array("state"), torque)
-    felt, true_turn, felt_turn = hand_felt(log), log.array("hand_quaternion"), hand_turn_felt(log)
-    rises, steady, world, turned, turned_world = [], [], [], [], []
-    norm = lambda vector: float(np.linalg.norm(vector))
-    lead = settings.lead
-    for k in range(len(STEPS)):
-        start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
-        if t[-1] < end - 0.1:
-            continue
-        window = (t >= start - lead) & (t < end - lead)
-        rises.append(rise_time(t[window], progress_of(k, log, schedule, window)))
-        # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
-        last = (t >= end - lead - STEADY) & (t < end - lead)
-        steady.append(float(np.linalg.norm(felt[last] - schedule.positions[k + 1], axis=1).mean()))
-        world.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
-        turned.append(_orientation_error(felt_turn[last], schedule.quaternions[k + 1]))
-        turned_world.append(_orientation_error(true_turn[last], schedule.quaternions[k + 1]))
-    start = schedule.times[len(STEPS) + 1]
-    roll = (t >= start + settings.hold - lead - STEADY) & (t < start + settings.hold - lead)
-    impossible = schedule.quaternions[len(STEPS) + 1]
-    unreachable = norm(_orientation_error(true_turn[roll], impossible)) if roll.any() else float("inf")
-    worst = lambda values: max(values) if values else float("inf")
-    return {
-        "rise_time_max": Metric(worst(rises), "s", goal=1.0),
-        "steady_position_error_max": Metric(worst(steady), "m", goal=0.002),
-        "steady_position_error_world_max": Metric(worst(world), "m", goal=0.010),
-        "steady_orientation_error_max": Metric(worst([norm(v) for v in turned]), "rad", goal=TURN_GOAL, goal_note=ROLL),
-        "steady_orientation_error_arm_max": Metric(worst([norm(v[:2]) for v in turned]), "rad", goal=TURN_GOAL),
-        "steady_orientation_error_world_max": Metric(worst([norm(v) for v in turned_world]), "rad"),
-        "unreachable_rotation_error": Metric(unreachable, "rad"),
-        "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
-        "wheel_torque_max": Metric(float(np.abs(torque[:, :wheels]).max()), "N m"),
-        "fell": Metric(float(fell), "1", goal=0.0),
-    }
-
-
-def _turns(log: Log, schedule: Schedule) -> Plot:
-    """The hand's rotation vector against home, in world axes (Euler angles, as the paper has them, are singular there)."""
-    thin = slice(None, None, 8)
-    t, home = log.times("hand_quaternion")[thin], lie.quaternion_conjugate(schedule.quaternions[0])
-    vector = lambda q: np.rad2deg(lie.quaternion_log(lie.quaternion_multiply(q, home)))
-    is_ = np.array([vector(q) for q in log.array("hand_quaternion")[thin]])
-    asked = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
-    lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"about {n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
-    return Plot("Hand orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals])
-
-
-def _plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
-    t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
-    asked = schedule.positions[[schedule.at(v) for v in t]]
-    limit = robot.limits.input_upper[: torque.shape[1]]
-    lines = [Series(n, t, hand[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"{n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
-    velocity = robot.state["arm_velocity"]
-    ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
-    degrees = np.rad2deg(state[:, 2:5])
-    return [
-        Plot("Hand position and its reference (Fig. 4)", "time [s]", "position [m]", [*lines, *goals]),
-        _turns(log, schedule),
-        Plot("Hand position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(hand - asked, axis=1))]),
-        Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
-        Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
-        Plot("Torques over their limits", "time [s]", "|torque| / limit", [
-            Series(n, t, np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
-        ]),
-        Plot("Arm speeds over their limits", "time [s]", "|speed| / limit", [
-            Series(n, t, ratio[:, i]) for i, n in enumerate(robot.state.groups["arm_velocity"])
-        ]),
-        Plot("Estimated disturbance", "time [s]", "generalised force [N, N m]", [
-            Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])
-        ]),
-    ]  # fmt: skip
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroStepsSettings, build)

@@ -90,7 +90,7 @@ class TaskSpaceController(BallController):
     def _solve(self, t: float, x: Array) -> Array:
         n, g = self.robot.base.nq, self.gains
         place, turned, velocity, jacobian, drift, map_, bias = (np.array(m) for m in self._model["now"](x))
-        mass = self.robot.mass_matrix(x[:n])
+        mass = self.robot.base.numeric.mass_matrix(x[:n])
         free = np.linalg.solve(mass, self.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
         wanted = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
@@ -138,7 +138,9 @@ def _lean_of_arm(robot: RobotModel, home: Array) -> Array:
     arm = home[robot.state["arm"]]
     step = lambda k: np.eye(arm.size)[k] * 1e-3
     columns = [
-        (robot.equilibrium(arm + step(k))[0] - robot.equilibrium(arm - step(k))[0])[3:5] / 2e-3 for k in range(arm.size)
+        (robot.base.numeric.equilibrium(arm + step(k))[0] - robot.base.numeric.equilibrium(arm - step(k))[0])[3:5]
+        / 2e-3
+        for k in range(arm.size)
     ]
     return np.array(columns).T
 
@@ -146,7 +148,7 @@ def _lean_of_arm(robot: RobotModel, home: Array) -> Array:
 def _lean_stiffness(robot: RobotModel, home: Array) -> Array:
     """How gravity's generalised forces on pitch and roll change with them, (2, 2) [N m/rad]."""
     n = robot.base.nq
-    weight = lambda step: robot.inverse_dynamics(home[:n] + step, np.zeros(n), np.zeros(n))[3:5]
+    weight = lambda step: robot.base.numeric.inverse_dynamics(home[:n] + step, np.zeros(n), np.zeros(n))[3:5]
     steps = [np.eye(n)[k] * 1e-4 for k in (3, 4)]
     return np.array([(weight(s) - weight(-s)) / 2e-4 for s in steps]).T
 

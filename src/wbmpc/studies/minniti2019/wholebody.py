@@ -7,23 +7,15 @@ import itertools
 import numpy as np
 from pydantic import Field
 
+from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
-from wbmpc.result import Metric, Plot, RunResult, Series
-from wbmpc.simulation.lockstep import Ending, Progress
+from wbmpc.result import Metric, Plot, Series
+from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
-from wbmpc.studies.minniti2019.task import (
-    AccurateSettings,
-    Task,
-    ball_felt,
-    ball_robot,
-    bent_arm,
-    common_plots,
-    hand_felt,
-    reaching,
-    rms,
-    run_task,
-)
+from wbmpc.studies.minniti2019.metrics import ball_felt, common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.settings import AccurateSettings
+from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
 
 NAME = "rezero-wholebody"
 SUMMARY = "the hand carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
@@ -57,12 +49,12 @@ def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.n
     return np.array(times), np.array(places)
 
 
-def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     """One run."""
     robot = ball_robot(settings)
     arm, wheels = bent_arm(settings, robot), len(robot.input.groups["wheel"])
     second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
-    home = robot.equilibrium(arm)[0]
+    home = robot.base.numeric.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
     times, places = hand_path(settings, position)
     ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
@@ -108,4 +100,7 @@ def run(settings: RezeroWholebodySettings, seed: int, progress: Progress | None 
         grid = np.arange(0.0, float(ends[-1]), 0.05)
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
     task = Task(arm, float(ends[-1]), references)
-    return run_task(NAME, settings, seed, task, metrics, plots, IDEALISATIONS, progress)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
+
+
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroWholebodySettings, build)

@@ -4,33 +4,33 @@ IV-B, Fig. 7 and 8); a leg that is knocked; driving with closed brakes; the roll
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
-from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError
+from wbmpc.experiment import Experiment, Loop, Outcome, Part, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.result import RunResult
-from wbmpc.settings import ExperimentSettings, finished
-from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
-from wbmpc.stability import CONFIGURATIONS, corners, leg_angles
-from wbmpc.studies.pankert2022.calibrate import swerve_robot
+from wbmpc.result import Metric
+from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
-from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home, riding
+from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
+from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
 from wbmpc.studies.pankert2022.rolling import RollingController
-from wbmpc.studies.pankert2022.track import stand_still
+from wbmpc.studies.pankert2022.standing import stand_still
 
 NAME = "swerve-drive"
 SUMMARY = (
@@ -43,90 +43,6 @@ IDEALISATIONS = [
     "the computation takes a constant 10 ms; the rival's takes none",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
-#: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
-KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
-
-
-class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard`` (MPC), ``odd_wheels`` (MPC and rival): see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
-    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
-    :class:`wbmpc.studies.pankert2022.rolling.RollingController`)."""
-
-    # by runs on seed 0, looked at on seed 5
-    cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0),
-        state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),
-        input=InputCost(base=5.0, steer=0.002),
-    )
-    robot: str = "swerve-ur10"
-    use_gyro: bool = True
-    odd_wheels: bool = False
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
-    leg_guard: bool = True
-    # of a search that benchmarks/rivals.py does, of which only a part was run
-    rival_base_gain: float = Field(8.0, ge=0, le=50)
-    rival_leg_gain: float = Field(8.0, ge=0, le=50)
-    rival_steer_gain: float = Field(40.0, gt=0, le=100)
-    rival_lead: float = Field(0.0, ge=0, le=0.5)
-    rival_look_ahead: float = Field(0.0, ge=0, le=5)
-
-
-def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
-    """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
-    h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter, end = 0.5 * np.pi, 18.0
-    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
-    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
-    way = (
-        Leg(1.0, 61.5, (end, 0.0, 0.0)),
-        Leg(20.0, 10.0, (end, 0.0, -quarter)),
-        Leg(30.0, 18.0, (end, 0.0, quarter)),
-        Leg(48.0, 10.0, (end, 0.0, 0.0)),
-    )
-    turns = (
-        Reconfiguration(15.0 + delay, x),
-        Reconfiguration(31.0, a),
-        Reconfiguration(40.0, x),
-        Reconfiguration(54.0, h),
-    )
-    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
-
-
-def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
-    """1.5 m ahead with a quarter turn of 0.3 rad in one configuration, brakes open or closed."""
-    brakes = ((0.5, 1.0),) if is_open else ()
-    return Mission((Leg(1.0, 8.0, (1.5, 0.2, 0.3)),), leg_angles(robot, name), (), brakes), 10.0
-
-
-@dataclass
-class _Knock:
-    """Pushes the left front leg inwards from ``start`` [s] until it has gone by 5°."""
-
-    start: float
-    plant: SwervePlant
-    offset: float
-    module: int
-    dof: int = field(init=False)
-    at: float = field(init=False, default=np.nan)
-    done: float = field(init=False, default=np.nan)
-
-    def __post_init__(self) -> None:
-        joint = self.plant.model.joint(self.plant.base.modules[self.module].hinge or "")
-        self.dof, self._place = int(joint.dofadr[0]), int(joint.qposadr[0])
-
-    def __call__(self, m: mujoco.MjModel, d: mujoco.MjData) -> None:
-        t = self.plant.time - self.offset
-        angle = float(d.qpos[self._place])
-        if t < self.start or not np.isnan(self.done):
-            d.qfrc_applied[self.dof] = 0.0
-            return
-        if np.isnan(self.at):
-            self.at = angle
-        d.qfrc_applied[self.dof] = -KNOCK_TORQUE if abs(d.qvel[self.dof]) < KNOCK_SPEED else 0.0
-        if abs(angle - self.at) >= KNOCK or t > self.start + 1.0:
-            self.done = t
 
 
 @dataclass(frozen=True)
@@ -167,7 +83,7 @@ class _Run:
     def planned(
         self, name: str, mission: Mission, duration: float, edit: Any = None, knock: float | None = None,
         progress: Progress | None = None,
-    ) -> tuple[Ending, MPC, SwerveController, _Knock | None]:  # fmt: skip
+    ) -> tuple[Outcome, Knock | None]:  # fmt: skip
         """With the MPC. A knock comes at ``knock`` [s], without the guard of open legs, which would stop the leg on its way."""
         s, robot = self.settings, self.robot
         home, plant = self.start(mission, edit)
@@ -184,21 +100,17 @@ class _Run:
         )  # fmt: skip
         stand_still(plant, agent, timing, s.rest)
         mpc.reset(home)
-        hit = None if knock is None else _Knock(knock, plant, plant.time, corners(robot)["LF"])
+        hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
                 self.record(name, now, plant, agent, mission, command)
 
-        ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
-        return ending, mpc, agent, hit
+        return Loop(plant, agent, mpc, timing, duration, record).run(progress), hit
 
-    def rival(
-        self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
-    ) -> tuple[Ending, list[str]]:
-        """The rolling inverse kinematics on the same way: same plant, odometry and brakes. How it ended, and the faults that
-        it found."""
+    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> Outcome:
+        """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
@@ -220,13 +132,7 @@ class _Run:
             if round(now / timing.period) % 4 == 0:
                 self.record(name, now, plant, agent, mission, command)
 
-        ending = run_lockstep(plant, agent, None, timing, duration, record, progress)
-        return ending, [f"{name}: {fault}" for fault in agent.faults]
-
-
-def _faults(name: str, agent: SwerveController) -> list[str]:
-    """What the monitor of brakes told in a part of the run."""
-    return [f"{name}: {fault}" for fault in agent.faults]
+        return Loop(plant, agent, None, timing, duration, record).run(progress)
 
 
 def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
@@ -234,12 +140,12 @@ def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
     ended early for another reason."""
     robot, log = swerve_robot(settings.robot), Log()
     mission, duration = tour(robot, settings.plant.brake_delay)
-    ending, _ = _Run(settings, robot, seed, log).rival(mission, duration, terrain)
+    ending = _Run(settings, robot, seed, log).rival(mission, duration, terrain).ending
     error = log.array("rival.base_odometry") - log.array("rival.base_reference")
     return np.full_like(error, np.inf) if ending.reason else error
 
 
-def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
     """The tour with the MPC and with the rival, the knock, and driving with closed brakes."""
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
@@ -247,28 +153,30 @@ def run(settings: SwerveDriveSettings, seed: int, progress: Progress | None = No
     refuse_two_wheels(robot.description)
     bench = _Run(settings, robot, seed, Log())
     mission, duration = tour(robot, settings.plant.brake_delay)
-    names = ("tour", "rival", "knock", *(f"closed_{name}" for name in CONFIGURATIONS))
-    own = lambda name: part(progress, names.index(name), len(names), name)
-    ending, mpc, agent, _ = bench.planned("tour", mission, duration, terrain, progress=own("tour"))
-    faults, held = _faults("tour", agent), agent.holds
-    rival, rivals, knock = None, list[str](), None
-    if not ending.reason:
-        rival, rivals = bench.rival(mission, duration, terrain, own("rival"))
-        if rival.reason and not rival.interrupted:  # the rival's failure, not the run's
-            rivals.append(f"rival: {rival.reason}; nothing is compared with it")
-        ending = rival if rival.interrupted else ending
-    if not ending.reason:
-        way, length = straight(robot, "X", True)
-        ending, _, agent, knock = bench.planned("knock", way, length, knock=4.0, progress=own("knock"))
-        faults += _faults("knock", agent)
-    for name in CONFIGURATIONS:
-        if not ending.reason:
-            key = f"closed_{name}"
-            ending, _, agent, _ = bench.planned(key, *straight(robot, name, False), progress=own(key))
-            faults += _faults(key, agent)
-    return finished(
-        NAME, seed, settings, ending, mpc, bench.log,
-        metrics=lambda: metrics(bench.log, robot, faults, held, None if knock is None else knock.done, rival),
-        plots=lambda: plots(bench.log, robot),
-        idealisations=IDEALISATIONS, faults=[*faults, *rivals],
+    knocks: list[Knock | None] = []
+
+    def aside(name: str, mission: Mission, duration: float, knock: float | None, progress: Progress | None) -> Outcome:
+        outcome, hit = bench.planned(name, mission, duration, knock=knock, progress=progress)
+        knocks.append(hit)
+        return replace(outcome, mpc=None)  # the solves of the tour count
+
+    def measured(run: Run) -> dict[str, Metric]:
+        faults = [fault for name, o in run.outcomes.items() if name != "rival" for fault in o.faults]
+        held, rival = run.outcomes["tour"].controller.holds, run.outcomes.get("rival")
+        knocked = knocks[0].done if knocks and knocks[0] is not None else None
+        return metrics(bench.log, robot, faults, held, knocked, None if rival is None else rival.ending)
+
+    closed = {f"closed_{name}": straight(robot, name, False) for name in CONFIGURATIONS}
+    return Scenario(
+        bench.log,
+        [
+            Part("tour", lambda progress: bench.planned("tour", mission, duration, terrain, progress=progress)[0]),
+            Part("rival", lambda progress: bench.rival(mission, duration, terrain, progress), baseline=True),
+            Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
+            *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
+        ],
+        measured, lambda run: plots(bench.log, robot), IDEALISATIONS,
     )  # fmt: skip
+
+
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveDriveSettings, build)

@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import FLOATING, PASS, BrakeControl, described, floating
-from wbmpc.bases.swerve.model import SwerveGeometry, wheel_velocities
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.studies.minniti2019.directions import refuse_directions
-from wbmpc.studies.paths import rise, risen
+from wbmpc.paths import rise, risen
+from wbmpc.studies.pankert2022.directions import refuse_directions
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02
@@ -116,7 +116,7 @@ class Mission:
         """Body twists (k, 3) that the steering guess looks at."""
         return self.twist(t)
 
-    def check(self, geometry: SwerveGeometry) -> None:
+    def check(self, geometry: ModuleGeometry) -> None:
         """Open legs that are all parallel hold nothing sideways: they may be passed, not be stayed in (:class:`InputError`)."""
         if not self.brakes:
             return

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.model import rolling_inverse_kinematics
+from wbmpc.bases.swerve.messages import SwerveCommand, scale_wheels
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.types import SwerveCommand, scale_wheels
 
 #: Speed [m/s] of a contact below which its wheel is not turned.
 SLOW = 0.01

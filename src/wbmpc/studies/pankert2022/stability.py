@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.result import Drawing, Metric, RunResult
+from wbmpc.result import Drawing, Metric
 from wbmpc.settings import Settings
-from wbmpc.simulation.lockstep import Progress, part, watched
+from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
-from wbmpc.types import SwerveCommand
 
 NAME = "swerve-stability"
 SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"
@@ -34,7 +37,7 @@ class SwerveStabilitySettings(Settings):
     robot: str = "swerve-ur10"
 
 
-def run(settings: SwerveStabilitySettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:
     """The areas of Table I from the robot's geometry. Nothing is random: the seed has no effect."""
     robot, log = load_robot(settings.robot), Log()
     found = {name: assess(robot, name) for name in CONFIGURATIONS}
@@ -42,17 +45,13 @@ def run(settings: SwerveStabilitySettings, seed: int, progress: Progress | None 
         log.add("leg", float(k), a.x[robot.state["leg"]])
         log.add("feet", float(k), a.stance.feet.ravel())
         log.add("zero_moment_point", float(k), a.stance.zmp)
-    for k, (name, a) in enumerate(found.items()):
-        _stand(robot, a, part(progress, k, len(found), name))
-    if progress is not None:
-        progress(1.0, "")
-    drawings = [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()]
-    return RunResult(
-        NAME, seed, True, "", _metrics(found), None, log, drawings, IDEALISATIONS, settings.model_dump(mode="json")
-    )
+    return Scenario(
+        log, [Part(name, partial(_stand, robot, a)) for name, a in found.items()], lambda run: _metrics(found),
+        lambda run: [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()], IDEALISATIONS,
+    )  # fmt: skip
 
 
-def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> None:
+def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> Outcome:
     """For who watches: the robot at rest in a configuration."""
     plant = SwervePlant(robot.description, robot.state.split(assessment.x), Perturbation.none())
     stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
@@ -60,6 +59,7 @@ def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None)
         for k in range(round(STANDING * RATE)):
             tick(k / RATE, stop)
             plant.step(stop, round(1.0 / (RATE * plant.timestep)))
+    return Outcome()
 
 
 def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
@@ -69,3 +69,6 @@ def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
             value, paper = (a.polygon_area, a.double_support_area)[column], TABLE[name][column]
             metrics[f"{kind}_{name}"] = Metric(value, "m2", paper=paper, goal=paper + ROUNDING, least=paper - ROUNDING)
     return metrics
+
+
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveStabilitySettings, build)

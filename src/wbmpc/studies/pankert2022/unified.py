@@ -7,31 +7,32 @@ objective in their place: the alternative that section III-A names.
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import ROLLING_COMPLIANCE, StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError
+from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.result import Drawing, Metric, Plot, RunResult, Series
-from wbmpc.settings import ExperimentSettings, Weight, finished
-from wbmpc.simulation.lockstep import Progress, Timing, run_lockstep
-from wbmpc.stability import StanceOf, draw, leg_angles, region_margin, support_triangles
-from wbmpc.stability.assessment import Assessment
-from wbmpc.stability.geometry import Triangle, overlap_regions
-from wbmpc.studies.pankert2022.calibrate import swerve_robot
+from wbmpc.paths import Approach
+from wbmpc.simulation.lockstep import Timing
+from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
+from wbmpc.stability.geometry import Triangle
+from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home
-from wbmpc.studies.pankert2022.track import HAND_ORIENTATION, in_frame, stand_still
-from wbmpc.studies.paths import Approach
+from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION
+from wbmpc.studies.pankert2022.unified_figures import metrics, plots
+from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 
 NAME = "swerve-unified"
 SUMMARY = "the hand holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
@@ -46,39 +47,6 @@ IDEALISATIONS = [
 HOLD, DRIVE, OPENS, CLOSES = (1.0, 0.5, 0.9), 15.0, 1.0, 11.0
 #: Where the base goes: 2 m ahead, turned by 90°.
 GOAL = (2.0, 0.0, 0.5 * np.pi)
-#: Errors of the base [m, rad] at the end with which it counts as there; what may keep it from there.
-THERE, TURNED = 0.05, 0.05
-REACH_NOTE = "the hand weighs more: where the arm does not reach what it holds from the goal, the base ends short of it"
-#: Where the legs begin if nothing else is said.
-AT_HOME = "home"
-#: A configuration by name (H, X, A), or angles [rad], one for each leg.
-Configuration = str | tuple[float, ...]
-
-
-class SwerveUnifiedSettings(ExperimentSettings):
-    """``legs``: by targets (from ``leg_start`` to ``leg_goal``: H, X, A, or angles [rad] in brackets, one for each leg; the robot's
-    home and A if nothing is said) or free, with the zero-moment point's margin in the support triangles over the two rearmost feet
-    as the objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]), and without a goal;
-    ``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
-
-    cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
-    robot: str = "swerve-ur10"
-    legs: Literal["targets", "support"] = "targets"
-    leg_start: Configuration = AT_HOME
-    leg_goal: Configuration = "A"
-    support: Weight = 0.05
-    reserve: float = Field(0.05, gt=0, le=0.5)
-    use_gyro: bool = True
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
-    leg_guard: bool = True
-
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        """What the chosen way of the legs does not read is refused."""
-        unread = ("leg_goal",) if self.legs == "support" else ("support", "reserve")
-        self.refuse_unread(f"with legs={self.legs}", *unread)
-        return self
 
 
 def rear_triangles(robot: RobotModel, legs: np.ndarray) -> tuple[Triangle, ...]:
@@ -112,15 +80,15 @@ def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSetting
     free = settings.legs == "support"
     if free:
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
-    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_COMPLIANCE, accelerations=True)
+    ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_SOFTNESS, accelerations=True)
     if free:
         margin = residuals.SupportMargin(robot, rear_triangles(robot, home[robot.state["leg"]]))
         barrier = RelaxedBarrier(settings.support, settings.reserve)
-        ocp.add(Constraint("support", margin, sets.NonNegative(), at="all", penalty=barrier))
+        ocp.add(Constraint("support", margin, sets.NonNegative(), at="path+terminal", penalty=barrier))
     return ocp
 
 
-def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = None) -> RunResult:
+def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     """One run; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
@@ -173,82 +141,11 @@ def run(settings: SwerveUnifiedSettings, seed: int, progress: Progress | None = 
         log.add("wheel_slip", now, truth.slip)
         log.add("support_margin", now, [float(region_margin(stance.feet, stance.zmp)), stance.polygon_margin])
 
-    ending = run_lockstep(plant, agent, mpc, timing, duration, record, progress)
-    return finished(
-        NAME, seed, settings, ending, mpc, log,
-        metrics=lambda: _metrics(log, begin, free, len(agent.faults), agent.holds),
-        plots=lambda: _plots(log, robot, begin), idealisations=IDEALISATIONS, faults=agent.faults,
+    return Scenario.single(
+        log, Loop(plant, agent, mpc, timing, duration, record).run,
+        lambda run: metrics(log, begin, free, len(agent.faults), agent.holds),
+        lambda run: plots(log, robot, begin), IDEALISATIONS,
     )  # fmt: skip
 
 
-def _rms(values: np.ndarray) -> float:
-    """Root of the mean square of the rows' lengths."""
-    return float(np.sqrt(np.mean(np.sum(np.atleast_2d(values.T).T ** 2, axis=1))))
-
-
-def _metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[str, Metric]:
-    use = log.times("hand") >= begin
-    if not use.any():
-        use[:] = True
-    error = lambda a, b: (log.array(a) - log.array(b))[use]
-    base = log.array("base")[use]
-    drift = error("base_reference", "base_odometry")
-    margins = log.array("support_margin")[use]
-    metrics = {
-        "hand_error_rms": Metric(_rms(error("hand_odometry", "hand_reference")), "m", goal=0.005),
-        "hand_error_max": Metric(float(np.linalg.norm(error("hand_odometry", "hand_reference"), axis=1).max()), "m"),
-        "hand_error_rms_world": Metric(_rms(error("hand", "hand_reference")), "m"),
-        "base_travel": Metric(float(np.sum(np.hypot(*np.diff(base[:, :2], axis=0).T))), "m"),
-        "base_position_error_rms": Metric(_rms(drift[:, :2]), "m"),
-        "base_yaw_error_rms": Metric(_rms(drift[:, 2:]), "rad"),
-        "base_position_error_end": Metric(float(np.hypot(*drift[-1, :2])), "m", goal=THERE, goal_note=REACH_NOTE),
-        "base_yaw_error_end": Metric(float(abs(drift[-1, 2])), "rad", goal=TURNED, goal_note=REACH_NOTE),
-        "support_margin_end": Metric(float(margins[-1, 0]), "m"),
-        "support_margin_min": Metric(float(margins[:, 0].min()), "m"),
-        "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
-        "brake_faults": Metric(float(faults), "1", goal=0.0),
-        "legs_held": Metric(float(held), "1"),
-    }
-    if not free:
-        opened = log.array("brake")[use].max(axis=1) > 0.5
-        legs = error("leg", "leg_reference")[opened]
-        metrics["leg_angle_error_rms"] = Metric(float(np.sqrt(np.mean(legs**2))) if legs.size else 0.0, "rad")
-    return metrics
-
-
-def _plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
-    t, base, odometry, wanted = (log.times("base"), *map(log.array, ("base", "base_odometry", "base_reference")))
-    hand, legs, goals = log.array("hand_odometry"), np.degrees(log.array("leg")), np.degrees(log.array("leg_reference"))
-    margins = 1e3 * log.array("support_margin")
-    names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
-    error = lambda a: 1e3 * np.linalg.norm(log.array(a) - log.array("hand_reference"), axis=1)
-    use = t >= begin
-    return [
-        Plot("Base and hand from above", "x [m]", "y [m]", [
-            Series("base", base[:, 0], base[:, 1]), Series("base, reference", wanted[:, 0], wanted[:, 1], dashed=True),
-            Series("hand, estimated frame", hand[use, 0], hand[use, 1]),
-        ], equal_axes=True),
-        Plot("Hand error", "time [s]", "error [mm]", [
-            Series("estimated frame", t[use], error("hand_odometry")[use]), Series("world", t[use], error("hand")[use]),
-        ]),
-        Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
-            Series(n, t, 1e3 * (odometry - wanted)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
-        ]),
-        Plot("Leg angles", "time [s]", "angle [deg]", [
-            *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
-            *(Series(f"{n}, wanted", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
-        ]),
-        Plot("Zero-moment point", "time [s]", "margin [mm]", [
-            Series("to the next triangle", t, margins[:, 0]), Series("to the polygon", t, margins[:, 1]),
-        ]),
-        _picture(robot, "At the start", log.array("state")[int(np.argmax(use))]),
-        _picture(robot, "At the end", log.array("state")[-1]),
-    ]  # fmt: skip
-
-
-def _picture(robot: RobotModel, title: str, x: np.ndarray) -> Drawing:
-    """The stance at a state, in axes of the base."""
-    x = x.copy()
-    x[robot.state["base"]] = 0.0
-    stance = StanceOf(robot)(x)
-    return Drawing(title, draw(Assessment(robot, "angles", x, stance, overlap_regions(stance.feet))))
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveUnifiedSettings, build)

@@ -1,0 +1,41 @@
+"""What ball robots take and give: torques and servo goals of their drives, measurements of their sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BallCommand:
+    """Torques [N m]: omni wheels, then arm joints. With ``stiffness`` [N m/rad] and ``damping`` [N m s/rad] the drives add
+    what these ask for about ``position`` [rad], which moves on with ``speed`` [rad/s]; none of the four: torque alone."""
+
+    torque: Array
+    position: Array = field(default_factory=lambda: np.zeros(0))
+    speed: Array = field(default_factory=lambda: np.zeros(0))
+    stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    damping: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True)
+class BallMeasurement:
+    """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealised, its state (16) with noise.
+
+    ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
+    force in the axes of the base, averages since the message before (the inertial unit integrates between messages);
+    ``force`` (3) [N]: of a sensor in the hand, in its axes, on the hand (none where there is no sensor).
+    """
+
+    time: float
+    state: Array
+    age: float
+    wheel: Array = field(default_factory=lambda: np.zeros(3))
+    arm: Array = field(default_factory=lambda: np.zeros(3))
+    gyro: Array = field(default_factory=lambda: np.zeros(3))
+    accel: Array = field(default_factory=lambda: np.zeros(3))
+    force: Array = field(default_factory=lambda: np.zeros(0))

@@ -1,0 +1,55 @@
+"""The base type ``ball``: a robot that balances on a ball, driven by omni wheels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+
+from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.mechanics import check_ball
+from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.base import System
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import read_tree
+from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.ball.plant import BallPlant
+    from wbmpc.simulation.perturbation import Perturbation
+
+
+class BallBaseType:
+    """What generic code may ask of bases that balance on a ball."""
+
+    Description = BallBaseDescription
+
+    def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
+        """The ball is one body like a ball, that turns about the origin of the base's frame."""
+        check_ball(description, model)
+
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> BallBase:
+        """The full dynamics on minimal coordinates."""
+        base = description.base
+        assert isinstance(base, BallBaseDescription)
+        tree = read_tree(spec, base.body, without=(base.ball,))
+        return BallBase(description, tree, read_tree(spec, base.ball).links[0])
+
+    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> BallPlant:
+        """The simulated robot at rest in its equilibrium at home."""
+        from wbmpc.bases.ball.plant import BallPlant
+
+        state, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+        return BallPlant(robot.description, state, torque, perturbation, seed)
+
+    def system(self, robot: RobotModel, seed: int) -> System:
+        """A perturbed plant in its equilibrium, whose controller brings the hand to goals that come by and by."""
+        from wbmpc.bases.ball.system import make_system
+
+        return make_system(robot, self.plant(robot, None, seed))
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        """The adapter that reads encoders and the inertial unit and publishes torques."""
+        from wbmpc.bases.ball.ros import BallPilot
+
+        return BallPilot(robot, settings, period)

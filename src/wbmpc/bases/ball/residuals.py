@@ -1,0 +1,105 @@
+"""Residuals of robots that balance on a ball."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from wbmpc.bases.ball.balance import load_offset
+from wbmpc.checks import finite
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp.symbols import Symbols
+
+
+@dataclass(frozen=True)
+class BallSpin:
+    """Torque (1) [N m] of the wheels on a ball about the base's z axis: more than the floor's spin friction spins the ball."""
+
+    robot: RobotModel
+
+    size, reference = 1, 0
+    groups = {"torque": slice(0, 1)}  # noqa: RUF012
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        return ca.DM(self.robot.base.wheel_torque_map()[2:]) @ s.u[self.robot.input["wheel"]]
+
+
+@dataclass(frozen=True)
+class CapturePoint:
+    """Divergent component [m] of a ball robot's lean along ``directions`` that divide half a turn evenly, the first along x:
+    horizontal offset of the load's centre of mass from the ball plus its rate over ``pole`` [1/s]
+    (:class:`wbmpc.model.Balance`). What it has beyond the wheels' reach cannot be stopped.
+
+    In a box this is a polygon around a circle. Four directions: by at most 8 % too wide; two (a square) would be by 41 %, and
+    pushes along its diagonals then fell the robot at less than half the impulse.
+
+    ``answer`` [m/N] (:class:`wbmpc.model.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
+    the hand that is expected, and the component is counted from the lean that answers it. ``pushed``: the parameters ``push``
+    are added, so that a limit leaves room for what a push will do that the plan does not know.
+    """
+
+    robot: RobotModel
+    pole: float
+    directions: int = 4
+    answer: float = 0.0
+    pushed: bool = False
+
+    def __post_init__(self) -> None:
+        finite("capture point", pole=self.pole, answer=self.answer)
+        if self.pole <= 0.0:
+            raise InputError(f"capture point: pole must be positive, got {self.pole}")
+        if not isinstance(self.directions, int | np.integer) or self.directions < 1:
+            raise InputError(f"capture point: directions must be a whole number, at least 1, got {self.directions}")
+
+    @property
+    def reference(self) -> int:
+        return 2 if self.answer else 0
+
+    @property
+    def size(self) -> int:
+        return self.directions
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        return {"offset": slice(0, self.directions)}
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        n = self.robot.base.nq
+        offset = load_offset(self.robot.base, s.x[:n], s.parameters)
+        slope = ca.jacobian(offset, s.x[:n])
+        angles = np.pi * np.arange(self.directions) / self.directions
+        along = np.round([np.cos(angles), np.sin(angles)], 15).T  # exact zeros
+        component = offset + slope @ s.x[n : 2 * n] / self.pole
+        if self.answer:
+            component += self.answer * s.reference[:2]
+        if self.pushed:
+            component += s.parameters[self.robot.parameters["push"]]
+        return ca.DM(along) @ component
+
+
+@dataclass(frozen=True)
+class JointEffort:
+    """What drives a ball robot's arm joints (n) [N m]: torques beyond those that hold the arm at rest in its present pose,
+    contacts, payload and estimated disturbance included. Zero in every equilibrium, so that its cost moves none."""
+
+    robot: RobotModel
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", {"arm": slice(0, self.size)})
+
+    @property
+    def size(self) -> int:
+        return len(self.robot.state.groups["arm"])
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        base, n = self.robot.base, self.robot.base.nq
+        rest, w = ca.SX(n, 1), s.parameters
+        net = base.generalised_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
+        return net[n - self.size :]

@@ -1,0 +1,71 @@
+"""Default settings of the ball robot's controller: weights, the MPC's grid and rate, what is learnt of the world."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.model.robot import RobotModel
+from wbmpc.settings import MpcSettings, Settings
+
+#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
+#: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
+#: swings from limit to limit for ever.
+STEPS_AND_PUSHES = RezeroCost(
+    hand=HandCost(orientation=40.0),
+    body=BodyCost(tilt_rate=3.0, arm=1.0),
+    torque=TorqueCost(wheel=0.1, arm=0.3),
+    lean=0.6,
+    speed_slack=20.0,
+)
+
+
+def mpc_settings(barrier_mu: float) -> MpcSettings:
+    """80 Hz, a horizon of 1.3 s in 65 intervals. A lean grows 450 times within it: no plan starts as a motion without feedback."""
+    return MpcSettings(
+        rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
+    )
+
+
+def refuse_unlearnt(observer: bool, changed: bool) -> None:
+    """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
+    if changed and not observer:
+        raise ValueError("pushed_speed: with observer=false nothing uses it")
+
+
+class BallControllerSettings(Settings):
+    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
+    ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
+    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
+    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's policy and the regulators do, in the
+    middle of what may be."""
+
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
+    cost: RezeroCost = STEPS_AND_PUSHES
+    observer: bool = True
+    weigh: bool = True
+    brace: float = Field(0.3, ge=0, le=1.0)
+    pushed_speed: float = Field(2.0, gt=0)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    drive_dead_time: float = Field(0.010, ge=0, le=0.05)
+
+
+class Leans(Protocol):
+    """Settings of whatever controls a ball robot with the MPC."""
+
+    @property
+    def observer(self) -> bool: ...
+    @property
+    def cost(self) -> RezeroCost: ...
+    @property
+    def pushed_speed(self) -> float: ...
+
+
+def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
+    """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
+    return LeanControl(robot, arm, settings.cost.lean, settings.pushed_speed) if settings.observer else None

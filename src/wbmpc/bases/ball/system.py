@@ -1,0 +1,36 @@
+"""A simulated ball robot with its controller and MPC: what views and first runs start from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
+from wbmpc.bases.base import System
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Reference
+from wbmpc.simulation.lockstep import Timing
+
+#: Rate of the controller [Hz], drive lag that it assumes [s].
+CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
+#: How fast [m/s] the robot may be pushed along before it leans against the force.
+PUSHED_SPEED = 2.0
+
+
+def make_system(robot: RobotModel, plant: BallPlant) -> System:
+    """Controller and MPC of a plant that rests in its equilibrium, with that as their goal."""
+    settings, arm = mpc_settings(barrier_mu=3e-2), robot.home[robot.state["arm"]]
+    home, torque = robot.base.numeric.equilibrium(arm)
+    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
+    mpc.reference["body"] = Reference.constant(robot.home)
+    mpc.reference["twist"] = Reference.constant(np.zeros(6))
+    mpc.reference["torque"] = Reference.constant(torque)
+    mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
+    timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
+    controller = BallController(robot, mpc, torque, timing.period, DRIVE_LAG)
+    controller.leaning = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
+    mpc.reset(home, torque)
+    return System(plant, controller, mpc, timing)

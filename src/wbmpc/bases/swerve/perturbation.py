@@ -1,0 +1,33 @@
+"""Which perturbations the plant of swerve robots reads."""
+
+from __future__ import annotations
+
+from wbmpc.simulation.perturbation import Perturbation
+
+#: Settings of :class:`Perturbation` that this plant reads.
+READS = frozenset(
+    {
+        "mass", "inertia", "com", "joint_offset", "steer_zero", "wheel_radius", "wheel_radius_each",
+        "drive_lag", "drive_lag_spread", "joint_loss", "brake_delay", "friction", "encoder_jitter",
+        "encoder_counts", "arm_counts", "steer_noise", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
+        "accel_bias", "accel_walk", "payload", "load", "slope", "brake_fault", "brake_fault_leg",
+        "brake_fault_time",
+    }
+)  # fmt: skip
+_SENSORS = (
+    "is for ball robots only; a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', "
+    "'plant.gyro_noise'"
+)
+_DRIVES = "is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
+#: What a swerve robot has in the place of others.
+INSTEAD = {
+    "cables": "is for ball robots only; swerve-drive and swerve-plaster have their own",
+    "spin_friction": "is for ball robots only; a swerve robot's wheels hold the floor by 'plant.friction' alone",
+    **dict.fromkeys(("dead_time", "wheel_spring", "arm_spring"), _DRIVES),
+    **dict.fromkeys(("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"), _SENSORS),
+}
+
+
+def check_perturbation(perturbation: Perturbation) -> None:
+    """Raise :class:`InputError` for a setting that this plant does not read."""
+    perturbation.check_read(READS, "is for ball robots only", INSTEAD)

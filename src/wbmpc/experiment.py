@@ -1,0 +1,182 @@
+"""What an experiment is, and the one way in which experiments are run, recorded and reported.
+
+An experiment is data and a few lines. Its settings and a seed make a :class:`Scenario`: parts that are run one after another
+(mostly one :class:`Loop` of plant, controller and MPC), what they record, and what is measured and drawn of the record::
+
+    def build(settings: MySettings, seed: int) -> Scenario:
+        ...
+        log = Log()
+        loop = Loop(plant, controller, mpc, timing, duration, record)
+        return Scenario.single(log, loop.run, metrics, plots, IDEALISATIONS)
+
+    EXPERIMENT = Experiment.of("my-task", "what it shows", MySettings, build)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from pydantic import BaseModel
+
+from wbmpc.errors import InputError
+from wbmpc.log import Log
+from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
+from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A name, a line about it, its settings and ``run(settings, seed, progress)``.
+
+    The name is that of the run's directory too: letters, digits, dots, dashes and underscores. Raises :class:`InputError` for
+    another one.
+    """
+
+    name: str
+    summary: str
+    config_type: type[BaseModel]
+    run: Callable[..., RunResult]
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise InputError(f"experiment '{self.name}': valid in a name: letters, digits, '.', '-' and '_'")
+
+    @classmethod
+    def of(
+        cls, name: str, summary: str, config_type: type[BaseModel], build: Callable[[Any, int], Scenario]
+    ) -> Experiment:
+        """An experiment whose settings and seed make a scenario."""
+        return cls(name, summary, config_type, partial(run_scenario, name, build))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a part ended, the faults that it found in its robot, its controller, and the MPC whose solves the report counts (None:
+    they do not count, or there are none)."""
+
+    ending: Ending = field(default_factory=Ending)
+    faults: Sequence[str] = ()
+    controller: Any = None
+    mpc: MPC | None = None
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A closed loop in virtual time: plant, controller and MPC (None: nothing plans) for ``duration`` [s].
+
+    ``record(t, command, plans)`` is called once per controller period, before the command acts.
+    """
+
+    plant: Any
+    controller: Any
+    mpc: MPC | None
+    timing: Timing
+    duration: float
+    record: Callable[[float, Any, PolicyQueue], None]
+
+    def run(self, progress: Progress | None = None) -> Outcome:
+        """Run it to its end, or as far as it gets."""
+        ending = run_lockstep(self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress)
+        return Outcome(ending, list(self.controller.faults), self.controller, self.mpc)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of an experiment: ``run(progress)`` makes what it needs and runs it. Its name stands before its faults.
+
+    ``baseline``: its failure is reported as a fault and does not fail the run.
+    """
+
+    name: str
+    run: Callable[[Progress | None], Outcome]
+    baseline: bool = False
+
+
+@dataclass
+class Run:
+    """What has been run so far: outcomes by part, how the whole ended, faults."""
+
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    ending: Ending = field(default_factory=Ending)
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def controller(self) -> Any:
+        """Of the last part."""
+        return list(self.outcomes.values())[-1].controller
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
+
+    ``metrics`` and ``plots`` are asked once, after all parts, and only if something was recorded. ``compared``: the parts do the
+    same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end.
+    """
+
+    log: Log
+    parts: Sequence[Part]
+    metrics: Callable[[Run], dict[str, Metric]]
+    plots: Callable[[Run], Sequence[Plot | Drawing]]
+    idealisations: Sequence[str]
+    compared: bool = False
+
+    @classmethod
+    def single(
+        cls,
+        log: Log,
+        run: Callable[[Progress | None], Outcome],
+        metrics: Callable[[Run], dict[str, Metric]],
+        plots: Callable[[Run], Sequence[Plot | Drawing]],
+        idealisations: Sequence[str],
+    ) -> Scenario:
+        """One part, which needs no name."""
+        return cls(log, (Part("", run),), metrics, plots, idealisations)
+
+
+def run_scenario(
+    name: str, build: Callable[[Any, int], Scenario], settings: Any, seed: int, progress: Progress | None = None
+) -> RunResult:
+    """Build a scenario, run its parts and report. A run that ended before its first record has neither metrics nor plots."""
+    scenario = build(settings, seed)
+    run = run_parts(scenario, progress)
+    planners = [o.mpc for o in run.outcomes.values() if o.mpc is not None]
+    statistics = _statistics(planners[-1]) if planners else None
+    if progress is not None and statistics is None:
+        progress(1.0, "")
+    reason = run.ending.reason or (statistics.fault if statistics else "")
+    log = scenario.log
+    metrics, plots = (scenario.metrics(run), list(scenario.plots(run))) if log.channels else ({}, [])
+    return RunResult(
+        name, seed, not reason, reason, metrics, statistics, log, plots, list(scenario.idealisations),
+        settings.model_dump(mode="json"), run.ending.interrupted, run.faults,
+    )  # fmt: skip
+
+
+def _statistics(mpc: MPC) -> MpcStatistics:
+    m = mpc.statistics
+    return MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
+
+
+def run_parts(scenario: Scenario, progress: Progress | None = None) -> Run:
+    """Run the parts in their order, until the user ends one, or one that is not compared with the others fails."""
+    run, parts = Run(), scenario.parts
+    for k, p in enumerate(parts):
+        outcome = run.outcomes[p.name] = p.run(part(progress, k, len(parts), p.name) if p.name else progress)
+        label, end = f"{p.name}: " if p.name else "", outcome.ending
+        run.faults += [f"{label}{fault}" for fault in outcome.faults]
+        if end.reason and p.baseline and not end.interrupted:
+            run.faults.append(f"{label}{end.reason}; nothing is compared with it")
+        elif end.reason and (end.interrupted or not run.ending.reason):
+            run.ending = replace(end, reason=f"{label}{end.reason}") if scenario.compared else end
+        if run.ending.interrupted or (run.ending.reason and not scenario.compared):
+            break
+    return run

@@ -1,0 +1,81 @@
+"""Log lines of one cause, limited in their rate: a flood of bad input must not become a flood of lines."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+#: Causes that are known at a time; of more the oldest is forgotten.
+MOST_CAUSES = 1000
+
+
+@dataclass
+class _Seen:
+    """``since`` [s]: when the period began; lines in it; lines that were left out since the last one that was written."""
+
+    since: float
+    written: int = 0
+    left_out: int = 0
+
+
+class RateLimit:
+    """At most ``lines`` of one cause within ``period`` [s] of ``clock()``; the next line of the cause that is written says how
+    many were left out before it. Thread-safe."""
+
+    def __init__(self, lines: int = 5, period: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.lines, self.period, self.clock = lines, period, clock
+        self._seen: dict[Hashable, _Seen] = {}
+        self._lock = threading.Lock()
+
+    def left_out(self, cause: Hashable) -> int | None:
+        """Count a line of a cause. How many of it were left out before, if this one may be written, else None."""
+        now = self.clock()
+        with self._lock:
+            seen = self._seen.pop(cause, None) or _Seen(now)
+            self._seen[cause] = seen  # the newest is the last
+            if len(self._seen) > MOST_CAUSES:
+                del self._seen[next(iter(self._seen))]
+            if now - seen.since >= self.period:
+                seen.since, seen.written = now, 0
+            if seen.written >= self.lines:
+                seen.left_out += 1
+                return None
+            seen.written += 1
+            left_out, seen.left_out = seen.left_out, 0
+            return left_out
+
+    def log(self, logger: logging.Logger, level: int, cause: Hashable, message: str) -> None:
+        """Write a line, unless there were too many of its cause."""
+        left_out = self.left_out(cause)
+        if left_out is not None:
+            more = f" ({left_out} more of this kind were left out)" if left_out else ""
+            logger.log(level, "%s%s", message, more, stacklevel=2)
+
+
+class RateLimitFilter(logging.Filter):
+    """A filter for a logger or a handler that lets one record of each cause pass per ``interval`` [s] of ``clock``.
+
+    The cause of a record is its logger, its level, its message before the arguments are filled in and the type of its exception.
+    ``brief``: exceptions are named without tracebacks.
+    """
+
+    def __init__(
+        self, interval: float = 5.0, clock: Callable[[], float] = time.monotonic, *, brief: bool = False
+    ) -> None:
+        super().__init__()
+        self.limit, self.brief = RateLimit(1, interval, clock), brief
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record passes; the one that does says how many like it did not."""
+        error = record.exc_info[1] if record.exc_info else None
+        left_out = self.limit.left_out((record.name, record.levelno, str(record.msg), type(error)))
+        if left_out is None:
+            return False
+        text = record.getMessage()
+        if self.brief and error is not None:
+            text, record.exc_info, record.exc_text = f"{text}: {type(error).__name__}: {error}", None, None
+        record.msg, record.args = text + (f" ({left_out} more like this)" if left_out else ""), None
+        return True

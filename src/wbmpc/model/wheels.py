@@ -1,0 +1,90 @@
+"""Steered wheels: where they stand on a base, how fast a motion moves them, and how they roll with it.
+
+Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), equations 1 to 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModuleGeometry:
+    """Numbers of n steered wheels (modules), in the body frame.
+
+    ``hinge`` (n, 2) [m]; ``leg_length`` (n,) from hinge to steer axis [m]; ``leg_heading`` (n,) of the leg and
+    ``wheel_heading`` (n,) of the wheel at zero joint angles [rad]. Fixed legs have their angle in the headings; joint
+    angles and rates of legs have no effect on them.
+    """
+
+    hinge: Array
+    leg_length: Array
+    leg_heading: Array
+    wheel_heading: Array
+    wheel_radius: float
+    has_hinge: bool
+
+    @property
+    def modules(self) -> int:
+        """Number of modules n."""
+        return len(self.hinge)
+
+    def leg_angles(self, leg: ArrayLike) -> Array:
+        """Leg angles (n,) or rates as far as the legs can turn: zero for fixed legs."""
+        return np.broadcast_to(np.asarray(leg, float) * self.has_hinge, self.modules)
+
+    def steer_axes(self, leg: ArrayLike) -> Array:
+        """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""
+        a = self.leg_heading + self.leg_angles(leg)
+        return self.hinge + self.leg_length[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1)
+
+
+def wheel_velocities(geometry: ModuleGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:
+    """Velocities (n, 2) [m/s] of the steer axes in the body frame for a twist (vx, vy, ω) and leg rates (n,)."""
+    s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float)
+    swing = (s - geometry.hinge) * geometry.leg_angles(leg_rate)[:, None]
+    return np.stack([vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]], axis=1)
+
+
+def rolling_inverse_kinematics(
+    geometry: ModuleGeometry, leg: ArrayLike, steer: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0
+) -> tuple[Array, Array]:
+    """Steering angles (n,) [rad] (the branch nearest to ``steer``) and wheel speeds (n,) [rad/s] that roll a motion."""
+    v = wheel_velocities(geometry, leg, twist, leg_rate)
+    steer = np.asarray(steer, float)
+    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+    change = np.arctan2(v[:, 1], v[:, 0]) - heading
+    change = (change + np.pi / 2) % np.pi - np.pi / 2
+    still = np.hypot(v[:, 0], v[:, 1]) < 1e-9
+    target = np.where(still, steer, steer + change)
+    heading = heading + (target - steer)
+    speed = (v[:, 0] * np.cos(heading) + v[:, 1] * np.sin(heading)) / geometry.wheel_radius
+    return target, speed
+
+
+def beyond_range(steer: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
+    """By how much [rad] wheels at angles ``steer`` (..., n) are out of their ranges (n), whichever way round they roll."""
+    low, high = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
+    all_round = high - low >= np.pi
+    middle = np.where(all_round, 0.0, 0.5 * (np.where(all_round, 0.0, low) + np.where(all_round, 0.0, high)))
+    off = np.abs((np.asarray(steer, float) - middle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    return np.where(all_round, 0.0, np.maximum(off - 0.5 * (high - low), 0.0))
+
+
+def aligned_steering(geometry: ModuleGeometry, leg: ArrayLike, steer: ArrayLike) -> Array:
+    """Steering angles (n,) [rad] near ``steer`` that have a common centre: those of the twist that slips least there.
+
+    The twist is the last right singular vector of the side-slip rows; the turn is weighed with the modules' distance.
+    """
+    s, steer = geometry.steer_axes(leg), np.asarray(steer, float)
+    heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+    lever = float(np.sqrt(np.mean(np.sum((s - s.mean(axis=0)) ** 2, axis=1))))
+    c, d = np.cos(heading), np.sin(heading)
+    rows = np.stack([-d, c, (c * s[:, 0] + d * s[:, 1]) / lever], axis=1)
+    twist = np.linalg.svd(rows)[2][-1] / [1.0, 1.0, lever]
+    return rolling_inverse_kinematics(geometry, leg, steer, twist)[0]

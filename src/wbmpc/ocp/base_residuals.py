@@ -1,0 +1,122 @@
+"""Residuals that a base answers (:class:`wbmpc.bases.base.Base`): rolling wheels, braked joints, the support margin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp.symbols import Symbols
+from wbmpc.stability import GRAVITY, Support, counter_clockwise
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
+
+    ``allow_side_slip``: the reference (n) says which wheels may slip sideways (1) while they turn about under a base that goes
+    on, and which may not (0). Raises :class:`InputError` for a base without wheels that a constraint makes roll.
+    """
+
+    robot: RobotModel
+    allow_side_slip: bool = False
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    @property
+    def reference(self) -> int:
+        return self.robot.base.wheels if self.allow_side_slip else 0
+
+    def __post_init__(self) -> None:
+        wheels = self.robot.base.wheels
+        if not wheels:
+            kind = self.robot.description.base.type
+            raise InputError(f"rolling: the wheels of a base of type '{kind}' need no constraint to roll")
+        object.__setattr__(self, "groups", {"rolling": slice(0, wheels), "side": slice(wheels, 2 * wheels)})
+
+    @property
+    def size(self) -> int:
+        return self.groups["side"].stop
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        rows = self.robot.base.rolling(s.x, s.u, s.mode)
+        if not self.allow_side_slip:
+            return rows
+        return ca.vertcat(rows[self.groups["rolling"]], (1.0 - s.reference) * rows[self.groups["side"]])
+
+
+@dataclass(frozen=True)
+class LockedJoints:
+    """Rates [rad/s] of joints where their brake is closed, zero where it is open. Raises :class:`InputError` without brakes."""
+
+    robot: RobotModel
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    reference = 0
+
+    def __post_init__(self) -> None:
+        groups, start = {}, 0
+        for joints in self.robot.base.brakes.values():
+            groups[joints] = slice(start, start := start + len(self.robot.input.groups[joints]))
+        if not groups:
+            raise InputError(f"locked joints: '{self.robot.description.name}' has no brakes")
+        object.__setattr__(self, "groups", groups)
+
+    @property
+    def size(self) -> int:
+        return sum(part.stop - part.start for part in self.groups.values())
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        layouts = self.robot.mode, self.robot.input
+        brakes = self.robot.base.brakes.items()
+        return ca.vertcat(*[(1.0 - s.mode[layouts[0][b]]) * s.u[layouts[1][joints]] for b, joints in brakes])
+
+
+@dataclass(frozen=True)
+class SupportMargin:
+    """Distances [m] of the zero-moment point to the edges of support polygons, positive inside: all to be at least zero.
+
+    ``supports``: groups of modules (indices), each the corners of a convex polygon: a support triangle, or several whose
+    overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
+    Reference: the wrench (6) of the world on the hand, force [N] and moment [N m] in world axes. ``gravity`` (3)
+    [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
+    states say about the inputs' rates (:class:`wbmpc.model.augment.InputRate`; inputs that are no states count as constant).
+    """
+
+    robot: RobotModel
+    supports: Sequence[Sequence[int]] | None = None
+    gravity: tuple[float, float, float] = GRAVITY
+    dynamics: Any = None
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    polygons: tuple[tuple[int, ...], ...] = field(init=False, repr=False)
+
+    reference = 6
+
+    def __post_init__(self) -> None:
+        given = [None] if self.supports is None else list(self.supports)
+        if not given:
+            raise InputError("support margin: supports must name at least one group of modules")
+        polygons = tuple(counter_clockwise(self.robot, feet) for feet in given)
+        groups, start = {}, 0
+        for feet in polygons:
+            groups["-".join(map(str, feet))] = slice(start, start + len(feet))
+            start += len(feet)
+        object.__setattr__(self, "polygons", polygons)
+        object.__setattr__(self, "groups", groups)
+
+    @property
+    def size(self) -> int:
+        return sum(map(len, self.polygons))
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        support = Support(self.robot, s.x)
+        motion = None
+        if self.dynamics is not None:
+            change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
+            rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
+            motion = (s.u, rates[: s.x.shape[0]], rates[s.x.shape[0] :])
+        zmp = support.zmp(support.load(s.reference, self.gravity, motion))
+        return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])

@@ -1,0 +1,114 @@
+"""Experiments by name: those of this package, those of other installed packages, and files that a user wrote.
+
+An experiment is a :class:`wbmpc.experiment.Experiment` somewhere in a module. A package offers its own through the entry-point group
+``wbmpc.experiments``; the built-in ones are listed by :data:`wbmpc.studies.EXPERIMENTS`, so that a source checkout that is not
+installed has them too::
+
+    [project.entry-points."wbmpc.experiments"]
+    my-task = "my_package.my_task:EXPERIMENT"
+
+A file needs no entry: ``wbmpc run my_task.py``.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wbmpc.errors import InputError, WbmpcError, unknown_name
+from wbmpc.experiment import Experiment
+
+GROUP = "wbmpc.experiments"
+#: The module whose ``EXPERIMENTS`` lists the built-in ones: imported by its name when it is asked for, and nowhere else.
+BUILT_IN = "wbmpc.studies"
+
+
+@cache
+def locations() -> dict[str, str]:
+    """Name -> "module:attribute": the built-in experiments in their order, then those of other packages by name.
+
+    The name of a built-in experiment cannot be taken.
+    """
+    built_in: dict[str, str] = import_module(BUILT_IN).EXPERIMENTS
+    others = sorted((point.name, point.value) for point in entry_points(group=GROUP))
+    return {**built_in, **{name: value for name, value in others if name not in built_in}}
+
+
+@cache
+def load(name: str) -> Experiment:
+    """The experiment of a name. Raises :class:`InputError` for an unknown name, or a package whose experiment cannot be imported."""
+    known = locations()
+    if name not in known:
+        raise unknown_name("experiment", name, known)
+    module, _, attribute = known[name].partition(":")
+    try:
+        found = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"experiment '{name}': {known[name]} cannot be imported: {error}") from error
+    return _checked(found, f"experiment '{name}': {known[name]}")
+
+
+def load_file(path: Path) -> Experiment:
+    """The experiment of a Python file: its ``EXPERIMENT``.
+
+    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no ``EXPERIMENT``.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file '{path}'")
+    return _checked(getattr(_imported(path), "EXPERIMENT", None), f"{path}: EXPERIMENT")
+
+
+def _imported(path: Path) -> ModuleType:
+    """The module of a file; files beside it can be imported by it."""
+    name = f"wbmpc_experiment_{re.sub('[^A-Za-z0-9]', '_', str(path.resolve()))}"
+    spec = spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[name] = module  # annotations that are text are looked up there
+    beside = str(path.resolve().parent)
+    sys.path.insert(0, beside)
+    try:
+        spec.loader.exec_module(module)
+    except WbmpcError:
+        raise
+    except Exception as error:
+        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise InputError(f"{path}{line}: cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(beside)
+    return module
+
+
+def _checked(found: Any, where: str) -> Experiment:
+    if not isinstance(found, Experiment):
+        raise InputError(f"{where}: a wbmpc.experiment.Experiment is needed, got {type(found).__name__}")
+    return found
+
+
+class Registry(Mapping[str, Experiment]):
+    """All experiments that are installed, each imported when it is asked for."""
+
+    def __getitem__(self, name: str) -> Experiment:
+        if name not in locations():
+            raise KeyError(name)
+        return load(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(locations())
+
+    def __len__(self) -> int:
+        return len(locations())
+
+    def __contains__(self, name: object) -> bool:
+        return name in locations()
+
+
+REGISTRY = Registry()

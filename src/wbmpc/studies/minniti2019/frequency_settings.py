@@ -1,0 +1,79 @@
+"""Settings of `rezero-frequency`."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
+from wbmpc.settings import Settings, Weight
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.settings import RezeroSettings
+
+VARIANTS = ("plain", "shaped")
+#: Shorter steps [m] are not told from the hand's noise.
+LEAST_STEP = 0.01
+#: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
+ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, drive_lag=0.0)
+
+
+class FilterSettings(Settings):
+    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
+    torques' weights with the filter, so that the hand rises as fast as without."""
+
+    wheel_zero: float = Field(20.0, gt=0)
+    wheel_pole: float = Field(160.0, gt=0)
+    arm_zero: float = Field(20.0, gt=0)
+    arm_pole: float = Field(160.0, gt=0)
+    wheel_weight: Weight = 1.0
+    arm_weight: Weight = 1.0
+
+
+class RezeroFrequencySettings(RezeroSettings):
+    """``step`` (3) [m] of the hand and back, ``settle`` [s] before it, ``hold`` [s] of each; ``filters`` of the shaped variant;
+    ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
+
+    plant: Perturbation = ELASTIC
+    cost: RezeroCost = STEPS_AND_PUSHES
+    drive_lag: float = Field(0.006, ge=0, le=0.5)
+    filters: FilterSettings = FilterSettings()
+    step: tuple[float, float, float] = (0.2, 0.0, 0.0)
+    settle: float = Field(3.0, ge=0.5, le=60.0)
+    hold: float = Field(5.0, ge=1.0, le=60.0)
+    preview: bool = True
+    variants: tuple[str, ...] = VARIANTS
+
+    unused: ClassVar[tuple[str, ...]] = (
+        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "brace", "pushed_speed", "drive_dead_time",
+    )  # fmt: skip
+
+    def idle(self) -> dict[str, str]:
+        filters = [f"filters.{name}" for name in FilterSettings.model_fields]
+        return super().idle() | ({} if "shaped" in self.variants else dict.fromkeys(filters, "variants=[plain]"))
+
+    @field_validator("step")
+    @classmethod
+    def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        length = float(np.linalg.norm(value))
+        if not LEAST_STEP <= length <= 1.0:
+            raise ValueError(f"a step of {LEAST_STEP:g} to 1 m is needed: its rise is measured")
+        return value
+
+    @model_validator(mode="after")
+    def _rest_before(self) -> Self:
+        if self.preview and self.settle < self.mpc.horizon:
+            raise ValueError(
+                f"settle: {self.settle:g} s before a step that is seen {self.mpc.horizon:g} s ahead (mpc.horizon): at least "
+                "as long, or preview=false"
+            )
+        return self
+
+    @field_validator("variants")
+    @classmethod
+    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if not value or not set(value) <= set(VARIANTS) or len(set(value)) < len(value):
+            raise ValueError(f"valid: some of {', '.join(VARIANTS)}, each once")
+        return value

@@ -1,0 +1,101 @@
+"""Settings of `swerve-drive`, its ways, and the knock of a leg."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import RobotModel
+from wbmpc.settings import ExperimentSettings
+from wbmpc.stability import leg_angles
+from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
+
+#: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
+KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
+
+
+class SwerveDriveSettings(ExperimentSettings):
+    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard`` (MPC), ``odd_wheels`` (MPC and rival): see
+    :class:`wbmpc.bases.swerve.controller.SwerveController`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
+    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
+    :class:`wbmpc.studies.pankert2022.rolling.RollingController`)."""
+
+    # by runs on seed 0, looked at on seed 5
+    cost: SwerveCost = SwerveCost(
+        hand=HandCost(weight=0.0, orientation=0.0),
+        state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),
+        input=InputCost(base=5.0, steer=0.002),
+    )
+    robot: str = "swerve-ur10"
+    use_gyro: bool = True
+    odd_wheels: bool = False
+    rest: float = Field(20.0, ge=0, le=120)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    leg_guard: bool = True
+    # of a search that benchmarks/rivals.py does, of which only a part was run
+    rival_base_gain: float = Field(8.0, ge=0, le=50)
+    rival_leg_gain: float = Field(8.0, ge=0, le=50)
+    rival_steer_gain: float = Field(40.0, gt=0, le=100)
+    rival_lead: float = Field(0.0, ge=0, le=0.5)
+    rival_look_ahead: float = Field(0.0, ge=0, le=5)
+
+
+def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
+    """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
+    h, x, a = (leg_angles(robot, name) for name in "HXA")
+    quarter, end = 0.5 * np.pi, 18.0
+    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
+    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
+    way = (
+        Leg(1.0, 61.5, (end, 0.0, 0.0)),
+        Leg(20.0, 10.0, (end, 0.0, -quarter)),
+        Leg(30.0, 18.0, (end, 0.0, quarter)),
+        Leg(48.0, 10.0, (end, 0.0, 0.0)),
+    )
+    turns = (
+        Reconfiguration(15.0 + delay, x),
+        Reconfiguration(31.0, a),
+        Reconfiguration(40.0, x),
+        Reconfiguration(54.0, h),
+    )
+    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
+
+
+def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
+    """1.5 m ahead with a quarter turn of 0.3 rad in one configuration, brakes open or closed."""
+    brakes = ((0.5, 1.0),) if is_open else ()
+    return Mission((Leg(1.0, 8.0, (1.5, 0.2, 0.3)),), leg_angles(robot, name), (), brakes), 10.0
+
+
+@dataclass
+class Knock:
+    """Pushes the left front leg inwards from ``start`` [s] until it has gone by 5°."""
+
+    start: float
+    plant: SwervePlant
+    offset: float
+    module: int
+    dof: int = field(init=False)
+    at: float = field(init=False, default=np.nan)
+    done: float = field(init=False, default=np.nan)
+
+    def __post_init__(self) -> None:
+        joint = self.plant.model.joint(self.plant.base.modules[self.module].hinge or "")
+        self.dof, self._place = int(joint.dofadr[0]), int(joint.qposadr[0])
+
+    def __call__(self, m: mujoco.MjModel, d: mujoco.MjData) -> None:
+        t = self.plant.time - self.offset
+        angle = float(d.qpos[self._place])
+        if t < self.start or not np.isnan(self.done):
+            d.qfrc_applied[self.dof] = 0.0
+            return
+        if np.isnan(self.at):
+            self.at = angle
+        d.qfrc_applied[self.dof] = -KNOCK_TORQUE if abs(d.qvel[self.dof]) < KNOCK_SPEED else 0.0
+        if abs(angle - self.at) >= KNOCK or t > self.start + 1.0:
+            self.done = t

@@ -1,0 +1,94 @@
+"""Settings of `swerve-fixed`, and the motions that the base is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.settings import ExperimentSettings
+from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
+from wbmpc.studies.pankert2022.directions import refuse_directions
+
+Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
+SEGMENTS: dict[Name, Segment] = {
+    "forward": Segment((0.4, 0.0, 0.0), 6.0),
+    "sideways": Segment((0.0, 0.4, 0.0), 6.0),
+    "diagonal": Segment((0.3, -0.3, 0.0), 6.0),
+    "turning": Segment((0.0, 0.0, 0.5), 6.0),
+    "combined": Segment((0.3, 0.15, 0.3), 8.0),
+}
+#: Rest before the first segment and between segments, ramp of each [s].
+START, PAUSE, RAMP = 1.0, 2.0, 1.0
+
+
+class SwerveFixedSettings(ExperimentSettings):
+    """``motions``: which, in this order, each once at most; ``random`` [s] of random twists after them (600 is the ten minutes of
+    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``rest`` [s] of standing first, for the gyro's bias;
+    ``drive_lag`` [s] that the MPC's controller assumes."""
+
+    cost: SwerveCost = SwerveCost(
+        hand=HandCost(weight=0.0, orientation=0.0),
+        state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
+        input=InputCost(base=5.0),
+    )
+    robot: str = "swerve-fixed-ur10"
+    motions: tuple[Name, ...] = tuple(SEGMENTS)
+    random: float = Field(60.0, ge=0, le=3600)
+    speed: float = Field(0.5, gt=0, le=1.0)
+    yaw_rate: float = Field(0.4, ge=0, le=1.0)
+    rest: float = Field(20.0, ge=0, le=120)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+    @model_validator(mode="after")
+    def _something_to_compare(self) -> Self:
+        """A base that is asked nothing compares no controllers; of a motion twice the figures would be of the second alone."""
+        if not self.motions and self.random == 0.0:
+            raise ValueError("motions: none is left, and random is 0: there is nothing to follow")
+        twice = [name for k, name in enumerate(self.motions) if name in self.motions[:k]]
+        if twice:
+            raise ValueError(f"motions: '{twice[0]}' stands there twice; valid: each once at most")
+        return self
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motions one after another, then random ones from where they end; ``spans`` [s] by name."""
+
+    path: BasePath
+    spans: dict[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, settings: SwerveFixedSettings, seed: int) -> Motion:
+        first, times = in_turn([SEGMENTS[n] for n in settings.motions], START, PAUSE, RAMP)
+        spans: dict[str, tuple[float, float]] = dict(zip(settings.motions, times, strict=True))
+        twists = first.twists
+        if settings.random > 0.0:
+            more = random_twists(settings.random, settings.speed, settings.yaw_rate, seed)
+            spans["random"] = (float(first.times[-1]), float(first.times[-1] + settings.random))
+            twists = np.vstack([twists[:-1], more.twists])
+        return cls(BasePath.of(np.vstack([twists, np.zeros((100, 3))])), spans)
+
+    def set(self, mpc: MPC, robot: RobotModel) -> None:
+        t = self.path.times[::2]
+        legs = np.tile(legs_at_home(robot), (t.size, 1))
+        refuse_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
+        states = np.tile(robot.home, (t.size, 1))
+        states[:, robot.state["base"]] = self.path.poses[::2]
+        inputs = np.zeros((t.size, robot.input.size))
+        inputs[:, robot.input["base"]] = self.path.twists[::2]
+        mpc.reference["state"] = Reference(t, states)
+        mpc.reference["input"] = Reference(t, inputs)
+        position, orientation = robot.pose(robot.home)
+        mpc.reference["hand"] = Reference.poses(np.zeros(1), position[None], orientation[None])
+
+
+def legs_at_home(robot: RobotModel) -> np.ndarray:
+    """Leg angles (n) [rad] at which hinged legs are held; 0 for fixed ones."""
+    return robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(robot.base.geometry.modules)

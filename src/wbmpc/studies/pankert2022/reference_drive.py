@@ -1,0 +1,191 @@
+"""A short reference drive with global poses, from which the wheels are calibrated.
+
+No MPC: between strokes the base stands and the wheels turn to the next direction, then they roll. On hinged legs the straight
+strokes go with open brakes: the legs give way to wheels that point beside their way, and their encoders show it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.swerve.brake_control import FLOATING, floating
+from wbmpc.bases.swerve.calibration import calibrate
+from wbmpc.bases.swerve.calibration_log import WheelLog, record_of, steer_joints
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.errors import RunAborted
+from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
+from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
+from wbmpc.simulation.lockstep import Progress, watched
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.pankert2022.directions import refuse_directions
+
+
+class SwerveCalibrateSettings(Settings):
+    """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first;
+    ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
+
+    robot: str = "swerve-ur10"
+    speed: float = Field(0.4, ge=0.02, le=0.8)
+    stroke: float = Field(2.0, gt=0, le=20)
+    turn: float = Field(np.pi, gt=0, le=7)
+    pause: float = Field(0.5, ge=0, le=60)
+    rounds: int = Field(1, ge=1, le=20)
+    rest: float = Field(5.0, ge=0, le=120)
+    open_brakes: bool = True
+    localisation: LocalisationSettings = LocalisationSettings()
+    control: ControlSettings = ControlSettings()
+    plant: Perturbation = Perturbation()
+
+
+#: Directions of the straight strokes, in the body.
+STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+#: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
+STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
+#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s], and at
+#: least so long after brakes have opened.
+LEG_GAIN, OPENING, SURE = 2.0, 0.4, 0.3
+
+
+class _Phase(NamedTuple):
+    """``length`` [s] with the wheels at about ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both
+    ends (0: standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed."""
+
+    length: float
+    steer: np.ndarray
+    twist: np.ndarray
+    ramp: float
+    brake: np.ndarray
+
+    def share(self, t: float) -> float:
+        """Speed over full speed at ``t`` [s] of this phase."""
+        rise = lambda s: 0.5 - 0.5 * np.cos(np.pi * min(max(s / self.ramp, 0.0), 1.0)) if self.ramp > 0.0 else 0.0
+        return float(rise(t) * rise(self.length - t))
+
+
+def _strokes(geometry: ModuleGeometry, leg: np.ndarray, s: SwerveCalibrateSettings) -> list[tuple[np.ndarray, float]]:
+    """Body twists (3) of the strokes, whose fastest wheel has the speed asked for, and their lengths [s] at full speed.
+
+    With closed brakes no drive with these leg angles shows more of the zeros than their sum and their sums weighed with the
+    wheels' places (docs/explanation/swerve.md): more directions would only repeat it.
+    """
+    out = [(np.array([x, y, 0.0]) * s.speed, s.stroke / s.speed) for x, y in STRAIGHT]
+    axes = geometry.steer_axes(leg)
+    middle = axes.mean(axis=0)
+    rate = s.speed / float(np.max(np.linalg.norm(axes - middle, axis=1)))
+    turn = rate * np.array([middle[1], -middle[0], 1.0])
+    return [*out, (turn, s.turn / rate), (-turn, s.turn / rate)]
+
+
+def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
+    geometry, home = robot.base.geometry, robot.state.split(robot.home)
+    leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
+    part = robot.state["steer"]
+    least, most = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
+    closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
+    phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
+    opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
+    legs = np.tile(leg, (len(strokes), 1))
+    refuse_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
+    for k, (twist, length) in enumerate(strokes * s.rounds):
+        target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
+        target = target - np.pi * (target > most) + np.pi * (target < least)
+        turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
+        steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
+        phases += [
+            _Phase(turning + s.pause, steer, twist, 0.0, closed),
+            _Phase(opening * float(brake.max()), steer, twist, 0.0, brake),
+            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp)), brake),
+            _Phase(s.pause, steer, twist, 0.0, closed),
+        ]
+    return phases
+
+
+def _opened(geometry: ModuleGeometry, leg: np.ndarray, stroke: int) -> np.ndarray:
+    """Brakes (n, 1 = open) of a stroke: all but one, which takes turns and holds the base's yaw. Four open legs in X hardly
+    do, and show no more. All closed where there are no brakes, or where the open legs would not hold the base."""
+    brake = np.ones(geometry.modules)
+    brake[stroke % geometry.modules] = 0.0
+    holds = geometry.has_hinge and floating(geometry, leg, brake)[0] >= FLOATING
+    return brake * float(holds)
+
+
+def _rolling(
+    geometry: ModuleGeometry, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steering angles and wheel speeds (n) at ``t`` [s] of a phase; legs (n) that swing are led back to their ``home``.
+
+    By the way and not by time: a wheel that leads its leg would otherwise turn far at low speed. Without it the legs would fold
+    or spread: a wheel that goes before its hinge swings its leg ever farther.
+    """
+    swing = LEG_GAIN * float(np.hypot(*phase.twist[:2])) * phase.brake * (home - leg)
+    steer, wheel = rolling_inverse_kinematics(geometry, leg, phase.steer, phase.twist, swing)
+    return steer, wheel * phase.share(t)
+
+
+def drive(
+    robot: RobotModel,
+    settings: SwerveCalibrateSettings,
+    seed: int,
+    log: Log,
+    progress: Progress | None = None,
+) -> tuple[SwerveController, str]:
+    """The reference drive, recorded in ``log``: the controller with its odometry, and why it ended early (empty: it did not)."""
+    plant = SwervePlant(
+        robot.description, robot.state.split(robot.home), settings.plant, seed,
+        localisation=settings.localisation.source(seed),
+    )  # fmt: skip
+    steps = round(1.0 / settings.control.rate / plant.timestep)
+    period, geometry = steps * plant.timestep, robot.base.geometry
+    agent = SwerveController(robot, plant.truth().pose, period)
+    phases = _phases(robot, settings)
+    swings = any(p.brake.any() for p in phases)
+    wheels, total = WheelLog(log), sum(p.length for p in phases)
+    home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
+    legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
+    with watched(plant, period, total, progress, agent) as tick:
+        for phase in phases:
+            for k in range(round(phase.length / period)):
+                m = plant.measure()
+                agent.measure(m)
+                if agent.monitor is not None:  # open legs give way: nothing is planned for them
+                    agent.watch(plant.time, brake, np.zeros(brake.size))
+                wheels.add(plant.time, m, brake)
+                if len(log.channels) and round(plant.time / period) % 4 == 0:
+                    log.add("base", plant.time, plant.truth().pose)
+                    log.add("base_odometry", plant.time, agent.odometry.pose)
+                    log.add("base_wheels", plant.time, agent.wheels_alone.pose)
+                brake = phase.brake
+                steer, wheel = _rolling(geometry, phase, k * period, agent.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - agent.steer), -STEER_SPEED, STEER_SPEED)
+                command = SwerveCommand(wheel * agent.wheel_scale, turning, arm, brake)
+                tick(plant.time, command)
+                plant.step(command, steps)
+                if plant.fell:
+                    return agent, f"the robot fell at {plant.time:.2f} s"
+    return agent, ""
+
+
+def calibrated(
+    robot: RobotModel, how: str, plant: Perturbation, localisation: LocalisationSettings, seed: int
+) -> WheelCalibration:
+    """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
+    geometry = robot.base.geometry
+    if how == "none":
+        return WheelCalibration.unknown(geometry)
+    if how == "drive":
+        sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
+        log = Log()
+        _, reason = drive(robot, SwerveCalibrateSettings(plant=sound, localisation=localisation), seed, log)
+        if reason:
+            raise RunAborted(f"the reference drive for the calibration: {reason}")
+        return calibrate(geometry, record_of(log))
+    return WheelCalibration.load(how, geometry, steer_joints(robot))

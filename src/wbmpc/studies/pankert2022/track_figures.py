@@ -1,0 +1,89 @@
+"""What `swerve-track` measures and draws."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.paths import nearest_distance
+from wbmpc.result import Metric, Plot, Series
+from wbmpc.studies.pankert2022.metrics import rms, travelled
+from wbmpc.studies.pankert2022.track_references import TrackReferences
+
+#: Groups of joints whose speeds are logged and drawn against their limits.
+SPEEDS = ("leg", "steer", "wheel", "arm")
+#: A drift over a shorter way [m] says nothing.
+LEAST_WAY = 0.1
+
+
+def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
+    t = log.times("hand")
+    use = t >= references.counted
+    reference = log.array("hand_reference")
+    estimated = np.linalg.norm(log.array("hand_odometry") - reference, axis=1)
+    world = np.linalg.norm(log.array("hand") - reference, axis=1)
+    if not use.any():  # the run ended before anything counts
+        estimated, world = (np.full(t.size, np.nan) for _ in range(2))
+        use[-1] = True
+    nearest = nearest_distance(log.array("hand_odometry")[use], references.curve())
+    names = ("base", "base_odometry", "base_wheels", "base_release")
+    base, odometry, wheels, release = (log.array(n) for n in names)
+    way = travelled(base)
+    moved = way if way > LEAST_WAY else float("nan")
+    drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / moved
+    hand_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
+    return {
+        "hand_error_mean_odometry": Metric(float(estimated[use].mean()), "m", paper=0.0167, goal=0.002),
+        "hand_error_max_odometry": Metric(float(estimated[use].max()), "m"),
+        "hand_error_mean_nearest": Metric(float(nearest.mean()), "m", paper=0.0167),
+        "hand_error_mean_world": Metric(float(world[use].mean()), "m", goal=0.020),
+        "hand_orientation_error_max": Metric(float(log.array("hand_rotation")[use].max()), "rad"),
+        "path_length": Metric(
+            hand_travel, "m", paper=20.53 if abs(references.path.arc_length - 20.53) < 0.01 else None
+        ),
+        "base_path_length": Metric(way, "m", paper=15.96 if abs(references.path.length - 15.96) < 0.01 else None),
+        "base_error_rms_world": Metric(rms((odometry - base)[:, :2]), "m"),
+        "odometry_drift_ratio": Metric(drift(odometry), "1", paper=0.161 / 15.96, goal=0.003),
+        "odometry_drift_ratio_wheels": Metric(drift(wheels), "1", paper=0.161 / 15.96),
+        "odometry_drift_ratio_release": Metric(drift(release), "1"),
+        "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
+    }
+
+
+def _speed_ratios(log: Log, robot: RobotModel) -> list[Series]:
+    """By group of joints the largest true speed over its limit."""
+    t, speed = log.times("joint_speed"), np.abs(log.array("joint_speed"))
+    series, start = [], 0
+    for group in (g for g in SPEEDS if g in robot.input):
+        limit = robot.limits.input_upper[robot.input[group]]
+        series.append(Series(group, t, (speed[:, start : start + limit.size] / limit).max(axis=1)))
+        start += limit.size
+    return series
+
+
+def plots(log: Log, robot: Any, mpc: MPC, references: TrackReferences) -> list[Plot]:
+    t, hand, reference = log.times("hand"), log.array("hand"), log.array("hand_reference")
+    estimated, base, odometry = log.array("hand_odometry"), log.array("base"), log.array("base_odometry")
+    curve = references.curve()[::40]
+    axis, name = (2, "z [m]") if references.vertical else (1, "y [m]")
+    solve = 1e3 * np.array(mpc.statistics.solve_times)
+    error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)
+    return [
+        Plot("Hand path and its reference", "x [m]", name, [
+            Series("reference", curve[:, 0], curve[:, axis], dashed=True),
+            Series("hand, estimated frame", estimated[:, 0], estimated[:, axis]),
+            Series("hand, world", hand[:, 0], hand[:, axis]),
+        ], equal_axes=True),
+        Plot("Hand error", "time [s]", "error [mm]", [
+            Series("estimated frame", t, error(estimated)), Series("world", t, error(hand)),
+        ]),
+        Plot("Base path", "x [m]", "y [m]", [
+            Series("true", base[:, 0], base[:, 1]), Series("odometry", odometry[:, 0], odometry[:, 1], dashed=True),
+        ], equal_axes=True),
+        Plot("Joint speeds over their limits", "time [s]", "largest |speed| / limit", _speed_ratios(log, robot)),
+        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
+    ]  # fmt: skip

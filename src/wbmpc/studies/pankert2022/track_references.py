@@ -1,0 +1,106 @@
+"""Settings of `swerve-track`, and where hand and base shall be over time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc import lie
+from wbmpc.bases.swerve.defaults import HandCost, SwerveCost
+from wbmpc.configuration import OnlyWith
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Reference
+from wbmpc.paths import Approach, SinePath
+from wbmpc.settings import ExperimentSettings, LocalisationSettings
+
+#: Length of one period [m] (15.96 m for six) and heights, offsets of the hand's path [m].
+PERIOD_LENGTH, HEIGHT, SIDE, AHEAD = 15.96 / 6, 0.80, 0.65, 0.30
+#: How far [m] to the left of its base the UR10's tool comes at that height and so far ahead, pointing to the left; how far
+#: beyond that the peaks of the variant of that name are.
+REACH, BEYOND = 1.248, 0.030
+#: The tool's axis points to the left of the base.
+HAND_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
+
+
+class SwerveTrackSettings(ExperimentSettings):
+    """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
+    ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
+    (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
+    standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
+    ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
+    ``localisation``; ``drive_lag`` [s] that the controller assumes; ``friction``, ``smoothing``: see
+    :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+
+    cost: SwerveCost = SwerveCost(hand=HandCost(weight=4000.0))
+    robot: str = "swerve-ur10"
+    variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
+    periods: int = Field(6, ge=1, le=20)
+    speed: float = Field(0.255, ge=0.01, le=0.8)
+    amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = Field(0.498, gt=0, le=0.6)
+    use_gyro: bool = True
+    calibration: str = "drive"
+    global_poses: bool = False
+    localisation: Annotated[LocalisationSettings, OnlyWith(global_poses=True, calibration="drive")] = (
+        LocalisationSettings()
+    )
+    friction: bool = True
+    smoothing: float = Field(0.025, ge=0, le=1)
+    rest: float = Field(20.0, ge=0, le=120)
+    drive_lag: float = Field(0.020, ge=0, le=0.5)
+
+
+class TrackReferences:
+    """Hand and base paths over time. The hand first comes from where it is at the robot's home to the path's start."""
+
+    def __init__(self, settings: SwerveTrackSettings, robot: RobotModel) -> None:
+        s = settings
+        amplitude = REACH + BEYOND - SIDE if s.variant == "peaks" else s.amplitude
+        self.vertical = s.variant == "vertical"
+        self.approach = Approach(robot.pose(robot.home), (np.array([AHEAD, SIDE, HEIGHT]), HAND_ORIENTATION))
+        begin = self.approach.duration + 0.5
+        self.path = SinePath(amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=begin, ramp=2.0)
+        self.duration = float(np.ceil((self.path.end + 0.5) * 10.0) / 10.0)
+
+    @property
+    def counted(self) -> float:
+        """From when on errors count [s]: 2 s after the approach."""
+        return self.approach.duration + 2.0
+
+    def hand(self, t: np.ndarray) -> np.ndarray:
+        """Positions (n, 3) [m] of the hand's reference at times t (n,) [s]."""
+        along, across = self.path.point(t)
+        return self._place(along, across) + self.approach.offset(t)[0]
+
+    def orientation(self, t: np.ndarray) -> np.ndarray:
+        """Quaternions (n, 4) of the hand's reference at times t (n,) [s]."""
+        return self.approach.offset(t)[1]
+
+    def _place(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        side, up = (0.0 * across, across) if self.vertical else (across, 0.0 * across)
+        return np.stack([along + AHEAD, SIDE + side, HEIGHT + up], axis=1)
+
+    def curve(self) -> np.ndarray:
+        return self._place(*self.path.curve())
+
+    def base(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position along x [m] and speed [m/s]: the sine's mean line, as fast as the arc goes."""
+        s, rate = self.path.arc(t)
+        share = self.path.length / self.path.arc_length
+        return s * share, rate * share
+
+    def set(self, mpc: MPC, home: np.ndarray, lift: float = 0.0) -> None:
+        """``lift`` [m]: by what the hand goes higher over the model's base than over the floor."""
+        robot_state, robot_input = mpc.ocp.dynamics.state, mpc.ocp.dynamics.input
+        t = np.arange(0.0, self.duration + 0.02, 0.02)
+        mpc.reference["hand"] = Reference.poses(t, self.hand(t) + [0.0, 0.0, lift], self.orientation(t))
+        x, speed = self.base(t)
+        states = np.tile(home, (t.size, 1))
+        states[:, robot_state["base"]] = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
+        mpc.reference["state"] = Reference(t, states)
+        inputs = np.zeros((t.size, robot_input.size))
+        inputs[:, robot_input["base"].start] = speed
+        mpc.reference["input"] = Reference(t, inputs)

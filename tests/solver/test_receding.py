@@ -1,0 +1,196 @@
+"""Shift, sampling and policy. Truth: polynomials, NumPy's and SciPy's interpolation, the plan itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from toys import Rows, ToyDynamics, pendulum, robot
+from wbmpc.mpc.policy import Policy
+from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
+from wbmpc.solver import SQP, Solver
+from wbmpc.solver.receding import align, make_tables, sample_all, shift
+
+
+def shifted(solver: Solver, delta: float) -> None:
+    if solver.settings.backend == "interpreted":
+        solver.twin._shift(delta)
+    else:
+        tables = solver.tables()
+        align(solver.ws.memory, solver.ws.table, *tables, 0.0)
+        shift(solver.ws.memory, solver.ws.table, delta)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("delta", [0.013, 0.2, 0.55, 5.0])
+def test_shift_of_a_linear_trajectory(backend: str, delta: float) -> None:
+    """States are linear between nodes, inputs between the middles of the intervals; the ends hold."""
+    solver = pendulum(backend)
+    grid = solver.ws.grid
+    x = lambda t: np.outer(t, [1.0, -2.0, 0.5, 3.0]) + [0.1, 0.2, 0.3, 0.4]
+    u = lambda t: np.outer(t, [4.0, -1.0]) + [1.0, 2.0]
+    middle = 0.5 * (grid[1:] + grid[:-1])
+    solver.warm_start(x(grid), u(middle))
+    shifted(solver, delta)
+    np.testing.assert_allclose(solver.ws.x, x(np.minimum(grid + delta, grid[-1])), atol=1e-12)
+    np.testing.assert_allclose(solver.ws.u, u(np.minimum(middle + delta, middle[-1])), atol=1e-12)
+
+
+def test_shift_of_a_cubic_is_as_good_as_linear_interpolation() -> None:
+    solver = pendulum()
+    grid = solver.ws.grid
+    x = np.stack([grid**3, grid**2, 1 - grid, np.sin(grid)], axis=1)
+    solver.warm_start(x)
+    shifted(solver, 0.07)
+    want = np.stack([np.interp(grid + 0.07, grid, c) for c in x.T], axis=1)
+    np.testing.assert_allclose(solver.ws.x, want, atol=1e-13)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_shift_of_short_horizons(n: int) -> None:
+    solver = pendulum(n=n)
+    grid = solver.ws.grid
+    solver.warm_start(np.outer(grid, np.ones(4)), np.arange(2.0 * n).reshape(n, 2))
+    shifted(solver, 0.05)
+    np.testing.assert_allclose(solver.ws.x[:, 0], np.minimum(grid + 0.05, grid[-1]))
+    assert np.isfinite(solver.ws.u).all()
+
+
+def quaternions() -> np.ndarray:
+    """Five rotations in w, x, y, z order with arbitrary signs; steps below 0.6 rad and one of zero."""
+    angles = np.array([0.0, 0.5, 0.5, 1.0, 0.6])
+    q = Rotation.from_rotvec(np.outer(angles, [0.6, 0.0, 0.8])).as_quat()[:, [3, 0, 1, 2]]
+    return q * np.array([1, -1, 1, 1, -1])[:, None]
+
+
+TIMES = np.array([0.1, 0.4, 0.5, 0.9, 1.1])
+
+
+def sampled(
+    reference: Reference, t0: float = 0.0, term: str = "hand", schedule: ModeSchedule | None = None
+) -> np.ndarray:
+    model = robot("rezero")
+    ocp = OptimalControlProblem(model.dynamics(), 1.3, 40)
+    ocp.add(Cost("hand", residuals.FramePose(model, "tool")))
+    ocp.add(Cost("twist", residuals.FrameTwist(model, "tool")))
+    solver = SOLVER.setdefault("s", Solver(ocp, SQP(iterations=1)))
+    tables = make_tables(solver.problem, {term: reference}, schedule or ModeSchedule((Mode("m"),)))
+    sample_all(solver.ws.memory, solver.ws.table, *tables, t0)
+    return solver.ws.p[:, solver.problem.node.slices[f"reference.{term}"]].copy()
+
+
+SOLVER: dict[str, Solver] = {}
+GRID = np.linspace(0.0, 1.3, 41)
+
+
+def test_linear_reference_is_numpys_interpolation() -> None:
+    values = np.random.default_rng(0).normal(size=(5, 6))
+    for t0 in (0.0, 0.37, 2.0):
+        got = sampled(Reference(TIMES, values), t0, "twist")
+        want = np.stack([np.interp(t0 + GRID, TIMES, c) for c in values.T], axis=1)
+        np.testing.assert_allclose(got, want, atol=1e-13)
+
+
+def test_pose_reference_is_close_to_slerp() -> None:
+    positions = np.random.default_rng(1).normal(size=(5, 3))
+    got = sampled(Reference.poses(TIMES, positions, quaternions()))
+    want = np.stack([np.interp(GRID, TIMES, c) for c in positions.T], axis=1)
+    np.testing.assert_allclose(got[:, :3], want, atol=1e-13)
+    np.testing.assert_allclose(np.linalg.norm(got[:, 3:], axis=1), 1.0, atol=1e-14)
+    slerp = Slerp(TIMES, Rotation.from_quat(quaternions()[:, [1, 2, 3, 0]]))(np.clip(GRID, 0.1, 1.1))
+    error = (Rotation.from_quat(got[:, [4, 5, 6, 3]]) * slerp.inv()).magnitude()
+    # normalised linear interpolation lags by at most about 0.016 θ³ between samples, and is exact at samples and middles
+    assert error.max() < 0.02 * 0.5**3
+    at = np.isclose(GRID[:, None], [0.1, 0.25, 0.4, 0.45, 0.5, 0.7, 0.9, 1.0, 1.1], atol=1e-3).any(axis=1)
+    assert sampled(Reference.poses(TIMES, positions, quaternions()), 0.25)[0, 3:] @ slerp_at(0.25) > 1.0 - 1e-12
+    assert error[~at].max() > 0.0
+
+
+def slerp_at(t: float) -> np.ndarray:
+    q = Slerp(TIMES, Rotation.from_quat(quaternions()[:, [1, 2, 3, 0]]))(t).as_quat()[[3, 0, 1, 2]]
+    return q * np.sign(q[0])
+
+
+@pytest.mark.parametrize("kind", ["hold", "pose_hold"])
+def test_hold(kind: str) -> None:
+    if kind == "hold":
+        values = np.random.default_rng(0).normal(size=(5, 6))
+        got = sampled(Reference(TIMES, values, "hold"), 0.0, "twist")
+    else:
+        reference = Reference.poses(TIMES, np.arange(15.0).reshape(5, 3), quaternions(), hold=True)
+        values, got = reference.values, sampled(reference)
+    index = np.clip(np.searchsorted(TIMES, GRID + 1e-9, side="right") - 1, 0, 4)
+    np.testing.assert_array_equal(got, values[index])
+
+
+def test_hold_forgives_rounding() -> None:
+    """A sample at 3 · 0.1 s (a little more than 0.3) holds at 0.3 s already."""
+    assert 3 * 0.1 > 0.3
+    got = sampled(Reference([0.0, 3 * 0.1], [[1.0] * 6, [2.0] * 6], "hold"), 0.3, "twist")
+    np.testing.assert_array_equal(got, 2.0)
+
+
+def test_a_jump_between_two_samples_of_the_same_time() -> None:
+    reference = Reference([0.0, 0.65, 0.65, 1.0], [[0.0] * 6, [1.0] * 6, [5.0] * 6, [5.0] * 6])
+    got = sampled(reference, 0.0, "twist")[:, 0]
+    np.testing.assert_allclose(got[GRID < 0.64], GRID[GRID < 0.64] / 0.65, atol=1e-12)
+    np.testing.assert_array_equal(got[GRID > 0.651], 5.0)
+
+
+def test_the_twin_samples_the_same() -> None:
+    a, b = pendulum(), pendulum("interpreted")
+    for s in (a, b):
+        s.run(np.zeros(4), 0.3)
+    np.testing.assert_allclose(a.ws.p, b.ws.p, rtol=0, atol=1e-15)
+
+
+def test_modes_change_at_the_event() -> None:
+    """A node exactly on the event has the new mode; the absolute time decides, not the place on the horizon."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u, mode=1), 1.0, 10)
+    ocp.add(Cost("all", Rows(1, lambda s: s.x), modes=("b",)))
+    solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=False)
+    solver.set_schedule(ModeSchedule((Mode("a", {"m": [3.0]}), Mode("b", {"m": [4.0]})), (10.3,)))
+    for t0, first in ((10.0, 3), (10.1, 2), (10.25, 1), (10.3, 0), (9.0, 11), (12.0, 0)):
+        solver.run(np.zeros(1), t0)
+        want = np.where(np.arange(11) >= first, 4.0, 3.0)
+        np.testing.assert_array_equal(solver.ws.p[:, 0], want)
+        np.testing.assert_array_equal(solver.ws.p[:, 1], want - 3.0)
+
+
+# ---------------------------------------------------------------------- policy
+def plan() -> Policy:
+    r = np.random.default_rng(5)
+    times = 2.0 + np.array([0.0, 0.1, 0.3, 0.6])
+    return Policy(times, r.normal(size=(4, 3)), r.normal(size=(3, 2)), r.normal(size=(3, 2, 3)))
+
+
+def test_policy_on_its_plan_is_the_plan() -> None:
+    p = plan()
+    for k, t in enumerate((2.0, 2.05, 2.1, 2.2, 2.3, 2.59)):
+        u = p.u[[0, 0, 1, 1, 2, 2][k]]
+        np.testing.assert_allclose(p(t, p.state(t)), u, atol=1e-14)
+        np.testing.assert_array_equal(p(t), u)
+        np.testing.assert_array_equal(p.feedforward(t), u)
+
+
+def test_policy_interpolates_states_and_applies_its_gain() -> None:
+    p = plan()
+    np.testing.assert_allclose(p.state(2.15), 0.75 * p.x[1] + 0.25 * p.x[2], atol=1e-14)
+    off = np.array([0.1, -0.2, 0.3])
+    np.testing.assert_allclose(p(2.15, p.state(2.15) + off), p.u[1] + p.gain[1] @ off, atol=1e-14)
+
+
+def test_policy_holds_beyond_its_ends() -> None:
+    p = plan()
+    assert p.end == pytest.approx(2.6)
+    np.testing.assert_array_equal(p.state(0.0), p.x[0])
+    np.testing.assert_array_equal(p.state(9.0), p.x[-1])
+    np.testing.assert_array_equal(p.feedforward(0.0), p.u[0])
+    np.testing.assert_array_equal(p.feedforward(9.0), p.u[-1])
+
+
+def test_feed_forward_is_a_copy() -> None:
+    p = plan()
+    p.feedforward(2.0)[:] = 99.0
+    assert np.abs(p.u).max() < 50.0

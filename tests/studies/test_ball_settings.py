@@ -1,0 +1,254 @@
+"""Settings of the ball robot's experiments. Truth: what each experiment's code reads; asking in vain is an error, not silence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from wbmpc.configuration import configure
+from wbmpc.errors import InputError
+from wbmpc.model.robot import load_robot
+from wbmpc.registry import REGISTRY
+from wbmpc.settings import Settings
+from wbmpc.studies.minniti2019 import circle as rezero_circle
+from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
+from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
+from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.task import BENT_ARM, Task
+
+BALL = [n for n in REGISTRY if n.startswith("rezero-")]
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
+        ("rezero-door", "pushed_speed=1"),
+        ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
+        ("rezero-frequency", "brace=0.1"), ("rezero-door", "brace=0.1"),
+        ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "brace=0.1"), ("rezero-steps", "cost.torque.force=2"),
+    ],
+)  # fmt: skip
+def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> None:
+    with pytest.raises(
+        InputError, match=rf"{name}: --set {given.split('=')[0].removesuffix('.kind')}: this experiment does not use it"
+    ):
+        configure(REGISTRY[name].config_type, [given], name)
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ("controller=lqr brace=0.5", "brace"),
+        ("controller=lqr pushed_speed=1", "pushed_speed"),
+        ("controller=lqr weigh=false", "weigh"),
+        ("controller=lqr tracking.kind=actuators", "tracking.kind"),
+        ("controller=lqr rival.scheduled_lqr.torque=3", "rival.scheduled_lqr"),
+        ("controller=separate drive_dead_time=0.005", "drive_dead_time"),
+        ("tracking.kind=actuators drive_dead_time=0.005", "drive_dead_time"),
+        ("tracking.gains.wheel_damping=0.1", "tracking.gains"),
+        ("rival.lqr.torque=3", "rival.lqr"),
+        ("controller=lqr mpc.horizon=2", "mpc.horizon"),
+        ("controller=scheduled-lqr mpc.limits=soft", "mpc.limits"),
+        ("controller=taskspace mpc.iterations=2", "mpc.iterations"),
+        ("controller=taskspace cost.hand.weight=10", "cost.hand.weight"),
+        ("controller=separate cost.body.ball=5", "cost.body.ball"),
+        ("controller=separate-aware cost.hand.twist=5", "cost.hand.twist"),
+        ("controller=separate mpc.first_interval=0.01", "mpc.first_interval"),
+        ("controller=separate observer=false", "observer"),
+    ],
+)
+def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> None:
+    """What :func:`make_controller` does not hand to the agent that is named."""
+    with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
+        configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "unread", "other"),
+    [
+        ("rezero-steps", "estimator=truth plant.gyro_noise=1e-3", "plant.gyro_noise", "estimator=truth"),
+        ("rezero-steps", "estimator=truth plant.accel_bias=0.1", "plant.accel_bias", "estimator=truth"),
+        ("rezero-steps", "plant.position_noise=0.1", "plant.position_noise", "estimator=filter"),
+        ("rezero-frequency", "plant.rate_noise=0.1", "plant.rate_noise", "estimator=filter"),
+        ("rezero-steps", "mpc.limits=soft cost.speed_slack=3", "cost.speed_slack", "mpc.limits=soft"),
+        ("rezero-steps", "observer=false weigh=false", "weigh", "observer=false"),
+        ("rezero-door", "observer=false weigh=false", "weigh", "observer=false"),
+        ("rezero-door", "scheme.row=false scheme.door_rate=0.1", "scheme.door_rate", "scheme.row=false"),
+        ("rezero-door", "scheme.row=false scheme.baumgarte=3", "scheme.baumgarte", "scheme.row=false"),
+        ("rezero-door", "scheme.cone=false scheme.friction=0.9", "scheme.friction", "scheme.cone=false"),
+        ("rezero-door", "scheme.cone=false scheme.least=2", "scheme.least", "scheme.cone=false"),
+        ("rezero-door", "cost.lean=0 hold=0.9", "hold", "cost.lean=0"),
+        ("rezero-frequency", "variants=['plain'] filters.arm_zero=30", "filters.arm_zero", r"variants=\[plain\]"),
+        ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=free"),
+    ],
+)
+def test_what_another_setting_makes_idle_is_refused(name: str, given: str, unread: str, other: str) -> None:
+    """Each of the two alone is taken."""
+    kind, (*first, last) = REGISTRY[name].config_type, given.split()
+    with pytest.raises(InputError, match=f"{name}: --set {unread}: with {other} nothing uses it"):
+        configure(kind, given.split(), name)
+    configure(kind, first, name)
+    configure(kind, [last] if first else ["estimator=truth", last], name)
+
+
+def leaves(part: Settings, name: str = "cost") -> list[str]:
+    """Names of all numbers in settings."""
+    inside = [(f"{name}.{key}", getattr(part, key)) for key in type(part).model_fields]
+    return [leaf for n, v in inside for leaf in (leaves(v, n) if isinstance(v, Settings) else [n])]
+
+
+def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
+    """Truth: whether its weights are other ones when a number of the costs is."""
+    robot, usual = load_robot("rezero"), RezeroPushHandSettings()
+    before = regulator_weights(robot, usual, RegulatorSettings())
+    names = set(leaves(usual.cost)) - set(RezeroPushHandSettings.unused)
+    for name in names:
+        given = {"cost": usual.cost.model_copy(deep=True)}
+        *path, key = name.split(".")[1:]
+        part = reduce(getattr, path, given["cost"])
+        changed = 0.5 * getattr(part, key) + 0.07
+        object.__setattr__(part, key, changed)  # settings are frozen
+        after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
+        reads = any(
+            not np.array_equal(getattr(before, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
+        )
+        for controller in ("lqr", "scheduled-lqr"):
+            asked = [f"controller={controller}", f"{name}={changed}"]
+            try:
+                configure(RezeroPushHandSettings, asked, "")
+            except InputError as error:
+                assert not reads and f"{name}: with controller={controller} nothing uses it" in str(error)
+            else:
+                assert reads, name
+    assert len(names) == 19
+
+
+@pytest.mark.parametrize("without", ["estimator=truth", "cost.lean=0"])
+def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str) -> None:
+    with pytest.raises(InputError, match=f"brace: with {without} nothing uses it"):
+        configure(RezeroPushHandSettings, ["brace=0.5", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["brace=0", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, [without], "rezero-push-hand")
+
+
+def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt() -> None:
+    with pytest.raises(InputError, match="rezero-push-hand: --set pushed_speed: with observer=false nothing uses it"):
+        configure(RezeroPushHandSettings, ["observer=false", "pushed_speed=1"], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["observer=true", "pushed_speed=1"], "rezero-push-hand")
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("rezero-push-hand", "controller=scheduled-lqr rival.scheduled_lqr.torque=3 drive_dead_time=0.005"),
+        ("rezero-push-hand", "tracking.kind=actuators tracking.gains.wheel_damping=0.1"),
+        ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.005"),
+        ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.005"),
+        ("rezero-taskspace", "mpc.horizon=2 cost.hand.weight=10"),
+        ("rezero-push-hand", "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 observer=false"),
+        ("rezero-push-hand", "controller=separate cost.hand.weight=10 cost.body.arm=2 cost.body.yaw=3"),
+        ("rezero-push-hand", "controller=lqr control.rate=200 mpc.rate=50"),
+        ("rezero-steps", "controller=lqr mpc.horizon=1"),
+    ],
+)
+def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
+    configure(REGISTRY[name].config_type, given.split(), name)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("rezero-push-hand", ["forces=[]"], "forces"),
+        ("rezero-push-ball", ["forces=[-50]"], "forces"),
+        ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-push-hand", ["length=0.003"], "valid: e.g. 0.0025 or 0.005 s"),
+        ("rezero-push-ball", ["length=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
+        ("rezero-door", ["forces=[0]"], "forces"),
+        ("rezero-door", ["forces=[-8]"], "forces"),
+        ("rezero-frequency", ["plant.wheel_spring=0", "plant.wheel_rotor=0.1"], "wheel_rotor: nothing uses it without"),
+        ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
+        ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
+        ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
+        ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: str) -> None:
+    """No pushes, pushes into each other, no step, a step that begins before the run."""
+    with pytest.raises(InputError) as error:
+        configure(REGISTRY[name].config_type, given, name)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_bad_entry_is_told_once() -> None:
+    """Not that a tuple without its only entry is too short as well."""
+    for name, force in (("rezero-push-hand", -10), ("rezero-door", 0)):
+        with pytest.raises(InputError) as error:
+            configure(REGISTRY[name].config_type, [f"forces=[{force}]"], name)
+        assert "forces.0=" in str(error.value) and "at least 1 item" not in str(error.value)
+    with pytest.raises(InputError, match=r"forces=.*at least 1 item"):
+        configure(RezeroPushHandSettings, ["forces=[]"], "rezero-push-hand")
+
+
+@pytest.mark.parametrize("name", BALL)
+def test_defaults_and_what_is_used_are_taken(name: str) -> None:
+    kind = REGISTRY[name].config_type
+    configure(kind, [], name)
+    usual = configure(kind, ["observer=false", "cost.torque.wheel=0.3", "plant.dead_time=0.008"], name)
+    assert usual.cost.torque.wheel == 0.3
+    if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace"):
+        assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller == "lqr"
+
+
+def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
+    robot, settings = load_robot("rezero"), RezeroPushHandSettings()
+    usual = regulator_weights(robot, settings, RegulatorSettings())
+    of = lambda **factors: regulator_weights(robot, settings, RegulatorSettings(**factors))
+    wheels, arm = robot.input["wheel"], robot.input["arm"]
+    torque = usual.torque.copy()
+    torque[wheels], torque[arm] = 3.0 * torque[wheels], 6.0 * torque[arm]
+    assert of(torque=3.0, arm=2.0).torque == pytest.approx(torque)
+    state, held = usual.state.copy(), of(posture=5.0)
+    for group in ("arm", "arm_velocity"):
+        assert state[robot.state[group]].min() > 0.0
+        state[robot.state[group]] *= 5.0
+    assert held.state == pytest.approx(state)
+    assert np.array_equal(replace(held, state=usual.state).torque, usual.torque)
+    assert of(hand=0.1).hand == pytest.approx(0.1 * usual.hand)
+
+
+@pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
+def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
+    given: list[Task] = []
+    module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]
+    monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: given.append(task))
+    short = {
+        "rezero-wholebody": ["settle=0.5", "move=0.5", "hold=1"],
+        "rezero-circle": ["settle=0.5", "lap=1", "rounds=1"],
+    }
+    settings = configure(REGISTRY[name].config_type, ["controller=lqr", *short[name]], name)
+    module.build(settings, 0)
+    robot, body = load_robot("rezero"), given[0].references["body"]
+    home = robot.pose(robot.base.numeric.equilibrium(BENT_ARM)[0])[0]
+    for t in (0.0, 0.75, 1.0, 1.7):
+        x = body.at(t)
+        ball, hand = np.zeros(2), home
+        if name == "rezero-circle":
+            ball = rezero_circle.ball_path(settings, np.array([t]))[0]
+        else:
+            times, places = rezero_wholebody.hand_path(settings, home)
+            hand = np.array([np.interp(t, times, places[:, i]) for i in range(3)])
+        assert robot.pose(x)[0] == pytest.approx(hand, abs=1e-3)
+        assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9
+        # it leans as it balances, and its speeds are those of its way
+        lean = robot.base.numeric.equilibrium(x[robot.state["arm"]])[0][3:5]
+        assert x[3:5] == pytest.approx(lean, abs=1e-3)
+        n = robot.base.nq
+        assert (
+            x[n:] == pytest.approx((body.at(t + 0.05)[:n] - body.at(max(t - 0.05, 0.0))[:n]) / 0.1, abs=0.05)
+            or t == 0.0
+        )

@@ -1,0 +1,70 @@
+"""`swerve-fixed`, shortened. Truth: MuJoCo's physics; made-up logs of bases that stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.errors import InputError
+from wbmpc.log import Log
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.pankert2022 import fixed
+from wbmpc.studies.pankert2022.fixed_figures import standstill
+from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
+
+
+@pytest.fixture(scope="module")
+def result():  # type: ignore[no-untyped-def]
+    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
+
+
+def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
+    assert result.reason == ""
+    m = {name: metric.value for name, metric in result.metrics.items()}
+    assert 1e-5 < m["tracking_error_rms_mpc"] < 0.006
+    assert 1e-5 < m["tracking_error_rms_ik"] < 0.03
+    assert m["tracking_error_rms_four_wheel"] > 0.5  # it cannot move sideways
+    assert m["tracking_error_rms_mpc_sideways"] == pytest.approx(
+        m["tracking_error_rms_mpc"], rel=0.2
+    )  # the only motion
+    assert m["longest_standstill"] < 0.5
+
+
+def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
+    """2 m sideways in the world, not only in the odometry."""
+    for name in ("mpc", "ik"):
+        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 2.0, 0.0], atol=0.05)
+        steer = result.log.array(f"steer_{name}")
+        assert np.abs(steer).max() < 3.15
+        assert np.abs(np.diff(steer, axis=0)).max() < 0.2  # turned, not jumped
+
+
+@pytest.mark.parametrize("stopped", [0.0, 1.5])
+def test_standstill_is_seen(stopped: float) -> None:
+    motion = Motion.of(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    log, pose = Log(), np.zeros(3)
+    for t in np.arange(0.0, 8.0, 0.01):
+        moves = not 3.0 <= t < 3.0 + stopped
+        pose = pose + moves * 0.01 * motion.path.twist(t)
+        log.add("base_mpc", t, pose.copy())
+    # in the first ramp the base is asked to move before it has come 0.1 s far
+    assert standstill(log, "mpc", motion) == pytest.approx(max(stopped - 0.1, 0.0), abs=0.12)
+
+
+@pytest.mark.parametrize("name", ["ik", "four_wheel"])
+def test_hinged_legs_stay_where_they_are(name: str) -> None:
+    """Of a robot whose legs could swing: the rivals leave them closed. Truth: rolling straight ahead, legs at home."""
+    settings = SwerveFixedSettings(motions=("forward",), random=0.0)
+    motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
+    agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    home = robot.state.split(robot.home)
+    agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
+    command = agent.command(3.0, PolicyQueue())  # in the midst of the motion
+    assert not command.brake.any() and np.isfinite(command.wheel).all() and np.isfinite(command.steer).all()
+
+
+def test_another_base_is_refused() -> None:
+    with pytest.raises(InputError, match="type 'ball'"):
+        fixed.EXPERIMENT.run(SwerveFixedSettings(robot="rezero"), 0)

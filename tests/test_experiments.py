@@ -1,0 +1,152 @@
+"""How experiments are found: built-in ones, those of other installed packages, files of a user; who may import the studies."""
+
+from __future__ import annotations
+
+import ast
+import json
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from wbmpc import registry
+from wbmpc.cli import main
+from wbmpc.errors import InputError
+from wbmpc.registry import REGISTRY
+from wbmpc.studies import EXPERIMENTS
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "wbmpc"
+OWN = """
+from pydantic import BaseModel
+from wbmpc.experiment import Experiment
+from wbmpc.log import Log
+from wbmpc.result import Metric, RunResult
+
+class Mine(BaseModel):
+    mass: float = 2.0
+
+def run(settings, seed, progress=None):
+    return RunResult("NAME", seed, True, "", {"weight": Metric(9.81 * settings.mass, "N")}, None, Log(), settings=settings.model_dump())
+
+EXPERIMENT = Experiment("NAME", "weighs", Mine, run)
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], None]]:
+    """Installs a package ``their_lab`` of some source that offers one experiment, as pip does: metadata beside the code."""
+
+    def install(name: str, source: str) -> None:
+        (tmp_path / "their_lab.py").write_text(source)
+        metadata = tmp_path / "their_lab-1.0.dist-info"
+        metadata.mkdir(exist_ok=True)
+        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: their-lab\nVersion: 1.0\n")
+        (metadata / "entry_points.txt").write_text(f"[wbmpc.experiments]\n{name} = their_lab:EXPERIMENT\n")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        sys.modules.pop("their_lab", None)
+        registry.locations.cache_clear()
+        registry.load.cache_clear()
+
+    yield install
+    monkeypatch.undo()
+    sys.modules.pop("their_lab", None)
+    registry.locations.cache_clear()
+    registry.load.cache_clear()
+
+
+def test_entry_points_are_the_table() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"]["wbmpc.experiments"] == EXPERIMENTS
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_built_in_experiment_is_found_by_its_name(name: str) -> None:
+    found = REGISTRY[name]
+    assert found.name == name and found.summary
+    found.config_type()  # defaults are valid
+
+
+def test_nothing_outside_of_the_studies_imports_them() -> None:
+    users = []
+    for path in sorted(SOURCE.rglob("*.py")):
+        if "studies" in path.relative_to(SOURCE).parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [f"{'.' * node.level}{node.module or ''}.{a.name}" for a in node.names]
+            users += [f"{path.name}:{node.lineno}" for name in names if "studies" in name.split(".")]  # type: ignore[attr-defined]
+    assert users == []
+
+
+def test_an_installed_package_offers_an_experiment(
+    package: Callable[[str, str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package("their-task", OWN.replace("NAME", "their-task"))
+    assert list(REGISTRY)[-1] == "their-task"
+    out = str(tmp_path / "run")
+    assert main(["run", "their-task", "--set", "mass=3", "--out", out, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["metrics"]["weight"]["value"] == pytest.approx(29.43)
+
+
+def test_a_built_in_name_cannot_be_taken(package: Callable[[str, str], None]) -> None:
+    package("swerve-stability", OWN.replace("NAME", "swerve-stability"))
+    assert REGISTRY["swerve-stability"].config_type.__module__ == "wbmpc.studies.pankert2022.stability"
+
+
+def test_a_package_that_cannot_be_imported_does_not_hide_the_others(
+    package: Callable[[str, str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    package("their-task", "import a_module_that_is_nowhere\n")
+    with pytest.raises(
+        InputError, match=r"their-task.*their_lab:EXPERIMENT cannot be imported.*a_module_that_is_nowhere"
+    ):
+        REGISTRY["their-task"]
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out
+    assert "a_module_that_is_nowhere" in listed and "swerve-track" in listed
+
+
+def test_a_file_is_an_experiment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Run from where it stands, with a module beside it; its files are named after the experiment."""
+    (tmp_path / "beside.py").write_text("GRAVITY = 1.62\n")
+    (tmp_path / "moon.py").write_text(
+        "from beside import GRAVITY\n" + OWN.replace("NAME", "moon").replace("9.81", "GRAVITY")
+    )
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "moon.py", "--seed", "4", "--set", "mass=10", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["experiment"] == "moon" and found["metrics"]["weight"]["value"] == pytest.approx(16.2)
+    assert Path(found["files"]["report"]).parent.name.startswith("moon-seed4")
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (None, "there is no file 'mine.py'"),
+        ("x = 1\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got NoneType"),
+        ("EXPERIMENT = 3\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got int"),
+        ("x = 1\ny = = 2\n", "mine.py, line 2: cannot be imported: SyntaxError"),
+        ("import a_module_that_is_nowhere\n", "mine.py: cannot be imported: ModuleNotFoundError"),
+        ("1 / 0\n", "mine.py: cannot be imported: ZeroDivisionError"),
+        (OWN.replace("NAME", "../mine"), "experiment '../mine': valid in a name: letters"),
+    ],
+)
+def test_a_file_that_is_none_is_bad_input(
+    source: str | None,
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if source is not None:
+        (tmp_path / "mine.py").write_text(source)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "mine.py"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()

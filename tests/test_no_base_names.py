@@ -1,0 +1,72 @@
+"""Generic modules ask the table of base types (:mod:`wbmpc.bases`) and its protocols: none names a base type or a robot."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "wbmpc"
+#: A base type or robot by name, in code or prose. "fixed" and "ball" are words of their own: only as a base they count.
+NAMES = re.compile(
+    r"swerve|rezero|ballbot|mecanum|omnidirectional"
+    r"|\bdifferential[ _-](base|drive|robot)|[\"']differential[\"']"
+    r"|\bball[ _-](base|robot|plant|radius)|[\"']ball[\"']|\bBall[A-Z]|\bBALL_"
+    r"|\bfixed base|FixedBase|type == [\"']fixed[\"']"
+    r"|\bbases\.(ball|fixed|swerve|differential|omnidirectional)\b"
+)
+ROOMS = (
+    "model", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation", "control", "stability", "recording", "view",
+    "ros2", "cli", "robots", "types.py", "compare.py",
+)  # fmt: skip
+#: Modules that still name one. Entries may only be taken out.
+STILL = {
+    "cli/__init__.py", "cli/calibration.py", "compare.py", "recording/observer.py", "ros2/base_adapter.py", "ros2/check.py",
+    "ros2/control.py", "ros2/goals.py", "ros2/joints.py", "ros2/markers.py", "ros2/plants.py", "ros2/settings.py",
+    "view/actuator_load.py", "view/realtime.py", "view/session.py", "view/steering.py",
+}  # fmt: skip
+
+
+def modules() -> list[str]:
+    found = (SOURCE / room for room in ROOMS)
+    files = [f for place in found for f in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
+    return [f.relative_to(SOURCE).as_posix() for f in files]
+
+
+def named(module: str) -> list[str]:
+    """The lines of a module that name a base type or a robot."""
+    lines = (SOURCE / module).read_text().splitlines()
+    return [f"{module}:{i}: {line.strip()}" for i, line in enumerate(lines, start=1) if NAMES.search(line)]
+
+
+@pytest.mark.parametrize("module", [m for m in modules() if m not in STILL])
+def test_a_generic_module_names_no_base_type(module: str) -> None:
+    assert not named(module)
+
+
+@pytest.mark.parametrize("module", sorted(STILL))
+def test_the_list_of_exceptions_shrinks(module: str) -> None:
+    assert (SOURCE / module).is_file() and named(module), f"take {module} out of STILL"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from wbmpc.bases.swerve.model import SwerveBase",
+        'if description.base.type == "ball":',
+        "from wbmpc.bases.ball import residuals",
+        "robot = load_robot('rezero')",
+        '"""A ball robot has none."""',
+    ],
+)
+def test_a_name_is_found(line: str) -> None:
+    assert NAMES.search(line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ['Kind = Literal["fixed", "revolute"]', "a ball of ``mass`` [kg]", "differential equations", "bases.base_type"],
+)
+def test_words_that_are_no_base_type_are_not(line: str) -> None:
+    assert not NAMES.search(line)

@@ -1,0 +1,233 @@
+"""A base type of another package, found by its entry point. Truth: MuJoCo's kinematics of the file; a table without the entry point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pytest
+
+from wbmpc import MPC, Constraint, Cost, Observation, OptimalControlProblem, Reference, bases, residuals, sets
+from wbmpc.bases.base import BaseDescription, System
+from wbmpc.errors import InputError
+from wbmpc.lie import quaternion_to_rotation
+from wbmpc.model.joints import Limits, joint_home, joint_limits
+from wbmpc.model.kinematics import Chain, FramePose, constant
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.model.tree import read_tree
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Footprint
+    from wbmpc.robots import RobotDescription
+
+GROUPS = ("rail", "arm")
+FILE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="beam" pos="0.1 0 0.5">
+      <inertial mass="5" pos="0 0 0" diaginertia="1 1 1"/>
+      <body name="cart">
+        <joint name="slide" type="slide" axis="1 0 0" range="-2 2"/>
+        <inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
+        <body name="link">
+          <joint name="elbow" type="hinge" axis="0 0 1" range="-3 3"/>
+          <inertial mass="1" pos="0.2 0 0" diaginertia="0.1 0.1 0.1"/>
+          <site name="tip" pos="0.3 0 0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+YAML = """
+name: gantry
+model: gantry.xml
+base: {type: rail, body: beam, axis: slide}
+arm: {joints: [elbow], tool: tip}
+home: {elbow: 0.5}
+limits: {velocity: {slide: 0.4, elbow: 1.0}}
+"""
+
+
+class RailDescription(BaseDescription):
+    """A cart on a straight rail: the name of its sliding joint."""
+
+    joint_key: ClassVar[str] = "axis"
+
+    type: Literal["rail"]
+    axis: str
+
+    def joint_groups(self) -> dict[str, list[str]]:
+        return {"rail": [self.axis]}
+
+
+class RailBase:
+    """State and input: the cart's position and speed, and the arm's."""
+
+    def __init__(self, description: RobotDescription, spec: mujoco.MjSpec) -> None:
+        base = description.base
+        self.tree = read_tree(spec, base.body)
+        body = spec.compile().body(base.body)
+        self._position, self._quaternion = body.pos.copy(), body.quat.copy()
+        self.state = {**base.joint_groups(), "arm": list(description.arm.joints)}
+        self.input = self.state
+        self._links = [self.tree.joint(n) for names in self.state.values() for n in names]
+        self.mode: dict[str, list[str]] = {}
+        self.parameters: dict[str, list[str]] = {}
+        self.mode_bounds: dict[str, tuple[float, float]] = {}
+        self.brakes: dict[str, str] = {}
+        self.unit_quaternions: tuple[int, ...] = ()
+        self.footprint: Footprint | None = None
+        self.wheels, self.balances, self.ground, self.body_height = 0, False, 0.0, float(self._position[2])
+
+    def root(self, x: ca.SX) -> FramePose:
+        rotation = constant(quaternion_to_rotation(self._quaternion))
+        return FramePose(constant(self._position), constant(self._quaternion), rotation)
+
+    def chain(self, x: ca.SX) -> Chain:
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root(x))
+
+    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+        return {link: u[k] for k, link in enumerate(self._links)}, ca.SX(3, 1), ca.SX(3, 1)
+
+    def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        return u
+
+    def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
+        return ca.SX(0, 1)
+
+    def constraints(self, robot: RobotModel) -> list[Constraint]:
+        return []
+
+    def limits(self, description: RobotDescription) -> Limits:
+        return joint_limits(self, description, GROUPS, description.limits.velocity, {}, {})
+
+    def home(self, robot: RobotModel) -> np.ndarray:
+        return joint_home(self, robot.description, GROUPS)
+
+
+class RailBaseType:
+    """What another package would have in its plug-in: the description and the model; nothing of simulation."""
+
+    Description = RailDescription
+
+    def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
+        kind = model.joint(description.base.axis).type[0]  # type: ignore[attr-defined]
+        if kind != mujoco.mjtJoint.mjJNT_SLIDE:
+            raise InputError(f"{description.source}: key 'base.axis': a sliding joint is needed")
+
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> RailBase:
+        return RailBase(description, spec)
+
+    def plant(self, robot: RobotModel, perturbation: Any, seed: int) -> Any:
+        raise InputError("a base of type rail has no simulated robot")
+
+    def system(self, robot: RobotModel, seed: int) -> System:
+        raise InputError("a base of type rail has no simulated robot")
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        raise InputError("a base of type rail has no adapter for ROS 2")
+
+
+def forget() -> None:
+    bases._locations.cache_clear()
+    bases.base_type.cache_clear()
+
+
+@pytest.fixture
+def gantry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A robot file of the base type "rail", with an installed package that names its plug-in."""
+    installed = tmp_path / "site" / "rail_bases-1.0.dist-info"
+    installed.mkdir(parents=True)
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: rail-bases\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(f"[wbmpc.bases]\nrail = {__name__}:RailBaseType\n")
+    (tmp_path / "gantry.xml").write_text(FILE)
+    (tmp_path / "gantry.yaml").write_text(YAML)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    forget()
+    yield tmp_path / "gantry.yaml"
+    monkeypatch.undo()
+    forget()
+
+
+def mujoco_tip(x: np.ndarray) -> np.ndarray:
+    model = mujoco.MjModel.from_xml_string(FILE)
+    data = mujoco.MjData(model)
+    data.qpos[:] = x
+    mujoco.mj_forward(model, data)
+    return np.array(data.site("tip").xpos)
+
+
+def test_its_robot_has_the_kinematics_of_the_file(gantry: Path) -> None:
+    robot = load_robot(gantry)
+    assert list(robot.state.names) == ["rail.slide", "arm.elbow"]
+    np.testing.assert_allclose(robot.home, [0.0, 0.5])
+    np.testing.assert_allclose(robot.limits.state_upper, [2.0, 3.0])
+    np.testing.assert_allclose(robot.limits.input_upper, [0.4, 1.0])
+    for x in ([0.0, 0.0], [0.7, -1.1]):
+        np.testing.assert_allclose(robot.pose(x)[0], mujoco_tip(np.array(x)), atol=1e-12)
+
+
+def test_an_mpc_moves_the_rail_to_a_goal_that_the_arm_does_not_reach(gantry: Path) -> None:
+    robot = load_robot(gantry)
+    goal = np.array([1.3, 0.2, 0.5])
+    ocp = OptimalControlProblem(robot.dynamics(), 1.0, 20)
+    ocp.add(Cost("tip", residuals.FramePose(robot, robot.tool), [100.0] * 3 + [0.0] * 3, at="path+terminal"))
+    ocp.add(Cost("input", residuals.Input(robot, reference=None), 0.01))
+    for constraint in robot.base.constraints(robot):
+        ocp.add(constraint)
+    box = sets.Box(robot.limits.input_lower, robot.limits.input_upper)
+    ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), box, hard=True))
+    mpc = MPC(ocp, rate=20.0)
+    mpc.reference["tip"] = Reference.poses([0.0], [goal], [1.0, 0.0, 0.0, 0.0])
+    mpc.reset(robot.home)
+    x, fastest = robot.home.copy(), 0.0
+    for k in range(80):
+        u = mpc.update(Observation(k * 0.05, x))(k * 0.05, x)
+        fastest = max(fastest, abs(u[0]))
+        x = x + 0.05 * u
+    np.testing.assert_allclose(mujoco_tip(x), goal, atol=2e-3)
+    assert 0.39 < fastest <= 0.4 + 1e-6  # a metre at 0.4 m/s
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("axis: slide", "axes: slide"), r"unknown key 'base\.axes'.*base\.axis"),
+        (("axis: slide", "axis: slider"), r"joint \(key 'base\.axis'\).*slider"),
+        (("axis: slide", "axis: elbow"), "every joint once, got 'elbow' twice"),
+        (("type: rail", "type: rails"), r"key 'base\.type': valid: ball, .*fixed, .*rail, .*swerve"),
+    ],
+)
+def test_faults_of_its_section_name_the_key(gantry: Path, change: tuple[str, str], words: str) -> None:
+    gantry.write_text(YAML.replace(*change))
+    with pytest.raises(InputError, match=words):
+        load_robot(gantry)
+
+
+def test_without_the_package_the_type_is_unknown(gantry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    forget()
+    with pytest.raises(InputError, match=r"key 'base\.type': valid: ball") as error:
+        load_robot(gantry)
+    assert "rail" not in str(error.value).removeprefix(str(gantry))
+
+
+def test_a_built_in_type_cannot_be_replaced(gantry: Path) -> None:
+    entries = gantry.parent / "site" / "rail_bases-1.0.dist-info" / "entry_points.txt"
+    entries.write_text(f"[wbmpc.bases]\nfixed = {__name__}:RailBaseType\n")
+    forget()
+    assert type(bases.base_type("fixed")).__module__ == "wbmpc.bases.fixed.plugin"
+
+
+def test_a_plug_in_that_cannot_be_imported_is_named(gantry: Path) -> None:
+    entries = gantry.parent / "site" / "rail_bases-1.0.dist-info" / "entry_points.txt"
+    entries.write_text("[wbmpc.bases]\nrail = no_such_module:RailBaseType\n")
+    forget()
+    with pytest.raises(InputError, match="key 'base': base type 'rail': its plug-in no_such_module:RailBaseType"):
+        load_robot(gantry)
