@@ -6,7 +6,7 @@ A mark is a comment that nobody sees, before the figure and after it:
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
 ``count`` (in how many runs a metric is not 0). Figures come from sites of `wbmpc reproduce` (--site, may be repeated; a later
-one wins) and from tables of `make study` (--study FILE, made with --json). The mark ``commit`` takes the commits that the runs of
+one wins) and from tables of `python benchmarks/seeds.py` (--study FILE, made with --json). The mark ``commit`` takes the commits that the runs of
 the sites are of. Marks without figures keep what they have; ``kept`` of the output lists them.
 """
 

@@ -71,7 +71,7 @@ class TaskspaceSettings(Settings):
 
 
 class RivalsSettings(Settings):
-    """Gains of each rival, found by ``make ball-rivals``: the same search, as many runs, the same tuning seeds."""
+    """Gains of each rival, found by ``python benchmarks/rezero_rivals.py --search all``: the same search, as many runs, the same tuning seeds."""
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
