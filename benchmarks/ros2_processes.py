@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.ros2.bus import Qos, open_node
+from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import planar, read_pose, seconds
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
 
 

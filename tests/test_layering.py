@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "logs", "lie", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "paths", "result",
-    "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "runtime", "estimation", "control",
+    "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
     "simulation", "settings", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip

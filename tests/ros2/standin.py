@@ -13,10 +13,11 @@ from needs import private
 
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.ros2.bus import Qos, open_node
+from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 ROBOT = load_robot("swerve-ur10")
 ENVIRONMENT = {**private(), "ROS_DOMAIN_ID": "45"}

@@ -17,9 +17,10 @@ import pytest
 from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos, open_node
+from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos
 from wbmpc.ros2.multi_type_subscriber import Several
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:

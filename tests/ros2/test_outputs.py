@@ -14,8 +14,9 @@ from needs import MISSING, needs_dds, private
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.ros2.bus import LATCHED, open_node
+from wbmpc.ros2.bus import LATCHED
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.stability import assess
 
 pytestmark = needs_dds

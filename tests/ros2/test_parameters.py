@@ -19,8 +19,8 @@ pytestmark = needs_dds
 if not MISSING:
     from standin import NETWORK, ROBOT, Pair, drive
 
-    from wbmpc.ros2.bus import open_node
     from wbmpc.ros2.control import ControlNode
+    from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import RosSettings
 
 

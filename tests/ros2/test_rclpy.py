@@ -14,7 +14,8 @@ import pytest
 from needs import MISSING, needs_dds, wait_until
 
 from wbmpc.errors import InputError
-from wbmpc.ros2.bus import LATCHED, SENSOR, open_node
+from wbmpc.ros2.bus import LATCHED, SENSOR
+from wbmpc.ros2.opening import open_node
 
 if not MISSING:
     from fake_ros import FakeNode, install, message_class

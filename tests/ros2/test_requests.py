@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds
 
-from wbmpc.ros2.bus import open_node
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:

@@ -53,7 +53,7 @@ def _on_bus(
         _before_all_others(priority)  # threads that are made from now on, those of the bus too, are as this one
 
     from wbmpc.model.robot import load_robot
-    from wbmpc.ros2.bus import open_node
+    from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import load_settings
 
     log = logging.getLogger("wbmpc")

@@ -5,7 +5,7 @@ moves it (:mod:`wbmpc.estimation.wheel_odometry`), the gyro measures the turn of
 are taken in at the time they belong to. The calibration is part of the state because its errors make the drift: they are
 not noise, they last. The lateness is the turn between the moment at which encoders were read and their message: it ends
 with the next message, and a filter that took it for noise of each interval would add it up. Equations and sources:
-docs/explanation/swerve.md.
+docs/explanation.
 """
 
 from __future__ import annotations

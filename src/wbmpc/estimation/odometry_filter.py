@@ -1,6 +1,6 @@
 """Mathematics of :class:`wbmpc.estimation.fused_odometry.FusedOdometry`: its state, one interval on, and what legs and global poses say.
 
-A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). Equations and sources: docs/explanation/swerve.md.
+A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). Equations and sources: docs/explanation.
 """
 
 from __future__ import annotations
