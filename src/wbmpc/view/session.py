@@ -12,6 +12,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
 from wbmpc.bases.ball.settings import BallControllerSettings as RezeroSettings
 from wbmpc.bases.swerve.controller import SwerveController
@@ -137,7 +138,7 @@ def _ball(robot: RobotModel, seed: int) -> tuple[Any, ...]:
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     plant = _plant(robot, seed)
     timing = Timing.of(plant.timestep, _CONTROL, settings.rate, settings.delay)
-    agent = BallController(robot, mpc, torque, timing.period, _LAG)
+    agent = BallController(robot, mpc, torque, timing.period, DriveSettings(_LAG))
     agent.leaning = leaning_of(RezeroSettings(), robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     return plant, agent, mpc, timing

@@ -123,7 +123,7 @@ class DoorAgent(BallController):
         super().measure(measurement)
         assert self.measured is not None
         hand, velocity = self._hand(self.measured.state)
-        acted = self._torques[-1 - self._late() - self.dead]
+        acted = self.sent.acted(self._late())
         self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
