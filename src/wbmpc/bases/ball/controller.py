@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from wbmpc.bases.ball.estimator import BallEstimator
-from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
@@ -88,7 +88,8 @@ class BallController:
         self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed(), self._answered())
+            m, more = measurement, (self._carried(), self._pushed(), self._answered())
+            stop_for(self.forecast.update(m.time, m.state, *more))
 
     def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -228,7 +229,7 @@ class BallController:
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current, self._carried(), self._answered())
+            stop_for(self.forecast.update_plan(plans.current, self._carried(), self._answered()))
         self.feedforward, self.wanted = self._law(
             t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.fall_detection import stop_for
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.mpc.filters import FilterMemory
 from wbmpc.mpc.policy import Policy
@@ -46,7 +47,7 @@ class FrequencyAwareController(BallController):
         """Torques of the feedback policy at the predicted present state; the filters take in what is sent."""
         assert plans.current is not None
         if self.forecast is not None:
-            self.forecast.look(plans.current)
+            stop_for(self.forecast.update_plan(plans.current))
         x = self.state()
         self.feedforward = self.memory.dynamics.acting(
             plans.current.state(t)[x.size :], plans.current.feedforward(t)
