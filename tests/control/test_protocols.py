@@ -18,6 +18,7 @@ from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusAgent, DeferredMonitor
 from wbmpc.control.protocols import Estimator, Fault, Monitor
+from wbmpc.estimation.force import ForceMonitor
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Constructor arguments that a controller may have.
@@ -57,9 +58,15 @@ def found_by_lean(monitor: Monitor) -> object:
     return monitor.update(0.1, x)
 
 
+def found_by_motion(monitor: Monitor) -> object:
+    """A sensor of a hand that touches feels 8 N, the motion says 20 N, for half a second."""
+    return [fault for k in range(200) for fault in monitor.update(0.0025 * k, 0.0025, True, 8.0, 20.0)]
+
+
 @pytest.mark.parametrize(
     ("monitor", "found"),
     [
+        (ForceMonitor(), found_by_motion),
         (FallPredictor(BALL, BALL.home[BALL.state["arm"]]), found_by_lean),
         (BrakeMonitor(["leg"]), found_by_brakes),
         (LegGuard(1), found_by_guard),
