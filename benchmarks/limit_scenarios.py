@@ -15,6 +15,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
@@ -105,7 +106,7 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     plant = BallPlant(robot.description, home, torque, settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.delay)
     estimator = BallEstimator(robot, home)
-    agent = BallController(robot, mpc, torque, timing.period, settings.drive_lag, estimator=estimator)
+    agent = BallController(robot, mpc, torque, timing.period, DriveSettings(settings.drive_lag), estimator=estimator)
     agent.leaning = leaning_of(settings, robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
     rig = Rig(robot, mpc, plant, agent, timing, duration)

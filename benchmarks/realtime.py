@@ -24,6 +24,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
@@ -96,7 +97,9 @@ def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
     robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    agent = BallController(robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, BALL.drive_lag)
+    agent = BallController(
+        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.drive_lag)
+    )
     agent.leaning = leaning_of(BALL, robot, arm)
     return agent
 

@@ -23,6 +23,7 @@ from push_map import gains, settings_with, write_gains
 from rezero_rivals import SPACE, Store, candidate
 
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
 from wbmpc.studies.minniti2019.lqr import LqrController, RegulatorGains
@@ -71,7 +72,9 @@ class ModelledRobot:
         """With these factors of the weights."""
         given, own = RegulatorSettings(**gains), copy.copy(self._gains)
         own.weights = regulator_weights(self.robot, self.settings, given)
-        agent = LqrController(self.robot, self.mpc, self.torque, self.period, self.settings.drive_lag, observer=False)
+        agent = LqrController(
+            self.robot, self.mpc, self.torque, self.period, DriveSettings(self.settings.drive_lag), observer=False
+        )
         agent.regulate(own, lambda t: self.home, scheduled, given.most)
         return agent
 
@@ -113,7 +116,7 @@ class ModelledRobot:
             if t < LENGTH + self.period:
                 force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
                 self.mpc.solver.set_parameters({"disturbance": force})
-            wanted = agent._possible(agent._law(t, x, None)[1])
+            wanted = agent.limits.possible(agent._law(t, x, None)[1])
             torque = torque + blend * (wanted - torque)
             x = agent._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:

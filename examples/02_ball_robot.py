@@ -9,6 +9,7 @@ import wbmpc as wb
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing, run_lockstep
@@ -28,7 +29,7 @@ mpc.reset(home, torque)
 
 plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
 timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.delay)
-agent = BallController(robot, mpc, torque, timing.period, lag=0.02)
+agent = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
 hand: list[np.ndarray] = []
 
 

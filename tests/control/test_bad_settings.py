@@ -13,6 +13,7 @@ from toys import robot
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.tracking import ActuatorGains
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -35,9 +36,9 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
         (lambda: FallPredictor(BALL, NAN * ARM), "'arm' needs 3"),
         (lambda: LeanControl(BALL, ARM, 0.6, 0.0), "leaning: 'speed' must be positive"),
         (lambda: LeanControl(BALL, ARM, NAN, 2.0), "leaning: 'share' must be finite"),
-        (lambda: BallController(BALL, None, np.zeros(6), 0.0, 0.02), "'period' must be positive"),  # type: ignore[arg-type]
-        (lambda: BallController(BALL, None, np.zeros(6), 0.0025, -0.02), "'lag' must not"),  # type: ignore[arg-type]
-        (lambda: BallController(BALL, None, np.full(6, NAN), 0.0025, 0.02), "'torque' needs 6"),  # type: ignore[arg-type]
+        (lambda: BallController(BALL, None, np.zeros(6), 0.0, DriveSettings()), "'period' must be positive"),  # type: ignore[arg-type]
+        (lambda: DriveSettings(lag=-0.02), "'lag' must not"),
+        (lambda: BallController(BALL, None, np.full(6, NAN), 0.0025, DriveSettings()), "'torque' needs 6"),  # type: ignore[arg-type]
         (lambda: SwerveController(SWERVE, np.zeros(3), NAN), "swerve robot's controller: 'period' must be finite"),
         (lambda: TrackingSettings(lag=-1.0), "'lag' must not be negative"),
         (lambda: ActuatorGains(arm_stiffness=np.inf), "arm_stiffness must be at least 0 and finite"),

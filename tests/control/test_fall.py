@@ -7,7 +7,7 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.errors import FallPredicted
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy import Policy
@@ -35,16 +35,16 @@ def test_plans_in_a_row_that_lean_too_far() -> None:
     forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1001)
     for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
         policy = plan(pitch)
-        forecast.look(policy)
-        forecast.look(policy)  # the same one again
+        stop_for(forecast.update_plan(policy))
+        stop_for(forecast.update_plan(policy))  # the same one again
     with pytest.raises(FallPredicted, match="4 plans in a row"):
-        forecast.look(plan(0.6))
+        stop_for(forecast.update_plan(plan(0.6)))
 
 
 def test_what_a_plan_says_later_is_not_looked_at() -> None:
     forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1)
     for _ in range(20):
-        forecast.look(plan(0.6, at=0.2))
+        stop_for(forecast.update_plan(plan(0.6, at=0.2)))
 
 
 def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
@@ -52,11 +52,11 @@ def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
     for pitch, seconds in ((0.2, 1.0), (0.6, 0.045), (0.2, 0.1), (-0.6, 0.045)):
         for _ in range(round(seconds / 0.0025)):
             t += 0.0025
-            forecast.feel(t, leaning(pitch))
+            stop_for(forecast.update(t, leaning(pitch)))
     with pytest.raises(FallPredicted, match=r"for 50 ms it has leant by \d+ mm .* can stop \d+ mm; motors off"):
         for _ in range(4):
             t += 0.0025
-            forecast.feel(t, leaning(-0.6))
+            stop_for(forecast.update(t, leaning(-0.6)))
 
 
 def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
@@ -64,11 +64,11 @@ def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
     still, turning = FallPredictor(ROBOT, ARM), FallPredictor(ROBOT, ARM)
     x = leaning(0.15)
     for k in range(30):
-        still.feel(0.0025 * k, x)
+        stop_for(still.update(0.0025 * k, x))
     x[ROBOT.base.nq + 3] = 2.0
     with pytest.raises(FallPredicted):
         for k in range(30):
-            turning.feel(0.0025 * k, x)
+            stop_for(turning.update(0.0025 * k, x))
 
 
 def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
@@ -79,10 +79,10 @@ def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
     )
     away = np.array(forecast._component(leaning(lean), 0.0, np.zeros(2))).ravel()
     for k in range(20):
-        answered.feel(0.0025 * k, leaning(lean), shift=-0.06 * away / np.linalg.norm(away))
+        stop_for(answered.update(0.0025 * k, leaning(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):
         for k in range(20):
-            forecast.feel(0.0025 * k, leaning(lean))
+            stop_for(forecast.update(0.0025 * k, leaning(lean)))
 
 
 def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
@@ -95,15 +95,15 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
         if forecast._most(leaning(p)[None], 0.0, np.zeros(2)) > 1.1 * forecast.reach
     )
     for k in range(40):
-        forecast.feel(0.0025 * k, leaning(lean), force=(against, 0.0))
+        stop_for(forecast.update(0.0025 * k, leaning(lean), force=(against, 0.0)))
     with pytest.raises(FallPredicted):
         for k in range(40, 80):
-            forecast.feel(0.0025 * k, leaning(lean))
+            stop_for(forecast.update(0.0025 * k, leaning(lean)))
     planned, still = FallPredictor(pushed, ARM), plan(lean, at=0.05)
     u = np.zeros((2, 9))
     u[0, pushed.input["force"]] = [against, 0.0, 0.0]  # the last state of the plan leans no more
     for _ in range(8):
-        planned.look(Policy(still.times, still.x, u, np.zeros((2, 9, 16))))
+        stop_for(planned.update_plan(Policy(still.times, still.x, u, np.zeros((2, 9, 16)))))
     with pytest.raises(FallPredicted):
         for _ in range(8):
-            planned.look(Policy(still.times, still.x, 0.0 * u, np.zeros((2, 9, 16))))
+            stop_for(planned.update_plan(Policy(still.times, still.x, 0.0 * u, np.zeros((2, 9, 16)))))

@@ -10,6 +10,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 
 from wbmpc import lie
 from wbmpc.bases.ball.messages import BallMeasurement
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
@@ -83,7 +84,7 @@ def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGa
 
 def agent(robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float) -> LqrController:
     u = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
-    out = LqrController(robot, None, u, PERIOD, 0.02, observer=False)  # type: ignore[arg-type]
+    out = LqrController(robot, None, u, PERIOD, DriveSettings(0.02), observer=False)  # type: ignore[arg-type]
     out.regulate(gains, lambda t: wanted, scheduled, most)
     return out
 

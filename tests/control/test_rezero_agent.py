@@ -16,6 +16,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.push import DEAD, PushEstimator
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -50,8 +51,8 @@ def feedback_policy(seed: int) -> Policy:
 
 
 def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> BallController:
-    more = {"dead_time": dead * PERIOD}
-    return BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, lag, observer, **more)  # type: ignore[arg-type]
+    drives = DriveSettings(lag, dead * PERIOD)
+    return BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, drives, observer)  # type: ignore[arg-type]
 
 
 def run_ball(
@@ -120,7 +121,7 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
 )
 def test_a_dead_time_that_cannot_be_predicted_over_is_refused(dead: float, said: str) -> None:
     with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
-        BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, 0.02, dead_time=dead)  # type: ignore[arg-type]
+        BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, DriveSettings(0.02, dead))  # type: ignore[arg-type]
 
 
 def test_ball_robot_clips_torques_and_stops_without() -> None:
@@ -233,7 +234,7 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     agent.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
     acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
-    agent._torques.extend([acted, np.zeros(6), np.zeros(6)])
+    agent.sent._torques.extend([acted, np.zeros(6), np.zeros(6)])
     agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
     assert fixed.turning == pytest.approx(agent.robot.base.wheel_torque_map()[2] @ acted[:3])
     agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))

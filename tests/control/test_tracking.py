@@ -11,6 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
@@ -29,7 +30,7 @@ def followed(bleed: float, factor: float, seconds: float) -> tuple[TrackingContr
     """Wheel errors (n, 3) [rad] while a plan rolls along x and the true wheels turn ``factor`` times as fast."""
     still = SimpleNamespace(solver=SimpleNamespace(simulate=lambda x, u, h: x, set_parameters=lambda w: None))
     gains = ActuatorGains(bleed=bleed)
-    agent = TrackingController(BALL, still, np.zeros(6), PERIOD, 0.0, False, gains=gains)  # type: ignore[arg-type]
+    agent = TrackingController(BALL, still, np.zeros(6), PERIOD, DriveSettings(), False, gains=gains)  # type: ignore[arg-type]
     times, plans = np.array([0.0, 100.0]), PolicyQueue()
     plans.add(0.0, Policy(times, np.stack([ROLLING, ROLLING]), np.zeros((1, 6)), np.zeros((1, 6, 2 * N))))
     speed, errors = agent.speeds(ROLLING)[:3], []

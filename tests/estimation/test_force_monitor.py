@@ -77,8 +77,8 @@ def test_a_sensor_that_the_motion_contradicts_is_found(touching: bool, felt: flo
     monitor, told = ForceMonitor(), np.inf
     for k in range(200):
         for _ in range(k == 50):  # once it agrees: the time begins anew
-            monitor.compare(H, touching, felt, felt)
-        if monitor.compare(H, touching, felt, found):
+            monitor.update(k * H, H, touching, felt, felt)
+        if monitor.update(k * H, H, touching, felt, found):
             told = min(told, k * H)
     assert told == (pytest.approx(50 * H + UNFELT_TIME, abs=2 * H) if fault else np.inf)
     assert fault in monitor.fault and bool(fault) == bool(monitor.fault)
@@ -91,7 +91,7 @@ def test_bad_messages_are_refused() -> None:
     with pytest.raises(InputError, match="interval"):
         monitor.judge(0.0, np.zeros(3))
     with pytest.raises(NotFinite, match="force sensor: 'found'"):
-        monitor.compare(H, True, 8.0, np.nan)
+        monitor.update(0.0, H, True, 8.0, np.nan)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * ZERO_MOST, 1.1 * ZERO_MOST])
@@ -120,7 +120,7 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
     monitor, first = ForceMonitor(), np.inf
     for k in range(200):
         swings = found + 1.5 * np.sin(2.0 * np.pi * k * H / 0.05)
-        if monitor.compare(H, k >= 20, felt if k >= 20 else 0.0, swings):
+        if monitor.update(k * H, H, k >= 20, felt if k >= 20 else 0.0, swings):
             first = min(first, (k - 20) * H)
     assert first == (pytest.approx(CONFIRMED, abs=2 * H) if told else np.inf)
     assert bool(monitor.fault) == told and (not told or "that the robot's motion does not" in monitor.fault)

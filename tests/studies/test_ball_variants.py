@@ -14,6 +14,7 @@ from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
@@ -62,7 +63,14 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     plant = BallPlant(robot.description, home, torque, Perturbation(), seed=1)
     timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
     agent = BallController(
-        robot, mpc, torque, timing.period, 0.02, True, BallEstimator(robot, home), FallPredictor(robot, arm)
+        robot,
+        mpc,
+        torque,
+        timing.period,
+        DriveSettings(0.02),
+        True,
+        BallEstimator(robot, home),
+        FallPredictor(robot, arm),
     )
     mpc.reset(home, torque)
     seen: list[tuple[float, float, float, float]] = []

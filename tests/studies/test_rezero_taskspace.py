@@ -12,6 +12,7 @@ import pytest
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import mpc_settings
 from wbmpc.settings import ControlSettings
 from wbmpc.studies.minniti2019 import taskspace as rezero_taskspace
@@ -38,7 +39,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     place, quaternion = ROBOT.pose(HOME)
     goal, gains = place + [0.03, -0.02, 0.02], replace(TaskGains(), balance=1e-9, torque=1e-12)
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
-    agent = TaskSpaceController(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, 0.0)
+    agent = TaskSpaceController(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, DriveSettings())
     x = HOME.copy()
     x[13:16] = [1.0, -1.5, 1.2]
     after, turned = ROBOT.pose(x + np.r_[1e-6 * x[8:], np.zeros(8)])
@@ -57,7 +58,9 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
 def test_torques_of_the_rival_respect_the_limits() -> None:
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
-    agent = TaskSpaceController(ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, 0.0)
+    agent = TaskSpaceController(
+        ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, DriveSettings()
+    )
     torque = agent._solve(0.0, HOME)
     assert np.all(np.abs(torque) <= agent.limit + 1e-9)
     assert np.any(np.abs(torque) > 0.99 * agent.limit)

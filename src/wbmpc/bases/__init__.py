@@ -12,13 +12,9 @@ from __future__ import annotations
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
 
 from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name
-
-if TYPE_CHECKING:
-    from wbmpc.bases.base import BaseType
 
 GROUP = "wbmpc.bases"
 #: Name in a robot file -> "module:attribute" of its plug-in, imported when it is first asked for.

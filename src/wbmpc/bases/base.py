@@ -288,18 +288,8 @@ PARTS = {
 
 
 def lacks(description: RobotDescription, part: str) -> NoReturn:
-    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
-    from wbmpc.bases import available_base_types, base_type
-
-    offered = []
-    for name in available_base_types():
-        try:
-            plugin = type(base_type(name))
-        except InputError:  # a package that cannot be imported
-            continue
-        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
-            offered.append(name)
+    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in."""
     raise InputError(
-        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "
-        f"('{part}'); valid: {', '.join(offered) or 'no base type that is installed'}"
+        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} ('{part}'); "
+        "a robot with a base of another type is needed"
     )

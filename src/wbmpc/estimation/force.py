@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -23,6 +25,17 @@ CONFIRMED, SHARE, MEAN_TIME = 0.15, 0.4, 0.1
 #: What a sensor reads at rest is averaged over this time [s]. It is left as it is up to the first of these [N], what an ordinary
 #: zeroing leaves (0.1 N for each axis); beyond the second the sensor is broken, or something touches it: it is not believed.
 ZERO_TIME, ZERO_LEFT, ZERO_MOST = 0.3, 0.3, 5.0
+
+
+@dataclass(frozen=True)
+class ForceFault:
+    """From ``time`` [s] on a force sensor is not believed: ``str()`` says why."""
+
+    time: float
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.why} ({self.time:.2f} s)"
 
 
 class ForceMonitor:
@@ -76,14 +89,19 @@ class ForceMonitor:
         self._at_rest = np.zeros(3)
         return self.fault
 
-    def compare(self, h: float, touching: bool, felt: float, found: float) -> str:
-        """The ``fault`` after another ``h`` [s] in which the sensor has ``felt`` a push [N] and the motion ``found`` one; of a
-        hand that is not ``touching`` it must only be told that it is pushed."""
+    def update(self, t: float, h: float, touching: bool, felt: float, found: float) -> list[ForceFault]:
+        """What is new at t [s] after another ``h`` [s] in which the sensor has ``felt`` a push [N] and the motion ``found`` one; of
+        a hand that is not ``touching`` it only counts that the motion says it is pushed."""
+        known = self.fault
+        self._compare(h, touching, felt, found)
+        return [ForceFault(t, self.fault)] if self.fault and not known else []
+
+    def _compare(self, h: float, touching: bool, felt: float, found: float) -> None:
         finite("force sensor", felt=felt, found=found)
         apart = abs(felt - found) > UNFELT if touching else found > UNFELT
         self._apart = self._apart + h if apart else 0.0
         if self.fault:
-            return self.fault
+            return
         if self._imagined(h, touching, felt, found):
             self.fault = f"the force sensor feels a touch of {felt:.1f} N that the robot's motion does not"
         elif self._apart >= UNFELT_TIME - 1e-9:
@@ -92,7 +110,6 @@ class ForceMonitor:
                 if touching
                 else f"the hand is pushed by {found:.1f} N that the force sensor does not feel"
             )
-        return self.fault
 
     def _imagined(self, h: float, touching: bool, felt: float, found: float) -> bool:
         """Whether the motion knows hardly anything of a touch that has lasted."""

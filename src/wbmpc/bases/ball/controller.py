@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
 from wbmpc.bases.ball.estimator import BallEstimator
-from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
-from wbmpc.checks import not_negative, numbers, positive, whole
-from wbmpc.errors import InputError, NotFinite, SensorFailure
+from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
+from wbmpc.bases.ball.torque_limits import TorqueLimits
+from wbmpc.checks import numbers, positive
+from wbmpc.errors import NotFinite, SensorFailure
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -28,22 +28,15 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the wanted one by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
-#: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
-_MEMORY, _TICKS = 0.16, 64
-#: A longer dead time [s] is a mistake: no robot stands so long without a command.
-MOST_DEAD_TIME = 0.5
 
 
 class BallController:
     """Prediction, disturbance observer and Riccati policy at the controller's rate.
 
-    ``lag`` [s]: what the controller believes of the drives; ``observer``: whether the disturbance is estimated, and the mass at
-    the hand where the model has it as a parameter;
-    ``estimator``: takes the state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run
-    when the plans, or the lean that is felt, say that the robot will fall. ``dead_time`` [s] between command and drive that the
-    controller believes in (in settings: ``drive_dead_time``), whole periods, at most :data:`MOST_DEAD_TIME`: its commands are
-    for the state in which they will act. Too long a one costs little, too short a one the margin of stability. Raises
-    :class:`InputError` for what is none.
+    ``drives``: what the controller believes of them; its commands are for the state in which they will act. ``observer``: whether
+    the disturbance is estimated, and the mass at the end effector where the model has it as a parameter; ``estimator``: takes the
+    state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run when the plans, or the lean
+    that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``leaning``: lets the robot lean
     against forces that it has learnt (None: as if there were none).
@@ -51,24 +44,15 @@ class BallController:
     """
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, lag: float, observer: bool = True,
-        estimator: BallEstimator | None = None, forecast: FallPredictor | None = None, dead_time: float = 0.0,
+        self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, drives: DriveSettings, observer: bool = True,
+        estimator: BallEstimator | None = None, forecast: FallPredictor | None = None,
     ) -> None:  # fmt: skip
-        positive("ball robot's agent", period=period)
-        not_negative("ball robot's agent", lag=lag)
-        numbers("ball robot's agent", "torque", torque, np.size(torque))
+        positive("ball robot's controller", period=period)
+        numbers("ball robot's controller", "torque", torque, np.size(torque))
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
-        self.limit = robot.limits.input_upper[: torque.size]
-        self._spin = robot.base.wheel_torque_map()[2]
-        self._spin_length = np.linalg.norm(self._spin)
-        self._along = self._spin / self._spin_length
-        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
-        self.dead = whole("drive_dead_time", dead_time, period, "controller periods", least=0)  # the same in ticks
-        if dead_time > MOST_DEAD_TIME:
-            raise InputError(f"drive_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {dead_time:g} s")
-        known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
-        self._torques: deque[np.ndarray] = deque([torque.copy()] * known, maxlen=known)
+        self.limits = TorqueLimits(robot, torque.size)
+        self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
         if observer:
             self.observer = DisturbanceObserver(self._step, robot.base.numeric.mass_matrix, robot.base.nq)
@@ -82,7 +66,7 @@ class BallController:
         self.monitor: EncoderMonitor | None = None
         if estimator is not None:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
-            self.monitor = EncoderMonitor(self._spin.size, robot.state.groups["arm"], stops)
+            self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self.clamped = False
         self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
@@ -104,7 +88,8 @@ class BallController:
         self._feel_shoves(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            self.forecast.feel(measurement.time, measurement.state, self._carried(), self._pushed(), self._answered())
+            m, more = measurement, (self._carried(), self._pushed(), self._answered())
+            stop_for(self.forecast.update(m.time, m.state, *more))
 
     def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -121,8 +106,13 @@ class BallController:
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
         x, rates = self.measured.state, self.robot.state["arm_velocity"]
-        after = self._step(x, self._torques[-1 - self._late() - self.dead], self.period)
+        after = self._step(x, self.sent.acted(self._late()), self.period)
         self._accelerates = (after[rates] - x[rates]) / self.period
+
+    @property
+    def limit(self) -> np.ndarray:
+        """Largest torques (n + m) [N m] of the drives."""
+        return self.limits.limit
 
     @property
     def faults(self) -> list[str]:
@@ -147,7 +137,7 @@ class BallController:
     def _feel_shoves(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
-            self.shoves.update(x, self._torques[-1 - self._late() - self.dead], h, self._step)
+            self.shoves.update(x, self.sent.acted(self._late()), h, self._step)
 
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
@@ -160,7 +150,7 @@ class BallController:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
         observer, n = self.observer, self.robot.base.nq
         assert observer is not None
-        force = self._finite(observer.update(t, x, self._torques[-1 - self._late() - self.dead], h))
+        force = self._finite(observer.update(t, x, self.sent.acted(self._late()), h))
         if self.payload is not None:
             force = observer.force = self.payload.update(x[:n], force, observer.learning * h)
         self.disturbance = force
@@ -199,61 +189,38 @@ class BallController:
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
-        return self._ticks(self.measured.age)
-
-    def _ticks(self, age: float) -> int:
-        return min(round(age / self.period), len(self._torques) - 1 - self.dead)
+        return self.sent.ticks(self.measured.age)
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        return float(self._spin @ self._torques[-1 - self._ticks(age) - self.dead][: self._spin.size])
+        return float(self.limits.spin @ self.sent.acted(self.sent.ticks(age))[: self.limits.spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
         assert self.measured is not None
-        x, late = self.measured.state, self._late()
-        for k in range(late):
-            x = self._step(x, self._torques[k - late - self.dead], self.period)
+        x = self.measured.state
+        for torque in self.sent.since(self._late()):
+            x = self._step(x, torque, self.period)
         return x
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
         x = self.state()
-        for k in range(self.dead):
-            x = self._step(x, self._torques[k - self.dead], self.period)
+        for torque in self.sent.pending():
+            x = self._step(x, torque, self.period)
         return x
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
-        x, torque, dead = self.ahead(), self._torques[-1], self.dead * self.period
+        x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
         for k in range(round((until - t) / self.period)):
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            wanted = self._possible(self._law(t + dead + k * self.period, x, policy)[1])
-            torque = torque + self._blend * (wanted - torque)
+            wanted = self.limits.possible(self._law(t + dead + k * self.period, x, policy)[1])
+            torque = self.sent.follow(wanted, torque)
             x = self._step(x, torque, self.period)
         return Observation(until + dead, x)
-
-    def _possible(self, torque: np.ndarray) -> np.ndarray:
-        """Torques within the drives' limits. Balance comes before yaw: wheels that are clipped one by one would spin the ball.
-
-        What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
-        asked for is taken; what leans is scaled as a whole only where there is none.
-        """
-        n = self._spin.size
-        along, limit = self._along, self.limit[:n]
-        spin = float(along @ torque[:n])
-        lean = torque[:n] - spin * along
-        most = self.robot.description.limits.spin_effort / self._spin_length
-        # spins that wheel i can have beside c lean: -c at_i ± room_i; they overlap if every two of them do, and with ±most
-        at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), most)
-        apart = at[:, None] - at
-        scale = min(1.0, float(np.min((room[:, None] + room) / np.maximum(apart, 1e-12))))
-        at *= scale
-        spin = min(max(spin, float(np.max(-at - room))), float(np.min(-at + room)))
-        wheels = np.clip(scale * lean + spin * along, -limit, limit)  # only rounding is clipped
-        return np.concatenate([wheels, np.clip(torque[n:], -self.limit[n:], self.limit[n:])])
 
     def stop(self) -> BallCommand:
         """No torque."""
@@ -262,9 +229,11 @@ class BallController:
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
-            self.forecast.look(plans.current, self._carried(), self._answered())
-        self.feedforward, self.wanted = self._law(t + self.dead * self.period, self.ahead(), plans.current, acts=True)
-        return self._drive(self._possible(self.wanted))
+            stop_for(self.forecast.update_plan(plans.current, self._carried(), self._answered()))
+        self.feedforward, self.wanted = self._law(
+            t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
+        )
+        return self._drive(self.limits.possible(self.wanted))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
@@ -275,5 +244,5 @@ class BallController:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
         self.clamped = bool(np.any(np.abs(torque - self.wanted) > _ROUNDING * self.limit))
-        self._torques.append(self._torques[-1] + self._blend * (torque - self._torques[-1]))
+        self.sent.send(torque)
         return BallCommand(torque)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.bases.ball.filter import BallFilter, BallGeometry, BallNoise
+from wbmpc.bases.ball.filter import BallFilter
+from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.gap import GAP
 from wbmpc.bases.ball.model import BallBase
 from wbmpc.checks import covariance as checked_covariance

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +16,25 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
 
+@dataclass(frozen=True)
+class Fall:
+    """At ``time`` [s] it is certain that the robot will fall: ``str()`` says why."""
+
+    time: float
+    why: str
+
+    def __str__(self) -> str:
+        return f"the robot will fall: {self.why}; motors off"
+
+
+def stop_for(falls: Iterable[Fall]) -> None:
+    """Raise :class:`FallPredicted` if there is one."""
+    for fall in falls:
+        raise FallPredicted(str(fall))
+
+
 class FallPredictor:
-    """Looks at every new plan of a ball robot's MPC, and at its state, and raises :class:`FallPredicted` when falling is certain.
+    """Monitors every new plan of a ball robot's MPC, and its state: returns a :class:`Fall` when falling is certain.
 
     The lean is a hard limit of the problem, relaxed only where it cannot be held. A plan in which its divergent component goes
     beyond the wheels' reach (times ``share``) within its first ``ahead`` [s] says that the optimiser, with all torques that there
@@ -49,42 +69,42 @@ class FallPredictor:
         self._component = ca.Function("component", [x, mass, hand], [component])
         self._seen: Policy | None = None
 
-    def look(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> None:
-        """Take in the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
+    def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
+        """What follows from the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
         if policy is self._seen:
-            return
+            return []
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
         most = self._most(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
         self._bad = self._bad + 1 if most > self.reach else 0
         if self._bad >= self._plans:
-            raise self._fall(f"{self._plans} plans in a row lean", most)
+            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", most)]
+        return []
 
-    def feel(
+    def update(
         self,
         t: float,
         x: np.ndarray,
         payload: float = 0.0,
         force: ArrayLike = (0.0, 0.0),
         shift: ArrayLike = (0.0, 0.0),
-    ) -> None:
-        """Take in the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
+    ) -> list[Fall]:
+        """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
         ``shift`` (2) [m] of the divergent component."""
         most = self._most(x[None], payload, np.asarray(force, float), shift)
         if most <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
-            raise self._fall(f"for {1e3 * self._seconds:.0f} ms it has leant", most)
+            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", most)]
+        return []
 
     def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
         return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 
-    def _fall(self, who: str, most: float) -> FallPredicted:
-        return FallPredicted(
-            f"the robot will fall: {who} by {1e3 * most:.0f} mm at the centre of mass, and the wheels can stop "
-            f"{1e3 * self.reach:.0f} mm; motors off"
-        )
+    def _fall(self, t: float, who: str, most: float) -> Fall:
+        lean = f"{who} by {1e3 * most:.0f} mm at the centre of mass"
+        return Fall(t, f"{lean}, and the wheels can stop {1e3 * self.reach:.0f} mm")

@@ -8,7 +8,7 @@ of the ball without slip, wheel encoders, and the floor's height. docs/explanati
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +16,11 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
+from wbmpc.bases.ball.filter_state import BA, BG, A, BallGeometry, BallNoise, BallState, P, V, cross, rotation_of, skew
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
-from wbmpc.checks import finite, numbers, positive
+from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
 
@@ -34,98 +35,6 @@ UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
 
 
 @dataclass(frozen=True)
-class BallGeometry:
-    """``radius`` [m] of the ball; ``turn`` (n, 3): wheel speeds over the ball's rate relative to the base, base axes;
-    ``mount`` (3) [m] of the inertial unit in the base's frame, whose origin is the ball's centre."""
-
-    radius: float
-    turn: Array
-    mount: Array
-
-    def __post_init__(self) -> None:
-        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        positive("ball filter", radius=self.radius)
-        numbers("ball filter", "mount", self.mount, 3)
-        for row in self.turn:
-            numbers("ball filter", "turn", row, 3)
-
-
-@dataclass(frozen=True)
-class BallNoise:
-    """What the filter believes of its sensors (standard deviations, SI units).
-
-    Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
-    encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
-    about horizontal axes, and ``spin`` about the vertical. Under a torque about the vertical that lasts longer than
-    ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
-    a bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's
-    centre; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
-    ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
-    of the wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be
-    believed. ``change``: error of the inertial unit's means over the difference between two in a row: motions that change
-    within an interval (a robot that is hit, an arm at its stops) turn and push otherwise than their mean does.
-    """
-
-    gyro: float = 2e-4
-    accel: float = 1e-3
-    gyro_walk: float = 2e-5
-    accel_walk: float = 3e-3
-    encoder: float = 2.0 * np.pi / 2**17 / np.sqrt(12.0)
-    age: float = 1e-3
-    jitter: float = 7e-4
-    creep: float = 5e-4
-    spin: float = 3e-3
-    creeping: float = 0.03
-    lasting: float = 1.0
-    floor: float = 1e-3
-    path: float = 5e-6
-    tilt: float = 0.02
-    start: float = 1e-4
-    speed: float = 1e-3
-    gyro_bias: float = 0.01 / np.sqrt(3.0)
-    accel_bias: float = 0.01 / np.sqrt(3.0)
-    scale: float = 0.002 / np.sqrt(3.0)
-    scale_time: float = 1.0
-    change: float = 0.05
-
-    def __post_init__(self) -> None:
-        finite("ball filter's noise", **asdict(self))
-        for name, value in asdict(self).items():
-            if value < 0.0 or (name in ("lasting", "scale_time") and value == 0.0):
-                raise InputError(f"ball filter's noise: '{name}' is too small, got {value}")
-
-
-@dataclass
-class BallState:
-    """``position`` (3) [m] of the ball's centre, ``velocity`` (3) [m/s] of the inertial unit, ``rotation`` of the base, all in
-    the world; biases (3) of gyro and accelerometer; ``wheel`` (n) [rad] angles; ``scale``: log of the radius factor."""
-
-    position: Array
-    velocity: Array
-    rotation: Array
-    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
-    accel_bias: Array = field(default_factory=lambda: np.zeros(3))
-    wheel: Array = field(default_factory=lambda: np.zeros(3))
-    scale: float = 0.0
-
-    def moved(self, d: Array) -> BallState:
-        """With an error (16 + n) added: see :class:`BallFilter` for its order."""
-        n = self.wheel.size
-        return BallState(
-            self.position + d[P], self.velocity + d[V], self.rotation @ rotation_of(d[A]), self.gyro_bias + d[BG],
-            self.accel_bias + d[BA], self.wheel + d[16 : 16 + n], self.scale + float(d[15]),
-        )  # fmt: skip
-
-    def minus(self, other: BallState) -> Array:
-        """The error (16 + n) that moves ``other`` to this state."""
-        turned = lie.quaternion_log(lie.rotation_to_quaternion(other.rotation.T @ self.rotation))
-        return np.concatenate([
-            self.position - other.position, self.velocity - other.velocity, turned, self.gyro_bias - other.gyro_bias,
-            self.accel_bias - other.accel_bias, [self.scale - other.scale], self.wheel - other.wheel,
-        ])  # fmt: skip
-
-
-@dataclass(frozen=True)
 class _Explained:
     """A state linearised at ``guess``, its ``error`` and ``covariance``, the ``faults`` that explain the readings; ``loose``:
     whether wheels, or the ball, slip in it."""
@@ -135,9 +44,6 @@ class _Explained:
     covariance: Array
     faults: tuple[str, ...]
     loose: bool
-
-
-P, V, A, BG, BA = (slice(k, k + 3) for k in (0, 3, 6, 9, 12))
 
 
 class BallFilter:
@@ -424,24 +330,3 @@ class BallFilter:
         x = self.state
         velocity: Array = x.velocity - x.rotation @ cross(self.rate, self.geometry.mount)
         return velocity
-
-
-def skew(a: Array) -> Array:
-    """The matrix of a ×."""
-    x, y, z = a.tolist()  # one by one, Python's own numbers are several times as fast
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (np.cross is slow for single ones)."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
-def rotation_of(vector: Array) -> Array:
-    """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
-    angle = float(np.sqrt(vector @ vector))
-    k = skew(vector)
-    a, b = (np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2) if angle > 1e-4 else (1.0 - angle**2 / 6.0, 0.5)
-    rotation: Array = np.eye(3) + a * k + b * (k @ k)
-    return rotation

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.fall_detection import stop_for
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.mpc.filters import FilterMemory
 from wbmpc.mpc.policy import Policy
@@ -30,15 +31,15 @@ class FrequencyAwareController(BallController):
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """State and filters at time ``until`` under the policies that will be in force, through the drives' lag."""
-        x, torque, memory = self.state(), self._torques[-1], self.memory.copy()
+        x, torque, memory = self.state(), self.sent.last, self.memory.copy()
         for k in range(round((until - t) / self.period)):
             now = t + k * self.period
             policy = plans.at(now)
             if policy is None:
                 break
-            wanted = self._possible(self._torques_of(policy, memory, now, x))
+            wanted = self.limits.possible(self._torques_of(policy, memory, now, x))
             memory.advance(wanted, self.period)
-            torque = torque + self._blend * (wanted - torque)
+            torque = self.sent.follow(wanted, torque)
             x = self._step(x, torque, self.period)
         return memory.observation(until, x)
 
@@ -46,12 +47,12 @@ class FrequencyAwareController(BallController):
         """Torques of the feedback policy at the predicted present state; the filters take in what is sent."""
         assert plans.current is not None
         if self.forecast is not None:
-            self.forecast.look(plans.current)
+            stop_for(self.forecast.update_plan(plans.current))
         x = self.state()
         self.feedforward = self.memory.dynamics.acting(
             plans.current.state(t)[x.size :], plans.current.feedforward(t)
         )[: self.limit.size]  # fmt: skip
         self.wanted = self._torques_of(plans.current, self.memory, t, x)
-        torque = self._possible(self.wanted)
+        torque = self.limits.possible(self.wanted)
         self.memory.advance(torque, self.period)
         return self._drive(torque)

@@ -13,11 +13,12 @@ from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, rezero_problem
 from wbmpc.bases.ball.estimator import BallEstimator
-from wbmpc.bases.ball.filter import BallNoise
+from wbmpc.bases.ball.filter_state import BallNoise
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import leaning_of
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -214,7 +215,9 @@ class BallPilot:
     def _new_agent(self, x: Array) -> BusBallAgent:
         s = self.settings
         estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
-        agent = BusBallAgent(self.robot, self._model, self._torque, self.period, s.drive_lag, s.observer, estimator)
+        agent = BusBallAgent(
+            self.robot, self._model, self._torque, self.period, DriveSettings(s.drive_lag), s.observer, estimator
+        )
         agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
         agent.leaning = self._leaning
         if self._push is not None:

@@ -8,6 +8,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
 from wbmpc.model.robot import RobotModel
@@ -30,7 +31,7 @@ def make_system(robot: RobotModel, plant: BallPlant) -> System:
     mpc.reference["torque"] = Reference.constant(torque)
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
-    controller = BallController(robot, mpc, torque, timing.period, DRIVE_LAG)
+    controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
     controller.leaning = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
     mpc.reset(home, torque)
     return System(plant, controller, mpc, timing)

@@ -80,11 +80,11 @@ class TrackingController(BallController):
         return feedforward, feedforward + self.stiffness * away + self.damping * moving
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
-        """What the drives follow until the next command; ``_torques`` remembers what they should have given."""
+        """What the drives follow until the next command; ``sent`` remembers what they should have given."""
         super().command(t, plans)
         assert plans.current is not None and self._integral is not None
         planned = plans.current.state(t)
         speed = self.speeds(planned)
         position = np.concatenate([self._integral, planned[self._arm]])
         self._integral = self._integral + self.period * (speed[: self._n] - self.wheel_error / self.bleed)
-        return BallCommand(self._possible(self.feedforward), position, speed, self.stiffness, self.damping)
+        return BallCommand(self.limits.possible(self.feedforward), position, speed, self.stiffness, self.damping)

@@ -12,6 +12,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -173,18 +174,21 @@ class Parts:
 
 def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController, MPC | None]:
     """The agent that the settings name, and the MPC that plans for it (None: nothing does)."""
-    own = (p.robot, p.mpc, p.torque, p.period, settings.drive_lag, settings.observer, p.estimator)
+    policies = settings.controller == "mpc" and settings.tracking.kind != "actuators"
+    late = policies or settings.controller in REGULATORS
+    drives = DriveSettings(settings.drive_lag, settings.drive_dead_time if late else 0.0)
+    own = (p.robot, p.mpc, p.torque, p.period, drives, settings.observer, p.estimator)
     name = settings.controller
     if name == "mpc":
         more = (*own, FallPredictor(p.robot, p.arm))
         if settings.tracking.kind == "actuators":
             return TrackingController(*more, gains=ActuatorGains(**settings.tracking.gains.model_dump())), p.mpc
-        return BallController(*more, dead_time=settings.drive_dead_time), p.mpc
+        return BallController(*more), p.mpc
     if name == "taskspace":
         return _taskspace(settings, p), None
     if name in REGULATORS:
         gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
-        agent = LqrController(*own, dead_time=settings.drive_dead_time)
+        agent = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
         agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
         agent.forecast = _felt(p)
@@ -203,7 +207,7 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
         return pose[:3], pose[3:]
 
     home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
-    more = (p.period, settings.drive_lag, settings.observer, p.estimator)
+    more = (p.period, DriveSettings(settings.drive_lag), settings.observer, p.estimator)
     agent = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     agent.stance = lambda t: p.mpc.reference["body"].at(t)
     agent.forecast = _felt(p)
@@ -223,7 +227,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     planner.reference["body"] = p.mpc.reference["body"]
     inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
     agent = SeparateController(
-        p.robot, p.mpc, p.torque, p.period, settings.drive_lag, settings.observer and name != "separate", p.estimator,
+        p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.drive_lag), settings.observer and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
     agent.forecast = _felt(p)

@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -131,11 +132,10 @@ def make_agent(
         settings.scheme.identify,
         torque,
         period,
-        settings.drive_lag,
+        DriveSettings(settings.drive_lag, settings.drive_dead_time),
         settings.observer,
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
-        settings.drive_dead_time,
     )
     mpc.solver.set_parameters(agent.parameters())
     start = np.concatenate([home, agent.door]) if agent.with_door else home

@@ -123,7 +123,7 @@ class DoorAgent(BallController):
         super().measure(measurement)
         assert self.measured is not None
         hand, velocity = self._hand(self.measured.state)
-        acted = self._torques[-1 - self._late() - self.dead]
+        acted = self.sent.acted(self._late())
         self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
@@ -166,9 +166,8 @@ class DoorAgent(BallController):
         touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
         felt, found = float(-normal @ self.force), float(-normal @ self.sensorless.force)
         watched = t >= self.push.begin and (touching or self.phase != "release")
-        known = self.sensor.fault
-        if self.sensor.compare(self.period, touching, felt, found if watched else felt) and not known:
-            self._distrust(t)
+        for fault in self.sensor.update(t, self.period, touching, felt, found if watched else felt):
+            self._distrust(fault.time)
 
     def _distrust(self, t: float) -> None:
         """The sensor has a fault: there is neither force nor contact any more."""

@@ -14,6 +14,7 @@ from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.frequency import FrequencyAwareController
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.posture import resting
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.augment import InputFilter
@@ -67,7 +68,7 @@ def drive(
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     own = (
         timing.period,
-        settings.drive_lag,
+        DriveSettings(settings.drive_lag),
         settings.observer,
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
+from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.robot import RobotModel
@@ -105,10 +106,10 @@ class SeparateController(BallController):
     the disturbance of the base's rows alone."""
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, torque: Array, period: float, lag: float, observer: bool, *more: Any,
+        self, robot: RobotModel, mpc: MPC, torque: Array, period: float, drives: DriveSettings, observer: bool, *more: Any,
         planner: MPC, inverse: HandInverse, arm: ArmLoop, aware: bool = False,
     ) -> None:  # fmt: skip
-        super().__init__(robot, mpc, torque, period, lag, False, *more)
+        super().__init__(robot, mpc, torque, period, drives, False, *more)
         self.planner, self.inverse, self.loop, self.aware = planner, inverse, arm, aware
         n, part = robot.base.nq, robot.state["arm"]
         self._nominal, self._part, self._n = robot.home.copy(), part, n
@@ -136,7 +137,7 @@ class SeparateController(BallController):
     def _observe(self, measurement: BallMeasurement) -> None:
         self._aim(measurement.time, measurement.state)
         if self.observer is not None:
-            past = self._torques[-1 - self._late()]
+            past = self.sent.acted(self._late())
             self.disturbance = self._finite(
                 self.observer.update(measurement.time, self.believed(measurement.state), past, self.period)
             )

@@ -1,0 +1,78 @@
+"""The torques that were sent to a ball robot's drives, and what lagging drives with a dead time have made of them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.checks import not_negative, whole
+from wbmpc.errors import InputError
+
+Array = NDArray[np.float64]
+#: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
+_MEMORY, _TICKS = 0.16, 64
+#: A longer dead time [s] is a mistake: no robot stands so long without a command.
+MOST_DEAD_TIME = 0.5
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """What a controller believes of the drives: ``lag`` [s], first order, and ``dead_time`` [s] between command and drive (in
+    settings: ``drive_dead_time``), whole controller periods, at most :data:`MOST_DEAD_TIME`. Too long a one costs little, too short
+    a one the margin of stability."""
+
+    lag: float = 0.0
+    dead_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        not_negative("ball robot's drives", lag=self.lag)
+
+
+class SentTorques:
+    """Torques (n + m) [N m] of the drives, tick by tick, from a start at ``torque`` on. ``dead``: the dead time in ticks.
+
+    Raises :class:`InputError` for a dead time that is none.
+    """
+
+    def __init__(self, torque: Array, period: float, settings: DriveSettings) -> None:
+        self._period = period
+        self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
+        self.dead = whole("drive_dead_time", settings.dead_time, period, "controller periods", least=0)
+        if settings.dead_time > MOST_DEAD_TIME:
+            raise InputError(f"drive_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {settings.dead_time:g} s")
+        known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
+        self._torques: deque[Array] = deque([torque.copy()] * known, maxlen=known)
+
+    @property
+    def last(self) -> Array:
+        """What the drives make of the last command, as soon as the dead time is over."""
+        return self._torques[-1]
+
+    def follow(self, torque: Array, last: Array | None = None) -> Array:
+        """What drives at ``last`` (left out: as they are) make of a command within a period."""
+        last = self.last if last is None else last
+        return last + self.blend * (torque - last)
+
+    def send(self, torque: Array) -> None:
+        """A command goes to the drives."""
+        self._torques.append(self.follow(torque))
+
+    def ticks(self, age: float) -> int:
+        """``age`` [s] in ticks; what is older than all torques that are known counts as from the first."""
+        return min(round(age / self._period), len(self._torques) - 1 - self.dead)
+
+    def acted(self, ticks: int) -> Array:
+        """What acted so many ticks ago."""
+        return self._torques[-1 - ticks - self.dead]
+
+    def since(self, ticks: int) -> list[Array]:
+        """What has acted in the ticks since then."""
+        return [self._torques[k - ticks - self.dead] for k in range(ticks)]
+
+    def pending(self) -> list[Array]:
+        """What was sent and has not acted yet: of the dead time."""
+        return [self._torques[k - self.dead] for k in range(self.dead)]
