@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -12,13 +14,15 @@ import numpy as np
 import pytest
 
 from wbmpc import MPC, Constraint, Cost, Observation, OptimalControlProblem, Reference, bases, residuals, sets
-from wbmpc.bases.base import BaseDescription, System
+from wbmpc.bases.base import BaseDescription, BaseType, System
 from wbmpc.errors import InputError
 from wbmpc.lie import quaternion_to_rotation
 from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.tree import read_tree
+from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.lockstep import Ending, Running, Timing
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -111,8 +115,66 @@ class RailBase:
         return joint_home(self, robot.description, GROUPS)
 
 
-class RailBaseType:
-    """What another package would have in its plug-in: the description and the model; nothing of simulation."""
+@dataclass(frozen=True)
+class Speeds:
+    """A command: speeds of cart and elbow [m/s, rad/s]."""
+
+    values: np.ndarray
+
+
+class RailPlant:
+    """Drives that follow speeds at once: MuJoCo's positions are integrals of the commands."""
+
+    timestep, fell, diverged = 0.005, False, False
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.description, self.time, self.world = robot.description, 0.0, self
+        self.model = mujoco.MjModel.from_xml_string(FILE)
+        self.data = mujoco.MjData(self.model)
+        self.arrange(robot.home)
+
+    def arrange(self, state: np.ndarray) -> None:
+        self.data.qpos[:] = state
+        mujoco.mj_forward(self.model, self.data)
+
+    def measure(self) -> np.ndarray:
+        return self.data.qpos.copy()
+
+    def step(self, command: Speeds, steps: int = 1) -> None:
+        self.time += steps * self.timestep
+        self.arrange(self.data.qpos + steps * self.timestep * command.values)
+
+    def push(self, force: np.ndarray) -> None: ...
+
+    def frames(self, height: float) -> dict[str, np.ndarray]:
+        tip = self.data.site("tip")
+        return {"tool": tip.xpos - [0.0, 0.0, height], "tool_rotation": tip.xmat.reshape(3, 3)}
+
+
+class RailController:
+    """Follows the MPC's policy from the measured state."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot, self._x = robot, robot.home
+
+    def measure(self, measurement: np.ndarray) -> None:
+        self._x = measurement
+
+    def state(self) -> np.ndarray:
+        return self._x
+
+    def predict(self, t: float, until: float, plans: Any) -> Observation:
+        return Observation(until, self._x)
+
+    def command(self, t: float, plans: Any) -> Speeds:
+        return Speeds(plans.current(t, self._x))
+
+    def stop(self) -> Speeds:
+        return Speeds(np.zeros(2))
+
+
+class RailBaseType(BaseType):
+    """What another package would have in its plug-in: description, model and a simulated system; nothing for ROS 2."""
 
     Description = RailDescription
 
@@ -124,14 +186,37 @@ class RailBaseType:
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> RailBase:
         return RailBase(description, spec)
 
-    def plant(self, robot: RobotModel, perturbation: Any, seed: int) -> Any:
-        raise InputError("a base of type rail has no simulated robot")
+    def plant(self, robot: RobotModel, perturbation: Any, seed: int) -> RailPlant:
+        return RailPlant(robot)
 
     def system(self, robot: RobotModel, seed: int) -> System:
-        raise InputError("a base of type rail has no simulated robot")
+        plant, mpc = self.plant(robot, None, seed), reaching(robot, "hand")
+        mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(robot.home)[0]], robot.pose(robot.home)[1])
+        mpc.reset(robot.home)
+        return System(plant, RailController(robot), mpc, Timing.of(plant.timestep, 200.0, mpc.rate, 0.0))
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
-        raise InputError("a base of type rail has no adapter for ROS 2")
+
+def reaching(robot: RobotModel, cost: str) -> MPC:
+    """An MPC that brings the tip to the reference of ``cost``."""
+    ocp = OptimalControlProblem(robot.dynamics(), 1.0, 20)
+    ocp.add(Cost(cost, residuals.FramePose(robot, robot.tool), [100.0] * 3 + [0.0] * 3, at="path+terminal"))
+    ocp.add(Cost("input", residuals.Input(robot, reference=None), 0.01))
+    for constraint in robot.base.constraints(robot):
+        ocp.add(constraint)
+    box = sets.Box(robot.limits.input_lower, robot.limits.input_upper)
+    ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), box, hard=True))
+    return MPC(ocp, rate=20.0)
+
+
+class BareType:
+    """A plug-in that derives from nothing and has the description and the model only."""
+
+    Description = RailDescription
+
+    def check(self, description: RobotDescription, model: mujoco.MjModel) -> None: ...
+
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> RailBase:
+        return RailBase(description, spec)
 
 
 def forget() -> None:
@@ -176,14 +261,7 @@ def test_its_robot_has_the_kinematics_of_the_file(gantry: Path) -> None:
 def test_an_mpc_moves_the_rail_to_a_goal_that_the_arm_does_not_reach(gantry: Path) -> None:
     robot = load_robot(gantry)
     goal = np.array([1.3, 0.2, 0.5])
-    ocp = OptimalControlProblem(robot.dynamics(), 1.0, 20)
-    ocp.add(Cost("tip", residuals.FramePose(robot, robot.tool), [100.0] * 3 + [0.0] * 3, at="path+terminal"))
-    ocp.add(Cost("input", residuals.Input(robot, reference=None), 0.01))
-    for constraint in robot.base.constraints(robot):
-        ocp.add(constraint)
-    box = sets.Box(robot.limits.input_lower, robot.limits.input_upper)
-    ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), box, hard=True))
-    mpc = MPC(ocp, rate=20.0)
+    mpc = reaching(robot, "tip")
     mpc.reference["tip"] = Reference.poses([0.0], [goal], [1.0, 0.0, 0.0, 0.0])
     mpc.reset(robot.home)
     x, fastest = robot.home.copy(), 0.0
@@ -231,3 +309,82 @@ def test_a_plug_in_that_cannot_be_imported_is_named(gantry: Path) -> None:
     forget()
     with pytest.raises(InputError, match="key 'base': base type 'rail': its plug-in no_such_module:RailBaseType"):
         load_robot(gantry)
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The session of ``wbmpc view``, in lockstep. Truth: MuJoCo's tip of the plant, and the cart's speed limit of 0.4 m/s."""
+    pytest.importorskip("viser")
+    from wbmpc.view import session
+    from wbmpc.view.live import View
+    from wbmpc.view.steering import ORDERS, no_orders
+
+    robot = load_robot(gantry)
+    start, turn = robot.pose(robot.home)
+    goal = start + [1.0, 0.0, 0.0]
+
+    class Dragged:
+        """The panel's part: the hand's goal at 0.1 s."""
+
+        def begin(self, running: Running) -> None:
+            self.running, self.given = running, False
+            self.writer = Mailbox(ORDERS, view.orders.memory, view.orders.checked)
+            self.writer._written = int(self.writer._latest[0])
+
+        def tick(self, t: float, command: Any, plans: Any) -> None:
+            if t >= 0.1 and not self.given:
+                self.given = True
+                assert self.running.plant.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
+                self.writer.write(**{**no_orders(), "goals": np.array(1.0), "goal": np.array([*goal, *turn])})
+
+        def end(self, ending: Ending) -> None:
+            self.ending = ending
+
+    monkeypatch.setattr(session, "LONGEST", 0.5)
+    dragged, view = Dragged(), View("gantry", port=free_port())
+    try:
+        assert session.run_session(str(gantry), 1, view, dragged).reason == ""
+        assert view.steered and view.board.text == "The run is over"
+    finally:
+        view.close()
+    plant = dragged.running.plant
+    assert plant.time == pytest.approx(0.5)
+    assert 0.1 < plant.data.qpos[0] <= 0.4 * 0.4 + 1e-6
+    assert np.linalg.norm(mujoco_tip(plant.data.qpos) - goal) < 0.9
+
+
+def test_a_picture_of_it_in_real_time_is_its_own_plant(gantry: Path) -> None:
+    pytest.importorskip("viser")
+    from wbmpc.view.realtime import scene_of
+
+    puppet, reader = scene_of(load_robot(gantry))
+    puppet.arrange(np.array([0.7, -1.1]))
+    np.testing.assert_allclose(puppet.data.site("tip").xpos, mujoco_tip(np.array([0.7, -1.1])), atol=1e-12)
+    assert reader.joint_names == ["slide", "elbow"]
+
+
+@pytest.mark.parametrize("plugin", ["RailBaseType", "BareType"])
+def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> None:
+    """Nothing falls through to another base type: what a plug-in leaves out raises, whether it derives from BaseType or not."""
+    entries = gantry.parent / "site" / "rail_bases-1.0.dist-info" / "entry_points.txt"
+    entries.write_text(f"[wbmpc.bases]\nrail = {__name__}:{plugin}\n")
+    forget()
+    robot = load_robot(gantry)
+    rail = bases.base_type("rail")
+    lacking = r"'gantry' has a base of type 'rail', whose plug-in offers no {} \('{}'\); valid: {}$"
+    with pytest.raises(InputError, match=lacking.format("controller for ROS 2", "ros_settings", "ball, swerve")):
+        rail.ros_settings(robot.description)
+    with pytest.raises(InputError, match=lacking.format("simulated robot for ROS 2", "ros_plant", "ball, swerve")):
+        rail.ros_plant(robot, None, 1)
+    with pytest.raises(InputError, match=lacking.format("calibration of steered wheels", "calibrator", "swerve")):
+        rail.calibrator(robot)
+    if plugin == "BareType":
+        with pytest.raises(
+            InputError, match=lacking.format("simulated robot with a controller", "system", "ball, swerve")
+        ):
+            rail.system(robot, 1)

@@ -167,7 +167,7 @@ class Steering:
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
         self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
         robot = self.running.agent.robot
-        if "state" in self.mpc.reference:
+        if self.base_of(self.mpc):
             yaw = self._target(t)[2]
             beside = robot.pose(robot.home)[0][:2] - robot.home[robot.state["base"]][:2]
             c, s = np.cos(yaw), np.sin(yaw)
