@@ -28,17 +28,30 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tyre may be another
     one) cannot be checked.
     """
-    base, urdf = description.base, description.model.suffix.lower() == ".urdf"
-    wheels = [("base.wheel_radius", m.wheel, getattr(base, "wheel_radius", 0.0)) for m in getattr(base, "modules", ())]
-    root = ElementTree.parse(description.model).getroot() if urdf else None
-    for key, joint, given in wheels:
-        drawn = _of_urdf(root, joint) if root is not None else _of_model(model, joint)
-        _compare(description, key, f"wheel '{joint}'", given, drawn)
+    base = description.base
+    for module in getattr(base, "modules", ()):
+        check_radius(description, model, module.wheel, getattr(base, "wheel_radius", 0.0))
     ball = getattr(base, "ball", None)
-    if ball is not None and not urdf:
+    if ball is not None and not _is_urdf(description):
         _compare(
             description, "base.ball_radius", f"ball '{ball}'", getattr(base, "ball_radius", 0.0), _of_ball(model, ball)
         )
+
+
+def check_radius(description: RobotDescription, model: mujoco.MjModel, wheel: str, given: float) -> None:
+    """Raise :class:`InputError` where the shapes of the wheel on joint ``wheel`` have another radius than ``given`` [m]."""
+    _compare(description, "base.wheel_radius", f"wheel '{wheel}'", given, drawn_radius(description, model, wheel))
+
+
+def drawn_radius(description: RobotDescription, model: mujoco.MjModel, wheel: str) -> float | None:
+    """Radius [m] of the wheel on joint ``wheel`` as its shapes have it; None where they do not show it."""
+    if _is_urdf(description):
+        return _of_urdf(ElementTree.parse(description.model).getroot(), wheel)
+    return _of_model(model, wheel)
+
+
+def _is_urdf(description: RobotDescription) -> bool:
+    return description.model.suffix.lower() == ".urdf"
 
 
 def _compare(description: RobotDescription, key: str, what: str, given: float, drawn: float | None) -> None:
