@@ -21,6 +21,7 @@ GROUP = "wbmpc.bases"
 TABLE: dict[str, str] = {
     "fixed": "wbmpc.bases.fixed.plugin:FixedBaseType",
     "differential": "wbmpc.bases.differential.plugin:DifferentialBaseType",
+    "omnidirectional": "wbmpc.bases.omnidirectional.plugin:OmnidirectionalBaseType",
     "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType",
     "ball": "wbmpc.bases.ball.plugin:BallBaseType",
 }
