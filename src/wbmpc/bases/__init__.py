@@ -20,6 +20,8 @@ GROUP = "wbmpc.bases"
 #: Name in a robot file -> "module:attribute" of its plug-in, imported when it is first asked for.
 TABLE: dict[str, str] = {
     "fixed": "wbmpc.bases.fixed.plugin:FixedBaseType",
+    "differential": "wbmpc.bases.differential.plugin:DifferentialBaseType",
+    "omnidirectional": "wbmpc.bases.omnidirectional.plugin:OmnidirectionalBaseType",
     "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType",
     "ball": "wbmpc.bases.ball.plugin:BallBaseType",
 }

@@ -30,14 +30,23 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tyre may be another
     one) cannot be checked.
     """
-    base, urdf = description.base, description.model.suffix.lower() == ".urdf"
-    root = ElementTree.parse(description.model).getroot() if urdf else None
-    for radius in base.radii():
+    for radius in description.base.radii():
         if radius.sphere:
-            drawn = _of_sphere(model, radius.name) if root is None else None
+            drawn = None if _is_urdf(description) else _of_sphere(model, radius.name)
         else:
-            drawn = _of_model(model, radius.name) if root is None else _of_urdf(root, radius.name)
+            drawn = drawn_radius(description, model, radius.name)
         _compare(description, radius, drawn)
+
+
+def drawn_radius(description: RobotDescription, model: mujoco.MjModel, wheel: str) -> float | None:
+    """Radius [m] of the wheel on joint ``wheel`` as its shapes have it; None where they do not show it."""
+    if _is_urdf(description):
+        return _of_urdf(ElementTree.parse(description.model).getroot(), wheel)
+    return _of_model(model, wheel)
+
+
+def _is_urdf(description: RobotDescription) -> bool:
+    return description.model.suffix.lower() == ".urdf"
 
 
 def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:

@@ -1,0 +1,1 @@
+"""Two driven wheels (or more on the same axle) and casters."""

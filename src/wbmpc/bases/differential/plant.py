@@ -1,0 +1,66 @@
+"""A differential drive in MuJoCo: driven tyres, and ball casters on springs.
+
+Level casters that are rigid would lift the driven wheels off the floor wherever it or the robot is not exact. Here each stands on a
+spring that carries a share of the weight at level height; it touches the floor without friction.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from wbmpc.bases.differential.description import DifferentialBaseDescription
+from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
+from wbmpc.simulation.world import Array
+
+#: Half width [m] of a tyre.
+HALF_WIDTH = 0.02
+#: All casters together carry this share of the weight when the base is level; how far [m] their springs are pressed in by that;
+#: damping ratio; mass [kg] and radius (share of the wheels') of a caster.
+SHARE, TRAVEL, DAMPING = 0.3, 0.0015, 1.0
+_MASS, _SIZE = 0.5, 0.4
+
+
+class DifferentialPlant(PlanarPlant):
+    """Physics, drives and sensors of a robot with a differential drive."""
+
+    def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
+        """An ellipsoid about the wheel's axis: cylinders take the load off wheels in combined motion."""
+        joint = spec.joint(self.base.wheels[index])
+        turned = np.zeros(4)
+        mujoco.mju_quatZ2Vec(turned, np.asarray(joint.axis, float))
+        joint.parent.add_geom(
+            name=f"tyre_{joint.name}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[radius, radius, HALF_WIDTH], quat=turned, mass=0,
+            **contact_settings(friction),
+        )  # fmt: skip
+
+    def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
+        """The casters."""
+        at, geometry = self._casters(), self.model_base.geometry
+        load, radius = SHARE * weight / len(at), _SIZE * geometry.radius
+        stiffness = load / TRAVEL
+        damping = 2.0 * DAMPING * np.sqrt(stiffness * load / 9.81)
+        for i, (x, y) in enumerate(at):
+            body = spec.body(self.base.body).add_body(name=f"wbmpc_caster_{i}", pos=[x, y, radius - geometry.height])
+            body.add_joint(
+                name=f"wbmpc_caster_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], stiffness=[stiffness, 0, 0],
+                damping=[damping, 0, 0], springref=-TRAVEL,
+            )  # fmt: skip
+            settings = {
+                **contact_settings([0.0, 0.0, 0.0]),
+                "condim": 1,
+                "priority": 1,
+                "rgba": [0.2, 0.2, 0.2, 1.0],
+                "group": 1,
+            }
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=_MASS, **settings)
+
+    def _casters(self) -> Array:
+        """(n, 2) [m] in the axes of the body."""
+        assert isinstance(self.base, DifferentialBaseDescription)
+        if self.base.casters is not None:
+            return np.array(self.base.casters)
+        wheels = self.model_base.geometry
+        track = float(np.linalg.norm(np.ptp(wheels.position, axis=0)))
+        middle = wheels.position.mean(axis=0)
+        return np.array([middle + track * wheels.forward[0], middle - track * wheels.forward[0]])

@@ -1,0 +1,1 @@
+"""Omni and mecanum wheels, any number of them."""

@@ -1,0 +1,127 @@
+"""From policies to drive commands of a robot on fixed wheels, and from encoders to observations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc import lie
+from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.types import Observation
+
+Array = NDArray[np.float64]
+
+
+class PlanarController:
+    """Estimation, prediction and tracking of a robot on fixed wheels at the controller's rate.
+
+    ``pose`` (x, y, yaw) at the start; ``period`` [s] of the controller; ``lag`` [s] of the drives, first order: the plan leads the
+    measured state by it; ``use_gyro``: whether the odometry has one. ``wanted`` (nu): what the plan asks for; ``sent`` (nu): what of
+    it the last command was, after limits; ``clamped``: whether wheels were slowed down to their limits.
+    """
+
+    def __init__(
+        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True
+    ) -> None:
+        positive("controller", period=period)
+        not_negative("controller", lag=lag)
+        self.robot, self.period, self.lag, self.use_gyro = robot, period, lag, use_gyro
+        self.odometry = PlanarOdometry(robot.base.twist, robot.base.rates, pose)
+        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
+        self.measured: PlanarMeasurement | None = None
+        self.clamped = False
+        self.wanted, self.sent = np.zeros((2, robot.input.size))
+
+    # ------------------------------------------------------------------ estimation
+    def measure(self, measurement: PlanarMeasurement) -> None:
+        """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
+        numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
+        before, self.measured = self.measured or measurement, measurement
+        turning = 0.5 * float(before.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
+        self.odometry.update(measurement.time, measurement.wheel, turning)
+
+    @property
+    def pose(self) -> Array:
+        """(x, y, yaw) of the base as the odometry has it."""
+        return self.odometry.pose
+
+    @property
+    def arm(self) -> Array:
+        """Measured angles of the arm [rad]."""
+        assert self.measured is not None
+        return self.measured.arm
+
+    def base_pose(self) -> Array:
+        """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
+        x, y, yaw = self.pose
+        return np.array([x, y, self.robot.base.body_height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+
+    def state(self) -> Array:
+        """Estimated state (nx)."""
+        return self.robot.state.vector({"base": self.pose, "arm": self.arm})
+
+    # ------------------------------------------------------------------ prediction
+    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
+        """The state at time ``until``, by the commands that will be sent from ``t`` on, and what the drives still owe of those that
+        were. The plan's clock runs ahead of the wall's by the lag: what is commanded now acts that much later."""
+        x, sent = self.state(), self.sent
+        # a first-order drive still moves by lag times its present rate after the last command
+        self._move(x, self._rates, self.lag)
+        for k in range(round((until - t) / self.period)):
+            now = t + (k + 0.5) * self.period
+            policy = plans.at(now)
+            if policy is None:
+                break
+            sent, _ = self._limited(sent, policy.feedforward(now + self.lag))
+            self._move(x, sent, self.period)
+        return Observation(until + self.lag, x)
+
+    def _move(self, x: Array, u: Array, h: float) -> None:
+        """Integrate input rates u (nu) over h [s] into the state x (nx), in place."""
+        state, given = self.robot.state, self.robot.input
+        x[state["base"]] = lie.se2_step(x[state["base"]], self.robot.base.twist @ u[given["base"]] * h)
+        x[state["arm"]] += u[given["arm"]] * h
+
+    # ------------------------------------------------------------------ commands
+    def stop(self) -> PlanarCommand:
+        """Everything at rest. The next plan's commands start from there, as fast as accelerations allow."""
+        self._note(np.zeros(self.robot.input.size))
+        self.wanted, self.clamped = np.zeros(self.robot.input.size), False
+        return PlanarCommand.stop(len(self.robot.base.rates), len(self.robot.input.groups["arm"]))
+
+    def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
+        """Drive speeds for this tick; a stop once the plan has run out.
+
+        The plan's inputs as they are: drives that follow speeds hold a kinematic plan without the gains of the policy, and the
+        next plan starts from the measured state.
+        """
+        policy, given = plans.current, self.robot.input
+        assert policy is not None
+        if t > policy.end:
+            return self.stop()
+        self.wanted = policy.feedforward(t + self.lag)
+        sent, self.clamped = self._limited(self.sent, self.wanted)
+        self._note(sent)
+        return PlanarCommand(self.robot.base.rates @ sent[given["base"]], sent[given["arm"]].copy())
+
+    def _note(self, sent: Array) -> None:
+        self.sent = sent
+        self._rates = self._rates + self._blend * (sent - self._rates)
+
+    def _limited(self, sent: Array, u: Array) -> tuple[Array, bool]:
+        """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by
+        the same share; then the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
+        each other. Also whether they were scaled."""
+        base, part, arm = self.robot.base, self.robot.input["base"], self.robot.input["arm"]
+        step = u - sent
+        steps = np.abs(np.concatenate([base.rates @ step[part], step[arm]]))
+        most = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate[arm]]) * self.period
+        reached = sent + step / max(1.0, float(np.max(steps / most)))
+        excess = float(np.max(np.abs(base.rates @ reached[part]) / base.wheel_upper))
+        reached[part] /= max(1.0, excess)
+        return reached, excess > 1.0

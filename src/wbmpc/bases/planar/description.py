@@ -1,0 +1,38 @@
+"""What the ``base`` sections of robots on wheels that are fixed to the body have in common."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from wbmpc.bases.base import BaseDescription, Radius
+
+_SPEEDS = "the inputs of this base are speeds, so that a contact force or wrench has no effect on its motion"
+
+
+class PlanarBaseDescription(BaseDescription):
+    """``wheels``: names of the wheels' joints. ``wheel_radius`` [m]; left out: that of the wheels' shapes in the file."""
+
+    joint_key: ClassVar[str] = "wheels"
+    limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
+    not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
+
+    wheels: tuple[str, ...] = Field(min_length=2)
+    wheel_radius: float | None = Field(None, gt=0)
+
+    def joints(self) -> list[str]:
+        """The wheels: no part of the model's state, but no joint of the arm either."""
+        return list(self.wheels)
+
+    def radii(self) -> list[Radius]:
+        """Of every wheel, where the section gives it."""
+        given = self.wheel_radius
+        return [] if given is None else [Radius("base.wheel_radius", given, "wheel", name) for name in self.wheels]
+
+    @model_validator(mode="after")
+    def _every_wheel_once(self) -> Self:
+        twice = sorted({n for n in self.wheels if self.wheels.count(n) > 1})
+        if twice:
+            raise ValueError(f"wheels: every wheel once, got '{twice[0]}' twice")
+        return self

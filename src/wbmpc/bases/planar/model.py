@@ -1,0 +1,126 @@
+"""The symbolic side: the body's twist is a constant matrix times the base's input, and wheel rates another one times that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc import lie
+from wbmpc.bases.planar.wheels import FixedWheels
+from wbmpc.errors import InputError
+from wbmpc.model.joints import Limits, joint_home, joint_limits
+from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
+from wbmpc.model.tree import Tree
+from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Footprint
+    from wbmpc.model.robot import RobotModel
+    from wbmpc.ocp import Constraint
+
+Array = NDArray[np.float64]
+_UP = np.array([0.0, 0.0, 1.0])
+#: Smallest ratio of singular values of the wheel matrix, turns counted at the wheels' distance, at which wheels hold the base.
+_SINGULAR = 1e-3
+
+
+class PlanarBase:
+    """State: (x, y, yaw) of the body's frame and the arm; input: the base's speeds ``names``, of which the last is "wz", and the
+    arm's rates.
+
+    ``twist`` (3, m): the body's twist (vx, vy, wz) in its own axes by the base's input; ``rates`` (n, m): wheel rates [rad/s] by
+    the same, of full column rank; ``wheel_upper`` (n) [rad/s] and ``wheel_acceleration`` (n) [rad/s²]: limits, infinite where the
+    description has none. Raises :class:`InputError` for wheels that do not determine the motion.
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        tree: Tree,
+        wheels: FixedWheels,
+        matrix: Array,
+        names: Sequence[str],
+        twist: Array,
+    ) -> None:
+        """``matrix`` (n, 3): wheel rates by the twist."""
+        self.tree, self.geometry, self.twist, self.rates = tree, wheels, twist, matrix @ twist
+        arm = list(description.arm.joints)
+        self._joints = [tree.joint(n) for n in arm]
+        self.state: dict[str, list[str]] = {"base": ["x", "y", "yaw"], "arm": arm}
+        self.input: dict[str, list[str]] = {"base": list(names), "arm": arm}
+        self.parameters: dict[str, list[str]] = {}
+        self.mode: dict[str, list[str]] = {}
+        self.mode_bounds: dict[str, tuple[float, float]] = {}
+        self.brakes: dict[str, str] = {}
+        self.unit_quaternions: tuple[int, ...] = ()
+        self.footprint: Footprint | None = None
+        self.wheels, self.balances = 0, False  # no constraint makes the wheels roll: their rates follow from the input
+        self.ground, self.body_height = 0.0, wheels.height
+        limits, joints = description.limits, description.base.joints()
+        self.wheel_upper = np.array([limits.velocity.get(n, np.inf) for n in joints])
+        self.wheel_acceleration = np.array([limits.acceleration.get(n, np.inf) for n in joints])
+        self._check_rank(description)
+
+    def _check_rank(self, description: RobotDescription) -> None:
+        size = max(float(np.linalg.norm(np.ptp(self.geometry.position, axis=0))), self.geometry.radius)
+        scaled = self.rates.copy()
+        scaled[:, -1] /= size
+        values = np.linalg.svd(scaled, compute_uv=False)
+        if len(self.rates) < self.rates.shape[1] or values[-1] < _SINGULAR * values[0]:
+            raise InputError(
+                f"{description.source}: key 'base.wheels': these {len(self.rates)} wheels do not determine the motion of the base "
+                f"({', '.join(self.input['base'])}): the matrix of wheel rates has rank {int(np.sum(values > _SINGULAR * values[0]))}, "
+                f"{self.rates.shape[1]} is needed; check positions, axes and rollers of the wheels"
+            )
+
+    def root(self, x: ca.SX) -> FramePose:
+        """Pose of the body's frame."""
+        position = ca.vertcat(x[0], x[1], self.body_height)
+        return FramePose(position, ca.sparsify(lie.quaternion_about(_UP, x[2])), rotation_about(_UP, x[2]))
+
+    def chain(self, x: ca.SX) -> Chain:
+        """The tree at a state, with the wheels as the file draws them."""
+        return Chain(self.tree.links, {link: x[3 + k] for k, link in enumerate(self._joints)}, self.root(x))
+
+    def _twist(self, u: ca.SX) -> ca.SX:
+        return constant(self.twist) @ u[: self.twist.shape[1]]
+
+    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+        """Joint rates by link, linear and angular velocity of the body in its own axes."""
+        t, m = self._twist(u), self.twist.shape[1]
+        rates = {link: u[m + k] for k, link in enumerate(self._joints)}
+        return rates, ca.vertcat(t[0], t[1], ca.SX(1, 1)), ca.vertcat(ca.SX(2, 1), t[2])
+
+    def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ: the twist in world axes, and the arm's rates."""
+        t, c, s = self._twist(u), ca.cos(x[2]), ca.sin(x[2])
+        return ca.vertcat(c * t[0] - s * t[1], s * t[0] + c * t[1], t[2], u[self.twist.shape[1] :])
+
+    def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
+        """No rows: wheel rates follow from the input, and the input has no motion in which a wheel would slip."""
+        return ca.SX(0, 1)
+
+    def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
+        """Limits of the wheels' rates as shares of the largest; none where the description has no limit."""
+        from wbmpc.ocp import Constraint, residuals, sets
+
+        limited = np.isfinite(self.wheel_upper)
+        if not limited.any():
+            return []
+        shares, m = constant(self.rates[limited] / self.wheel_upper[limited, None]), self.rates.shape[1]
+        rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
+        return [Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard)]
+
+    def limits(self, description: RobotDescription) -> Limits:
+        """Ranges of the arm's joints (state); the base's speeds, speeds and accelerations of the arm's joints (input)."""
+        limits = description.limits
+        speeds = [limits.base_angular if n == "wz" else limits.base_linear for n in self.input["base"]]
+        return joint_limits(self, description, ("arm",), limits.velocity, limits.acceleration, {"base": speeds})
+
+    def home(self, robot: RobotModel) -> Array:
+        """The arm at the description's home, the body at the origin."""
+        return joint_home(self, robot.description, ("arm",))

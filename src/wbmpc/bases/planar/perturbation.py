@@ -1,0 +1,20 @@
+"""Which perturbations the plants of robots on fixed wheels read."""
+
+from __future__ import annotations
+
+from wbmpc.simulation.perturbation import Perturbation
+
+#: Settings of :class:`Perturbation` that these plants read.
+READS = frozenset(
+    {
+        "mass", "inertia", "com", "joint_offset", "wheel_radius", "wheel_radius_each", "drive_lag", "drive_lag_spread", "joint_loss",
+        "friction", "encoder_jitter", "encoder_counts", "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
+        "accel_bias", "accel_walk", "payload", "load", "slope",
+    }
+)  # fmt: skip
+
+
+def check_perturbation(perturbation: Perturbation) -> None:
+    """Raise :class:`InputError` for a setting that these plants do not read."""
+    reason = f"a robot on wheels that are fixed to the body does not read it; valid: {', '.join(sorted(READS))}"
+    perturbation.check_read(READS, reason, {})
