@@ -119,7 +119,7 @@ def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: Sampl
         end = evaluate(step, made, x[k], u[k])
         np.testing.assert_allclose(end, x[k + 1], atol=1e-6)
     for row in made.problem.path.boxes:
-        values = np.hstack([x[:-1], u])[1:, row.place]
+        values = np.hstack([x[:-1], u])[1:, row.variable]
         assert np.min(row.sign * values + row.offset) > -1e-7, row.name
 
 
