@@ -289,7 +289,7 @@ def settings_of(robot: RobotModel) -> type[RosSettings]:
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
     """Our names of the joints in /joint_states by group: all that have an encoder."""
     groups = {g: robot.state.groups.get(g, ()) for g in ("leg", "steer", "wheel", "arm")}
-    return groups | {"wheel": groups["wheel"] or robot.input.groups["wheel"]}
+    return groups | {"wheel": groups["wheel"] or robot.input.groups.get("wheel", ())}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
