@@ -64,10 +64,9 @@ def test_wheels_carry_most_of_the_weight_on_every_seed():
 
 def test_a_wheel_whose_axis_points_the_other_way_turns_the_other_way(tmp_path: Path):
     robot = load_robot(write_robot(tmp_path, [LEFT, ((0.0, -0.2), (0.0, -1.0, 0.0))], BASE))
-    rates = robot.base.rates @ [0.3, 0.0]
-    assert rates == pytest.approx([-0.3 / RADIUS, 0.3 / RADIUS] * np.sign(rates[0] * np.array([-1, -1])))
-    moved = drive(ideal_plant(robot), rates, 1.0)
-    assert abs(moved[0]) == pytest.approx(0.3, rel=0.05) and np.abs(moved[1:]).max() < 0.02
+    moved = drive(ideal_plant(robot), np.array([0.3, -0.3]) / RADIUS, 1.0)
+    assert moved[0] == pytest.approx(0.3, rel=0.05) and np.abs(moved[1:]).max() < 0.02
+    assert robot.base.rates @ [0.3, 0.0] == pytest.approx(np.array([0.3, -0.3]) / RADIUS)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -125,6 +124,11 @@ def test_the_radius_is_read_from_the_shapes(tmp_path: Path):
 def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
     with pytest.raises(InputError, match=r"plant\.steer_noise: .* does not read it; valid: "):
         base_type("differential").plant(ROBOT, Perturbation(steer_noise=0.01), 0)
+
+
+def test_what_the_plug_in_leaves_out_is_named_as_of_other_base_types():
+    with pytest.raises(InputError, match=r"'differential-ur10' .* offers no controller for ROS 2 \('ros'\)"):
+        base_type("differential").ros(ROBOT, None, 0.0025)
 
 
 # ---------------------------------------------------------------------- odometry and controller

@@ -102,9 +102,7 @@ def test_any_number_of_wheels(tmp_path: Path):
 @pytest.mark.parametrize("angle", [0.0, 45.0, -45.0])
 def test_rollers_make_a_round_wheel(tmp_path: Path, angle: float):
     """The lowest point of MuJoCo's ellipsoids over a whole turn of a wheel."""
-    plant = ideal_plant(
-        rollers(tmp_path, [angle or 1e-6, 45.0, 45.0, -45.0]) if angle else rollers(tmp_path, [0.0, 45.0, 45.0, -45.0])
-    )
+    plant = ideal_plant(rollers(tmp_path, [angle, 45.0, 45.0, -45.0]))
     model, data = plant.model, plant.data
     geoms = [model.geom(f"wheel_LF_roller_{k}").id for k in range(ROLLERS)]
     lowest = []

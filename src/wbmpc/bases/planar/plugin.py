@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NoReturn
-
 import mujoco
 
-from wbmpc.bases.base import System
+from wbmpc.bases.base import BaseType, System
 from wbmpc.bases.planar.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
-from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
-
-if TYPE_CHECKING:
-    from wbmpc.bases.planar.plant import PlanarPlant
-    from wbmpc.simulation.perturbation import Perturbation
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
 CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
 
 
-class PlanarBaseType:
-    """Checks, system and ROS adapter; a base type adds ``Description``, ``model`` and ``plant``."""
+class PlanarBaseType(BaseType):
+    """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
-        """Joints that are wheels, of the radius that their shapes have."""
+        """Joints that are wheels."""
         check_wheels(description, model)
 
     def read(self, description: RobotDescription, spec: mujoco.MjSpec) -> tuple[Tree, FixedWheels]:
         """The file's tree and its wheels."""
         tree = read_tree(spec, description.base.body)
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
-
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> PlanarPlant:
-        """The simulated robot at home."""
-        raise NotImplementedError
 
     def system(self, robot: RobotModel, seed: int) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
@@ -47,10 +36,3 @@ class PlanarBaseType:
         timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
         controller = PlanarController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
         return System(plant, controller, planar_mpc(robot, settings), timing)
-
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> NoReturn:
-        """Raises :class:`InputError`: there is no adapter."""
-        base = robot.description.base.type
-        raise InputError(
-            f"{robot.description.name}: a base of type {base} has no adapter for ROS 2; valid: simulation and planning"
-        )
