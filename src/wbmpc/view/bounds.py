@@ -11,7 +11,7 @@ Array = np.ndarray
 #: Goals are at most this far from the base in the plane [m], and between these heights [m] above the floor.
 REACH, HEIGHTS = 5.0, (-0.5, 3.0)
 #: The largest push [N] and how long it may last [s]; factors of weights; speeds of a run against the clock.
-PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-2, 1e2), (0.05, 1.0)
+PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-3, 1e3), (0.05, 1.0)
 #: How far a quaternion's norm may be from 1.
 _UNIT = 1e-3
 
