@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.kernel.cache import cache_directory
+from wbmpc.kernel.cache import UntrustedCache, trusted_file, trusted_folder
 from wbmpc.model import load_robot
 from wbmpc.model.tree import Link
 from wbmpc.zoo import torque_arm as arm
@@ -29,9 +29,12 @@ REQUIREMENTS = ("crocoddyl", "pin<4.1")
 
 def environment(install: bool = True, seconds: float = 300.0) -> Path | str:
     """The Python of crocoddyl's environment, made when it is not there; a sentence when that fails."""
-    folder = cache_directory() / "crocoddyl"
+    try:
+        folder = trusted_folder("crocoddyl")
+    except (OSError, UntrustedCache) as error:
+        return f"its environment has no safe directory: {error}"
     python = folder / "bin" / "python"
-    if (folder / "ready").exists():
+    if trusted_file(folder / "ready"):
         return python
     if not install:
         return "its environment has not been made"
@@ -42,7 +45,7 @@ def environment(install: bool = True, seconds: float = 300.0) -> Path | str:
         subprocess.run([str(python), "-c", "import crocoddyl"], check=True, capture_output=True, timeout=60)
     except (OSError, subprocess.SubprocessError) as error:
         return f"it could not be installed: {str(error)[:150]}"
-    (folder / "ready").touch()
+    (folder / "ready").touch(mode=0o600)
     return python
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.kernel.cache import cache_directory
+from wbmpc.benchmark.libraries import library_folder
+from wbmpc.kernel.cache import trusted_file
 from wbmpc.ocp import RelaxedBarrier, Transcription
 from wbmpc.ocp.rows import BoxRow, Kind, Row
 from wbmpc.solver import Solver
@@ -323,11 +324,10 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) 
     code = generator.dump()
     flags = ("-O1" if len(code) > LARGE else "-O2", *COMPILER_FLAGS)
     key = hashlib.sha256((code + found + " ".join(flags)).encode()).hexdigest()[:32]
-    folder = cache_directory() / "peers"
+    folder = library_folder()
     library = folder / f"{key}.so"
-    if library.exists():
+    if trusted_file(library):
         return library
-    folder.mkdir(parents=True, exist_ok=True)
     source, partial = folder / f"{key}.c", folder / f"{key}.part.so"
     source.write_text(code)
     command = [found, *flags, "-o", str(partial), str(source), "-lm"]
@@ -335,5 +335,6 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) 
         subprocess.run(command, check=True, capture_output=True, timeout=seconds)
     except subprocess.SubprocessError as error:
         return f"the C compiler failed: {str(error)[:200]}"
+    partial.chmod(0o700)
     partial.replace(library)
     return library

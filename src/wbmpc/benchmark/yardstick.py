@@ -12,12 +12,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.benchmark.libraries import library_folder
 from wbmpc.benchmark.lq import LQProblem, eliminate, linearise, pack
 from wbmpc.benchmark.ours import milliseconds, single_iteration
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program, Samples, compiler, sampled
 from wbmpc.kernel import Kernel
-from wbmpc.kernel.cache import cache_directory
+from wbmpc.kernel.cache import trusted_file
 from wbmpc.kernel.compiled import RELATIVE_COMPLIANCE, output_maps
 from wbmpc.ocp import Transcription
 
@@ -93,10 +94,9 @@ def build(code: str, seconds: float = 300.0) -> ctypes.CDLL | str:
         return "benchmarks/c is in a checkout only"
     text = code + "\n" + SOURCE.read_text()
     key = hashlib.sha256((text + found + " ".join(FLAGS)).encode()).hexdigest()[:32]
-    folder = cache_directory() / "peers"
+    folder = library_folder()
     library = folder / f"c-{key}.so"
-    if not library.exists():
-        folder.mkdir(parents=True, exist_ok=True)
+    if not trusted_file(library):
         source, partial = library.with_suffix(".c"), library.with_suffix(".part.so")
         source.write_text(text)
         command = [found, *FLAGS, "-o", str(partial), str(source), "-lm"]
@@ -106,6 +106,7 @@ def build(code: str, seconds: float = 300.0) -> ctypes.CDLL | str:
             return f"the C compiler took more than {seconds:.0f} s"
         except subprocess.CalledProcessError as error:
             return f"the C compiler failed: {error.stderr[:200]}"
+        partial.chmod(0o700)
         partial.replace(library)
     return ctypes.CDLL(str(library))
 

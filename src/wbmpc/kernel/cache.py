@@ -1,17 +1,33 @@
-"""Object code on disk: found by the hash of the problem, checked before use, replaced atomically."""
+"""Object code on disk: found by the hash of the problem, checked before use, replaced atomically.
+
+What is loaded from here runs. So directory and files count only where they belong to the user of this process and nobody else
+may write to them; otherwise everything is compiled in memory.
+"""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
 import os
-import tempfile
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
+from wbmpc.errors import KernelError
+
 _LOG = logging.getLogger("wbmpc")
 _ROOMS = (".", "kernel", "ocp", "model")
+#: Who else may write.
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+class UntrustedCache(KernelError):
+    """A directory or file of the cache that others can change, or that is not the user's; the message names it and says why."""
 
 
 def cache_directory() -> Path:
@@ -37,14 +53,92 @@ def _digest(key: str, body: bytes) -> bytes:
     return hashlib.sha256(key.encode() + body).digest()
 
 
+def _distrust(path: Path, found: os.stat_result) -> str:
+    """Why what is at ``path`` may have been put there by others; empty if only the user can have."""
+    if found.st_uid != os.geteuid():
+        return f"{path} belongs to the user with number {found.st_uid}, not to this one ({os.geteuid()})"
+    if stat.S_ISLNK(found.st_mode):  # has no permissions of its own
+        return ""
+    if found.st_mode & _OTHERS:
+        mode = f"{stat.S_IMODE(found.st_mode):04o}"
+        return f"{path} can be changed by others (mode {mode}; 'chmod go-w {path}' if its content is yours)"
+    return ""
+
+
+@contextmanager
+def _opened(folder: Path, create: bool) -> Iterator[int]:
+    """A descriptor of a directory that is the user's alone. All files are then reached through it, whatever becomes of the path.
+
+    Raises :class:`UntrustedCache`, or OSError where there is none.
+    """
+    if create:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    why = _distrust(folder, folder.lstat())  # a link too: another user's may lead anywhere
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        why = why or _distrust(folder, os.fstat(descriptor))
+        if why:
+            raise UntrustedCache(why)
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def trusted_folder(name: str) -> Path:
+    """The folder ``name`` of the cache, made if need be: the user's alone, as is the cache itself.
+
+    Raises :class:`UntrustedCache`, or OSError where it cannot be made.
+    """
+    folder = cache_directory() / name
+    with _opened(folder.parent, create=True), _opened(folder, create=True):
+        return folder
+
+
+def trusted_file(path: Path) -> bool:
+    """Whether there is a regular file, no link, that only the user can have written; a warning says why one is not used."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    if not stat.S_ISREG(found.st_mode):
+        return False
+    why = _distrust(path, found)
+    if why:
+        _warn(why)
+    return not why
+
+
+def _read(folder: int, path: Path) -> bytes | None:
+    """The content of an entry; None where there is no regular file that only the user can have written."""
+    try:  # not waiting for pipes, not following links
+        descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            _warn(f"{path} is a link")
+        return None
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            return None
+        why = _distrust(path, found)
+        if why:
+            _warn(why)
+            return None
+        return file.read()
+
+
 def load(key: str) -> tuple[bytes, dict] | None:
-    """Object code and its description, or None when there is no valid entry."""
+    """Object code and its description, or None when there is no valid entry that only the user can have written."""
     path = cache_directory() / f"{key}.bin"
     try:
-        if not path.is_file():  # reading anything else might never end
-            return None
-        raw = path.read_bytes()
+        with _opened(path.parent, create=False) as folder:
+            raw = _read(folder, path)
+    except UntrustedCache as error:
+        _warn(str(error))
+        return None
     except OSError:
+        return None
+    if raw is None:
         return None
     digest, rest = raw[:32], raw[32:]
     if _digest(key, rest) != digest:
@@ -55,21 +149,36 @@ def load(key: str) -> tuple[bytes, dict] | None:
 
 
 def save(key: str, code: bytes, description: dict) -> None:
-    """Store an entry; a directory that cannot be written is not an error, but told once."""
+    """Store an entry (mode 0600); where that is impossible, or the directory is not the user's alone: a warning, once."""
     text = json.dumps(description).encode()
     body = len(text).to_bytes(8, "little") + text + code
     try:
-        cache_directory().mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=cache_directory())
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(_digest(key, body) + body)
-            os.replace(name, cache_directory() / f"{key}.bin")
-        except OSError:
-            os.unlink(name)
-            raise
+        with _opened(cache_directory(), create=True) as folder:
+            _replace(folder, f"{key}.bin", _digest(key, body) + body)
+    except UntrustedCache as error:
+        _warn(str(error))
     except OSError as error:
         _tell(str(cache_directory()), str(error))
+
+
+def _replace(folder: int, name: str, content: bytes) -> None:
+    """A file of the directory, whole or not at all."""
+    partial = f"tmp{secrets.token_hex(8)}"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(partial, flags, 0o600, dir_fd=folder)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+        os.replace(partial, name, src_dir_fd=folder, dst_dir_fd=folder)
+    except BaseException:
+        os.unlink(partial, dir_fd=folder)
+        raise
+
+
+@cache
+def _warn(why: str) -> None:
+    """Once for each reason."""
+    _LOG.warning("cached machine code is not used, it is compiled in memory: %s", why)
 
 
 @cache

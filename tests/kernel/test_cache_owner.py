@@ -1,0 +1,175 @@
+"""Cached machine code runs: it counts only where nobody but the user can have put it. Truth: what the file system says of
+owners and modes, and a sentinel as the entry's content."""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from toys import LinearQuadratic
+from wbmpc.benchmark.libraries import library_folder
+from wbmpc.benchmark.program import compiled_library, compiler
+from wbmpc.kernel import build_kernel, cache
+from wbmpc.kernel.ir import NUM
+from wbmpc.kernel.library import Library
+from wbmpc.ocp import Transcription
+
+CODE = b"machine code of somebody"
+SOMEBODY = 12345
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+
+
+@pytest.fixture(autouse=True)
+def warn_anew() -> None:
+    cache._warn.cache_clear()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache with the entry "key"."""
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "above" / "cache"))
+    cache.save("key", CODE, {"nx": 1})
+    return tmp_path / "above" / "cache"
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o002, 0o022, 0o077])
+def test_what_is_made_is_the_users_alone_whatever_the_umask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, umask: int
+) -> None:
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "cache"))
+    before = os.umask(umask)
+    try:
+        cache.save("key", CODE, {})
+        below = cache.trusted_folder("below")
+    finally:
+        os.umask(before)
+    assert mode(tmp_path / "cache") == mode(below) == 0o700
+    assert mode(tmp_path / "cache" / "key.bin") == 0o600
+    assert cache.load("key") == (CODE, {})
+
+
+@pytest.mark.parametrize("given", [0o700, 0o755, 0o750, 0o555])
+def test_a_directory_that_others_may_only_read_is_used(folder: Path, given: int) -> None:
+    folder.chmod(given)
+    (folder / "key.bin").chmod(0o644)
+    assert cache.load("key") == (CODE, {"nx": 1})
+
+
+def foreign_link(folder: Path) -> None:
+    folder.rename(folder.with_name("moved"))
+    folder.symlink_to(folder.with_name("moved"))
+    os.chown(folder, SOMEBODY, SOMEBODY, follow_symlinks=False)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda folder: folder.chmod(0o775), "0775"),
+        (lambda folder: folder.chmod(0o1777), "1777"),
+        (lambda folder: folder.chmod(0o702), "0702"),
+        pytest.param(lambda folder: os.chown(folder, SOMEBODY, -1), str(SOMEBODY), marks=needs_root),
+        pytest.param(foreign_link, str(SOMEBODY), marks=needs_root),
+    ],
+)
+def test_a_directory_that_others_can_change_is_neither_read_nor_written(
+    folder: Path, spoil: Callable[[Path], None], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    spoil(folder)
+    before = sorted(p.name for p in folder.iterdir())
+    assert cache.load("key") is None
+    cache.save("other", CODE, {})
+    assert cache.load("other") is None
+    assert sorted(p.name for p in folder.iterdir()) == before
+    assert len(caplog.records) == 1  # once
+    assert str(folder) in caplog.text and reason in caplog.text and "compiled in memory" in caplog.text
+
+
+def linked(file: Path) -> None:
+    file.rename(file.with_name("elsewhere"))
+    file.symlink_to(file.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda file: file.chmod(0o620), "0620"),
+        (lambda file: file.chmod(0o606), "0606"),
+        (linked, "is a link"),
+        pytest.param(lambda file: os.chown(file, SOMEBODY, -1), str(SOMEBODY), marks=needs_root),
+    ],
+)
+def test_an_entry_that_others_can_have_written_is_replaced_by_an_own_one(
+    folder: Path, spoil: Callable[[Path], None], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    spoil(folder / "key.bin")
+    assert cache.load("key") is None and cache.load("key") is None
+    assert len(caplog.records) == 1 and str(folder / "key.bin") in caplog.text and reason in caplog.text
+    cache.save("key", CODE[::-1], {})
+    assert cache.load("key") == (CODE[::-1], {})
+    found = (folder / "key.bin").lstat()
+    assert stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) == 0o600
+    if reason == "is a link":  # nothing was written through it
+        assert CODE in (folder / "elsewhere").read_bytes()
+
+
+def test_an_own_link_to_an_own_directory_is_followed(folder: Path) -> None:
+    """Caches are moved to larger disks that way."""
+    folder.rename(folder.with_name("moved"))
+    folder.symlink_to(folder.with_name("moved"))
+    assert cache.load("key") == (CODE, {"nx": 1})
+
+
+def test_kernels_and_translated_functions_are_compiled_in_memory(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    problem = Transcription(LinearQuadratic(2, 1, 1).problem())
+
+    def driver() -> Library:
+        library = Library("owner", rooms=("kernel",))
+        library.compiled(NUM, NUM)(_twice)
+        return library
+
+    assert not build_kernel(problem).from_cache and build_kernel(problem).from_cache
+    assert driver().functions[0](2.0) == 4.0
+    entries = {p: p.read_bytes() for p in folder.iterdir()}
+    assert len(entries) == 3
+    folder.chmod(0o777)
+    for _ in range(2):
+        assert not build_kernel(problem).from_cache
+        assert driver().functions[0](3.0) == 6.0
+    assert {p: p.read_bytes() for p in folder.iterdir()} == entries
+    assert len([r for r in caplog.records if r.levelno == logging.WARNING]) == 1
+
+
+def _twice(x):  # type: ignore[no-untyped-def]
+    return 2.0 * x
+
+
+def test_libraries_of_the_c_compiler_are_kept_in_a_safe_place_only(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert library_folder() == folder / "peers" and mode(folder / "peers") == 0o700
+    (folder / "peers").chmod(0o777)
+    assert folder not in library_folder().parents and mode(library_folder()) == 0o700
+    assert library_folder() == library_folder() and str(folder / "peers") in caplog.text
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_a_library_that_others_can_have_written_is_made_again(folder: Path) -> None:
+    made = compiled_library({})
+    assert isinstance(made, Path)
+    good = made.read_bytes()
+    made.write_bytes(b"of somebody")
+    assert compiled_library({}) == made and made.read_bytes() == b"of somebody"  # trusted, as the user's own
+    made.chmod(0o777)
+    assert compiled_library({}) == made and made.read_bytes()[:4] == good[:4] == b"\x7fELF"
