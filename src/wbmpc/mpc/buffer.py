@@ -155,21 +155,25 @@ def _views(data: np.ndarray, fields: Fields) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Numbers of states, inputs, intervals, model parameters and straight hard rows of several inputs (or of some modes) of a
-    problem: what its messages need."""
+    """Numbers of states, inputs, intervals, model parameters and straight hard rows of several inputs (or of some modes, or around
+    references) of a problem, and whether such rows move: what its messages need."""
 
     nx: int
     nu: int
     n: int
     parameters: int = 0
     rows: int = 0
+    moving: bool = False
 
     @classmethod
     def of(cls, ocp: OptimalControlProblem) -> Sizes:
         """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`)."""
         d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
-        rows = Transcription(ocp).input_planes().offset.size if hard else 0
-        return cls(d.state.size, d.input.size, ocp.intervals, d.parameters.size, rows)
+        own = (d.state.size, d.input.size, ocp.intervals, d.parameters.size)
+        if not hard:
+            return cls(*own)
+        planes = Transcription(ocp).input_planes()
+        return cls(*own, planes.offset.size, planes.move)
 
     def observation(self) -> Fields:
         """An observation: measured at ``observed`` [s]; state ``x`` (nx) predicted for time ``t`` [s] of the plan's clock,
@@ -184,9 +188,11 @@ class Sizes:
         return {**scalars, "times": (n + 1,), "x": (n + 1, nx), "u": (n, nu), "gain": (n, nu, nx), **self.limits()}
 
     def limits(self) -> Fields:
-        """Hard bounds and rows of the inputs, the same in every policy; and which rows count in each interval's mode."""
+        """Hard bounds and rows of the inputs, the same in every policy; which rows count in each interval's mode; and where they
+        are at its beginning and end, if they move."""
         nu, r = self.nu, self.rows
-        return {"lower": (nu,), "upper": (nu,), "matrix": (r, nu), "offset": (r,), "active": (self.n, r)}
+        fixed: Fields = {"lower": (nu,), "upper": (nu,), "matrix": (r, nu), "offset": (r,), "active": (self.n, r)}
+        return {**fixed, "moving": (self.n, 2, r)} if self.moving else fixed
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,10 @@ class TimedPolicy(Policy):
         limits = InputLimits(v["lower"], v["upper"], v["matrix"], v["offset"])
         active = v["active"] if v["offset"].size else None
         own = (start, seen, ready, number, message.number)
-        return cls(v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, active=active, passed=float(v["passed"]))
+        passed, moving = float(v["passed"]), v.get("moving")
+        return cls(
+            v["times"], v["x"], v["u"], v["gain"], *own, limits=limits, active=active, moving=moving, passed=passed
+        )
 
 
 class Board:

@@ -123,7 +123,7 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self.statistics = Statistics()
-        planes = self.solver.problem.input_planes()
+        self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
         # rows of some modes: where they are among all, and the parameters that switch them
@@ -208,17 +208,30 @@ class MPC:
         apart = self.solver.apart
         if apart:
             self.statistics.start_apart(apart)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, self.active_rows())
+        self._policy = Policy.of(solution, observation.t, self.limits, self.passed, *self.input_rows())
         return self._policy
 
-    def active_rows(self) -> np.ndarray | None:
-        """Which rows of ``limits`` count in each interval of the last plan, (N, r), 1 or 0; None without rows."""
+    def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
+        offsets at its beginning and end, (N, 2, r), None where they do not move."""
         if not self.limits.offset.size:
-            return None
+            return None, None
         nodes = self.solver.ws.p[:-1]  # of the solver's grid, which may be finer than the problem's
         active = np.ones((len(nodes), self.limits.offset.size))
         active[:, self._switched] = nodes[:, self._switches]
-        return active
+        return active, self._moving() if self._planes.move else None
+
+    def _moving(self) -> np.ndarray:
+        """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+        solver, planes = self.solver, self._planes
+        nodes = solver.ws.p[:, : planes.by_node.shape[1]]
+        ends = nodes[:-1].copy()
+        for name, reference in solver.references.items():
+            if reference.kind == "linear":
+                part = solver.problem.node.slices[f"reference.{name}"]
+                ends[:, part] = nodes[1:, part]
+        fixed = planes.offset + planes.by_constant @ solver.ws.w[: planes.by_constant.shape[1]]
+        return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
 
     @property
     def passed(self) -> float:

@@ -20,6 +20,7 @@ class InputLimits:
     Bounds ``lower`` and ``upper`` (nu) cut inputs one by one. Rows ``matrix`` u + ``offset`` ≥ 0, (r, nu) and (r,), scale back what
     feedback adds: u = u_ff + s (u − u_ff), for every group of inputs that rows couple with the largest s in [0, 1] that holds its
     rows. Other groups, and inputs in no row, keep their feedback: a base at its limit must not take the balance from a pole.
+    Where bounds move with a reference, their rows are in ``matrix``, and cut inputs one by one too.
     """
 
     def __init__(
@@ -29,26 +30,51 @@ class InputLimits:
         self.matrix = np.zeros((0, lower.size)) if matrix is None else matrix
         self.offset = np.zeros(len(self.matrix)) if offset is None else offset
         self._coupled = _groups(self.matrix != 0.0)  # (r, nu)
+        single = np.flatnonzero((self.matrix != 0.0).sum(axis=1) == 1)
+        self._single = [(int(r), int(np.argmax(self.matrix[r] != 0.0))) for r in single]
 
-    def hold(self, u: np.ndarray, planned: np.ndarray | None = None, active: np.ndarray | None = None) -> np.ndarray:
-        """``u`` (nu), cut in place; ``planned`` (nu): without feedback; ``active`` (r): which rows count now (all: left out)."""
+    def hold(
+        self,
+        u: np.ndarray,
+        planned: np.ndarray | None = None,
+        active: np.ndarray | None = None,
+        offset: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """``u`` (nu), cut in place; ``planned`` (nu): without feedback; ``active`` (r): which rows count now (all: left out);
+        ``offset`` (r): of the rows now, where they move."""
         lower, upper, far = self.lower, self.upper, False
+        if offset is not None:
+            lower, upper = self._bounds(offset, active)
         if (u > upper).any() or (u < lower).any():
             far = bool((np.maximum(u - upper, lower - u) > _ROUNDING * np.maximum(np.abs(u), 1.0)).any())
             np.clip(u, lower, upper, out=u)
-        if planned is not None and self.offset.size and self._scale(u, planned, active):
+        offset = self.offset if offset is None else offset
+        if planned is not None and offset.size and self._scale(u, planned, active, offset):
             far = True
             np.clip(u, lower, upper, out=u)  # a plan that is outside itself
         self.count += int(far)
         return u
 
-    def _scale(self, u: np.ndarray, planned: np.ndarray, active: np.ndarray | None) -> bool:
+    def _bounds(self, offset: np.ndarray, active: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """(lower, upper) (nu): the bounds that hold for good, and those of the rows of single inputs with these offsets (r)."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for r, i in self._single:
+            if active is not None and active[r] <= 0.0:
+                continue
+            slope = self.matrix[r, i]
+            if slope > 0.0:
+                lower[i] = max(lower[i], -offset[r] / slope)
+            else:
+                upper[i] = min(upper[i], -offset[r] / slope)
+        return lower, upper
+
+    def _scale(self, u: np.ndarray, planned: np.ndarray, active: np.ndarray | None, offset: np.ndarray) -> bool:
         """Whether rows made feedback smaller, in place. What the plan itself lacks of a row is not made worse."""
-        now = self.matrix @ u + self.offset
+        now = self.matrix @ u + offset
         bad = now < -_ROUNDING if active is None else (now < -_ROUNDING) & (active > 0.0)
         if not bad.any():
             return False
-        before = np.maximum(self.matrix[bad] @ planned + self.offset[bad], 0.0)
+        before = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
         shares = before / (before - now[bad])
         share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
         np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
@@ -76,8 +102,9 @@ class Policy:
     ``passed``: by how much planned states, from node 1 on, are outside hard limits as a share of the range; 0 up to 0.1 %.
     ``limits``: what the problem gives the inputs alone by straight hard constraints, bounds and rows of several (None: nothing).
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
-    count in each interval's mode. Other hard rows (curved ones, with states, references or parameters) hold in the plan, i.e. for
-    ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
+    count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
+    parameters move them (None: nowhere); in between they are linear, so that ``policy(t)`` follows them too. Other hard rows
+    (curved ones, with states) hold in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
     """
 
     times: np.ndarray
@@ -87,16 +114,16 @@ class Policy:
     limits: InputLimits | None = field(default=None, kw_only=True, compare=False)
     passed: float = field(default=0.0, kw_only=True)
     active: np.ndarray | None = field(default=None, kw_only=True, compare=False)
+    moving: np.ndarray | None = field(default=None, kw_only=True, compare=False)
 
     @classmethod
     def of(
         cls, solution: Solution, t0: float, limits: InputLimits | None = None, passed: float = 0.0,
-        active: np.ndarray | None = None,
+        active: np.ndarray | None = None, moving: np.ndarray | None = None,
     ) -> Policy:  # fmt: skip
         """The policy of a solution whose horizon starts at ``t0`` [s]."""
-        return cls(
-            t0 + solution.times, solution.x, solution.u, solution.gain, limits=limits, passed=passed, active=active
-        )
+        own = (t0 + solution.times, solution.x, solution.u, solution.gain)
+        return cls(*own, limits=limits, passed=passed, active=active, moving=moving)
 
     @property
     def end(self) -> float:
@@ -110,9 +137,12 @@ class Policy:
     def state(self, t: float) -> np.ndarray:
         """Planned state (nx) at time t [s]."""
         k = self._interval(t)
-        a = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
-        a = min(max(a, 0.0), 1.0)
+        a = self._share(t, k)
         return (1.0 - a) * self.x[k] + a * self.x[k + 1]
+
+    def _share(self, t: float, k: int) -> float:
+        """How much of interval k has passed at time t [s], from 0 to 1."""
+        return float(min(max((t - self.times[k]) / (self.times[k + 1] - self.times[k]), 0.0), 1.0))
 
     def feedforward(self, t: float) -> np.ndarray:
         """Planned input (nu) at time t [s]."""
@@ -140,7 +170,11 @@ class Policy:
         u = self.feedforward(t) if x is None else self.law(t, x)
         if self.limits is None:
             return u
-        if x is None:
+        if x is None and self.moving is None:
             return self.limits.hold(u)
-        k = self._interval(t)
-        return self.limits.hold(u, self.u[k], None if self.active is None else self.active[k])
+        k, offset = self._interval(t), None
+        if self.moving is not None:
+            a = self._share(t, k)
+            offset = (1.0 - a) * self.moving[k, 0] + a * self.moving[k, 1]
+        active = None if self.active is None else self.active[k]
+        return self.limits.hold(u, None if x is None else self.u[k], active, offset)

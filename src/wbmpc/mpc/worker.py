@@ -127,11 +127,13 @@ class Worker:
         np.add(ws.grid, values["t"], out=slot["times"])
         slot["x"][...], slot["u"][...] = ws.x, ws.u
         slot["gain"][...] = ws.k[:, :, : ws.x.shape[1]]
-        limits, active = self.mpc.limits, self.mpc.active_rows()
+        limits, (active, moving) = self.mpc.limits, self.mpc.input_rows()
         for name in ("lower", "upper", "matrix", "offset"):
             slot[name][...] = getattr(limits, name)
         if active is not None:
             slot["active"][...] = active
+        if moving is not None:
+            slot["moving"][...] = moving
         slot["observation"][...] = self._message.number
         for name in ("observed", "valid_from"):
             slot[name][...] = values[name]

@@ -169,7 +169,7 @@ def inequality_rows(
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
         sides = _sides(term, r.shape[0])
-        selection = None if term.modes is not None else _selection(r, z)
+        selection = None if term.modes is not None else single_variables(r, z)
         with_input, with_state = depends(r, u), depends(r, x)
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
@@ -301,52 +301,7 @@ def bent_by_inputs(equality: ca.SX, place: Place, u: ca.SX) -> bool:
     return bool(ca.jacobian(ca.vec(slopes), u).nnz())
 
 
-def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
-    """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
-    nx, z = x.shape[0], ca.vertcat(x, u)
-    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
-    for expression, row in zip(place.expressions, place.general, strict=True):
-        found = _selection(expression, z) if row.kind is Kind.HARD else None
-        hard += found or []
-    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
-    for index, slope, offset in hard:  # slope z + offset ≥ 0
-        i, bound = index - nx, -offset / slope
-        if i >= 0 and slope > 0.0:
-            lower[i] = max(lower[i], bound)
-        elif i >= 0:
-            upper[i] = min(upper[i], bound)
-    return lower, upper
-
-
-class InputPlanes(NamedTuple):
-    """Hard rows ``matrix`` u + ``offset`` ≥ 0 of inputs alone, in units of their ranges, (r, nu) and (r,); ``switches`` (r,): which
-    term's switch turns each of them on, −1 for always. Bounds of single inputs in all modes are not among them."""
-
-    matrix: np.ndarray
-    offset: np.ndarray
-    switches: np.ndarray
-
-
-def input_planes(place: Place, u: ca.SX, switches: list[ca.SX]) -> InputPlanes:
-    """Of the rows that are straight in the inputs and depend on nothing else but ``switches``, one for each term with modes."""
-    found = []
-    every = ca.vertcat(u, *switches)
-    for h, row in zip(place.expressions, place.general, strict=True):
-        if row.kind is not Kind.HARD or row.state_only:
-            continue
-        own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
-        on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
-        slope = ca.simplify(ca.jacobian(on, u))
-        if len(own) > 1 or ca.symvar(slope) or any(not ca.depends_on(s, every) for s in ca.symvar(on)):
-            continue
-        normal = np.array(ca.DM(ca.densify(slope))).ravel()
-        if own or (normal != 0.0).sum() > 1:
-            found.append((normal, float(ca.DM(ca.substitute(on, u, ca.DM.zeros(u.shape[0])))), own[0] if own else -1))
-    matrix = np.array([f[0] for f in found]).reshape(-1, u.shape[0])
-    return InputPlanes(matrix, np.array([f[1] for f in found]), np.array([f[2] for f in found], int))
-
-
-def _selection(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
+def single_variables(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
     """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
     jacobian = ca.jacobian(r, z)
     if ca.symvar(jacobian):

@@ -17,20 +17,18 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.ocp.input_rows import InputPlanes, input_bounds, input_planes
 from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
 from wbmpc.ocp.rows import (
     BoxRow,
-    InputPlanes,
     Place,
     bent_by_inputs,
     curved_in_inputs,
     depends,
     equality_rows,
     inequality_rows,
-    input_bounds,
-    input_planes,
 )
 from wbmpc.ocp.schedule import DEFAULT, ModeSchedule
 from wbmpc.ocp.sets import Box
@@ -180,9 +178,11 @@ class Transcription:
         return input_bounds(self.path, self.x, self.u)
 
     def input_planes(self) -> InputPlanes:
-        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only."""
+        """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only or
+        around a reference."""
         switch = self.node.slices["switch"]
-        return input_planes(self.path, self.u, [self.p[i] for i in range(switch.start, switch.stop)])
+        switches = [self.p[i] for i in range(switch.start, switch.stop)]
+        return input_planes(self.path, self.u, self.p, self.w, switches)
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""

@@ -1,0 +1,79 @@
+"""What hard rows give the inputs alone, whatever the state: for policies, which hold their feedback to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from wbmpc.ocp.rows import Kind, Place, single_variables
+
+
+def input_bounds(place: Place, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+    """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
+    nx, z = x.shape[0], ca.vertcat(x, u)
+    hard = [(r.place, r.sign, r.offset) for r in place.boxes if r.kind is Kind.HARD]
+    for expression, row in zip(place.expressions, place.general, strict=True):
+        found = single_variables(expression, z) if row.kind is Kind.HARD else None
+        hard += found or []
+    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
+    for index, slope, offset in hard:  # slope z + offset ≥ 0
+        i, bound = index - nx, -offset / slope
+        if i >= 0 and slope > 0.0:
+            lower[i] = max(lower[i], bound)
+        elif i >= 0:
+            upper[i] = min(upper[i], bound)
+    return lower, upper
+
+
+class InputPlanes(NamedTuple):
+    """Hard rows of inputs alone that are no bounds of single inputs for good, in units of their ranges.
+
+    ``matrix`` u + ``offset`` + ``by_node`` p + ``by_constant`` w ≥ 0, (r, nu), (r,), (r, np) and (r, nw), with the parameters p of
+    the node (references, mode values) and w of the whole horizon. ``switches`` (r,): which term's switch turns each of them on, −1
+    for always.
+    """
+
+    matrix: np.ndarray
+    offset: np.ndarray
+    by_node: np.ndarray
+    by_constant: np.ndarray
+    switches: np.ndarray
+
+    @property
+    def move(self) -> bool:
+        """Whether offsets depend on references, mode values or parameters."""
+        return bool(self.by_node.any() or self.by_constant.any())
+
+
+def input_planes(place: Place, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> InputPlanes:
+    """The rows that are straight in the inputs and in the parameters p and w, and depend on nothing else but ``switches``, elements
+    of p, one for each term with modes."""
+    every = ca.vertcat(u, p, w)
+    ends = np.cumsum([u.shape[0], p.shape[0], w.shape[0]])
+    found: list[tuple[np.ndarray, float, int]] = []
+    for h, row in zip(place.expressions, place.general, strict=True):
+        if row.kind is not Kind.HARD or row.state_only:
+            continue
+        own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
+        on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
+        straight = _straight(on, every) if len(own) < 2 else None
+        if straight is None:
+            continue
+        slope, offset = straight
+        if own or slope[ends[0] :].any() or (slope[: ends[0]] != 0.0).sum() > 1:
+            found.append((slope, offset, own[0] if own else -1))
+    slopes = np.array([f[0] for f in found]).reshape(-1, ends[-1])
+    matrix, by_node, by_constant = np.split(slopes, ends[:-1], axis=1)
+    offsets, switched = np.array([f[1] for f in found]), np.array([f[2] for f in found], int)
+    return InputPlanes(matrix, offsets, by_node, by_constant, switched)
+
+
+def _straight(h: ca.SX, z: ca.SX) -> tuple[np.ndarray, float] | None:
+    """(slope, offset) of a row h = slope z + offset; None if it is curved, or depends on anything else."""
+    slope = ca.simplify(ca.jacobian(h, z))
+    offset = ca.substitute(h, z, ca.DM.zeros(z.shape[0]))
+    if ca.symvar(slope) or ca.symvar(offset):
+        return None
+    return np.array(ca.DM(ca.densify(slope))).ravel(), float(ca.DM(offset))

@@ -1,0 +1,148 @@
+"""Hard boxes around a reference in policies, through the public interface. Truth: the bounds as they were typed in, and the
+reference's own value at that time."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from wbmpc.mpc import Mailbox, Sizes, VirtualClock
+from wbmpc.mpc.buffer import Board, TimedPolicy
+from wbmpc.mpc.worker import NUMBERS, ORDERS, RECORDS, Worker
+
+FORCE = 5.0
+UPRIGHT = np.array([0.0, np.pi, 0.0, 0.0])
+START = np.array([0.0, np.pi + 0.02, 0.0, 0.0])
+PUSHED = [np.array([0.0, angle, 0.0, rate]) for angle, rate in ((0.3, 2.0), (-0.3, -2.0), (0.05, 0.2), (0.0, 1e-3))]
+
+
+def cart_pole(x: ca.SX, u: ca.SX) -> ca.SX:
+    """Cart of 1 kg, pole of 0.1 kg at 0.5 m; the angle is π upright."""
+    s, c = ca.sin(x[1]), ca.cos(x[1])
+    mass = 1.0 + 0.1 * s**2
+    cart = (u[0] + 0.1 * s * (0.5 * x[3] ** 2 + 9.81 * c)) / mass
+    pole = (-u[0] * c - 0.05 * x[3] ** 2 * c * s - 1.1 * 9.81 * s) / (0.5 * mass)
+    return ca.vertcat(x[2], x[3], cart, pole)
+
+
+def problem(box: wb.sets.Box | None = None, modes: tuple[str, ...] | None = None) -> wb.OptimalControlProblem:
+    dynamics = wb.Equations({"x": ["cart", "angle", "cart_rate", "angle_rate"]}, {"u": ["force"]}, cart_pole)
+    ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=25)
+    error = wb.residuals.Expression(4, lambda s: s.x - UPRIGHT)
+    ocp.add(wb.Cost("state", error, [1.0, 10.0, 0.1, 0.1], at="all", terminal_weight=[10.0, 100.0, 1.0, 1.0]))
+    ocp.add(wb.Cost("effort", wb.residuals.Expression(1, lambda s: s.u), 0.01))
+    box = wb.sets.Box(-FORCE, FORCE) if box is None else box
+    ocp.add(wb.Constraint("limit", wb.residuals.Input(dynamics), box, hard=True, modes=modes))
+    return ocp
+
+
+def policies(mpc: wb.MPC, count: int = 3) -> list[wb.Policy]:
+    mpc.reset(START)
+    found, x = [], START
+    for k in range(count):
+        found.append(mpc.update(wb.Observation(0.02 * k, x)))
+        x = found[-1].state(0.02 * (k + 1))
+    return found
+
+
+@pytest.fixture(scope="module")
+def plain() -> wb.MPC:
+    return wb.MPC(problem(), rate=50.0)
+
+
+def test_a_cart_pole_never_gets_more_than_its_limit_whatever_feedback_asks_for(plain: wb.MPC) -> None:
+    """No reference is set: it is zero."""
+    cut = 0
+    for policy in policies(plain):
+        for t in np.linspace(policy.times[0] - 0.01, policy.end + 0.1, 40):
+            assert abs(policy(t)[0]) <= FORCE
+            for push in PUSHED:
+                x = policy.state(t) + push
+                asked = policy.law(t, x)[0]
+                np.testing.assert_allclose(policy(t, x), [np.clip(asked, -FORCE, FORCE)], atol=1e-12)
+                cut += abs(asked) > FORCE
+    assert cut > 50 and plain.limits.count == cut
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        wb.Reference.constant([1.5]),
+        wb.Reference(np.array([0.0, 5.0]), np.array([[-2.0], [8.0]])),
+        wb.Reference(np.array([0.0, 0.2, 0.4]), np.array([[-1.0], [1.0], [0.5]]), "hold"),
+    ],
+    ids=["constant", "ramp", "hold"],
+)
+def test_the_box_moves_with_its_reference(plain: wb.MPC, reference: wb.Reference) -> None:
+    plain.reference["limit"] = reference
+    seen = set()
+    for policy in policies(plain):
+        for k, t in (
+            (k, t + share * h)
+            for k, (t, h) in enumerate(zip(policy.times, np.diff(policy.times)))
+            for share in (0.0, 0.6)
+        ):
+            # a held reference may change within an interval: then its value at the interval's beginning counts, as in the plan
+            middle = reference.at(policy.times[k] if reference.kind == "hold" else t)[0]
+            for push in PUSHED:
+                x = policy.state(t) + push
+                given = policy(t, x)[0]
+                assert given == pytest.approx(np.clip(policy.law(t, x)[0], middle - FORCE, middle + FORCE), abs=1e-9)
+                seen.add(round(abs(given - middle), 6))
+            assert abs(policy(t)[0] - middle) <= FORCE + 1e-9
+    assert FORCE in seen
+
+
+def test_a_tighter_fixed_bound_and_a_mode_beside_it() -> None:
+    """The reference is 3 N: [−2, 8] N by the tracked box, in the mode "careful" only; at most 4 N always."""
+    ocp = problem(modes=("careful",))
+    ocp.add(wb.Constraint("least", wb.residuals.Input(ocp.dynamics, tracked=False), wb.sets.Box(-20.0, 4.0), hard=True))
+    mpc = wb.MPC(ocp, rate=50.0)
+    mpc.reference["limit"] = wb.Reference.constant([3.0])
+    mpc.set_schedule(wb.ModeSchedule((wb.Mode("careful"), wb.Mode("free")), (0.5,)))
+    (policy,) = policies(mpc, 1)
+    for t in (0.1, 0.3, 0.45, 0.6, 0.9):
+        lower = -2.0 if t < 0.5 else -20.0
+        for push in PUSHED:
+            asked = policy.law(t, policy.state(t) + push)[0]
+            assert policy(t, policy.state(t) + push)[0] == pytest.approx(np.clip(asked, lower, 4.0), abs=1e-9)
+
+
+def test_rows_of_several_inputs_around_references_scale_feedback_back() -> None:
+    """|u0 + u1 − r| ≤ 1 with the reference r = 0.25: what feedback adds is scaled, in both inputs alike."""
+    dynamics = wb.Equations({"x": ["p", "v"]}, {"u": ["a", "b"]}, lambda x, u: ca.vertcat(x[1], u[0] + 2.0 * u[1]))
+    ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=20)
+    ocp.add(wb.Cost("state", wb.residuals.Expression(2, lambda s: s.x), [10.0, 1.0], at="all"))
+    ocp.add(wb.Cost("effort", wb.residuals.Expression(2, lambda s: s.u), 0.1))
+    both = wb.residuals.Expression(1, lambda s: s.u[0] + s.u[1] - s.reference, reference=1)
+    ocp.add(wb.Constraint("both", both, wb.sets.Box(-1.0, 1.0), hard=True))
+    mpc = wb.MPC(ocp, rate=50.0)
+    mpc.reference["both"] = wb.Reference.constant([0.25])
+    mpc.reset(np.array([0.05, 0.0]))
+    policy = mpc.update(wb.Observation(0.0, np.array([0.05, 0.0])))
+    for push in ([2.0, 8.0], [-2.0, -8.0]):
+        x = policy.x[0] + push
+        asked, given = policy.law(0.0, x) - policy.u[0], policy(0.0, x) - policy.u[0]
+        assert abs(abs(policy(0.0, x).sum() - 0.25) - 1.0) < 1e-9 and not abs(policy.law(0.0, x).sum() - 0.25) <= 1.0
+        np.testing.assert_allclose(given[0] * asked[1], given[1] * asked[0], atol=1e-9)
+
+
+def test_moving_bounds_reach_the_control_thread() -> None:
+    """Written by the runner's worker, read as the control thread or process does."""
+    mpc, ramp = wb.MPC(problem(), rate=50.0), wb.Reference(np.array([0.0, 5.0]), np.array([[-2.0], [8.0]]))
+    mpc.reference["limit"] = ramp
+    sizes, clock = Sizes.of(mpc.ocp), VirtualClock()
+    observations, answers = Mailbox(sizes.observation()), Mailbox(sizes.policy())
+    mpc.reset(START)
+    worker = Worker(mpc, observations, answers, Board(NUMBERS, RECORDS, 8), Board(ORDERS), clock, 0.0)
+    observations.write(observed=0.0, valid_from=0.0, t=0.0, x=START, parameters=np.zeros(0))
+    loop = worker.loop()
+    next(loop), next(loop)
+    policy = TimedPolicy.take(answers)
+    assert policy is not None
+    for t in (0.0, 0.1, 0.77):
+        for push in PUSHED[:2]:
+            x = policy.state(t) + push
+            assert policy(t, x)[0] - ramp.at(t)[0] == pytest.approx(FORCE * np.sign(policy(t, x)[0] - ramp.at(t)[0]))
