@@ -45,6 +45,7 @@ _PLACES = {
     "Runner": "wbmpc.mpc",
     "InputError": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",
+    "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
 }
 __all__ = ["__version__", *_PLACES]

@@ -42,6 +42,10 @@ class SolveFailed(WbmpcError):
     """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
 
 
+class SolverBusy(WbmpcError, RuntimeError):
+    """A solver or an MPC was called from a second thread while it works for another one."""
+
+
 class KernelError(WbmpcError):
     """Generated code could not be built or loaded."""
 

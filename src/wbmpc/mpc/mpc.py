@@ -192,7 +192,12 @@ class MPC:
         self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
-        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one."""
+        """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
+        :class:`SolverBusy` while another thread is in this MPC."""
+        with self.solver.exclusive:
+            return self._update(observation)
+
+    def _update(self, observation: Observation) -> Policy:
         started = self._t is not None
         usable = self.advance(observation)
         self.statistics.solves += 1
@@ -263,6 +268,10 @@ class MPC:
 
         If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
+        with self.solver.exclusive:
+            return self._advance(observation)
+
+    def _advance(self, observation: Observation) -> bool:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t

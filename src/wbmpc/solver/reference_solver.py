@@ -5,6 +5,7 @@ It is the oracle of the tests and the fallback where no code can be generated.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -118,9 +119,13 @@ class InterpretedSolver(InterpretedDirections):
         state[UNDUE] = max(state[UNDUE], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0))
 
     def run(
-        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray
-    ) -> tuple[int, int]:
-        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps."""
+        self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray,
+        check: Callable[[], None] = lambda: None,
+    ) -> tuple[int, int]:  # fmt: skip
+        """The same as :func:`wbmpc.solver.receding.receding_solve`; merit line search, no moving grid, no jumps.
+
+        ``check`` is called before every iteration and may raise.
+        """
         from wbmpc.solver.receding import sample
 
         missing = lacking(self.problem, settings)
@@ -143,7 +148,7 @@ class InterpretedSolver(InterpretedDirections):
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
             self._start_rows(*start)
         self.wish = self._equality_values(ws.x, ws.u)
-        return self._iterate_to_the_end(x0, c, log)
+        return self._iterate_to_the_end(x0, c, log, check)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
@@ -156,13 +161,16 @@ class InterpretedSolver(InterpretedDirections):
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
-    def _iterate_to_the_end(self, x0: np.ndarray, c: Any, log: np.ndarray) -> tuple[int, int]:
+    def _iterate_to_the_end(
+        self, x0: np.ndarray, c: Any, log: np.ndarray, check: Callable[[], None]
+    ) -> tuple[int, int]:
         """(status, iterations); the settings ``c`` by name."""
         from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
 
         again = self.has_rows and bool(c.certify or (c.extra_when_cut and c.start_anew)) and not c.single_shooting
         run, self.shift = _Progress(int(c.iterations), c.mu_end, c.mu_start, self.hold, again), 0.0
         while run.count < run.limit:
+            check()
             self.shift = run.shift
             cost, violation = self._merit(self.ws.x, self.ws.u, x0)
             row = log[run.count]

@@ -19,6 +19,8 @@ from wbmpc.ocp.residuals import FramePose
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
+from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.guess import trajectories
 from wbmpc.solver.places import (
     CONTRADICTED,
     COST,
@@ -73,13 +75,22 @@ def one_jump(first: float, second: float) -> str:
 
 @dataclass
 class Solver:
-    """One problem bound to one solver: owns the kernel, the memory and the warm start."""
+    """One problem bound to one solver: owns the kernel, the memory and the warm start.
+
+    For one thread at a time: who calls it while another thread is in it gets :class:`SolverBusy`.
+    """
 
     ocp: OptimalControlProblem
     settings: SQP = field(default_factory=SQP)
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        #: who is in the memory; also for who reads a plan from it after the solve
+        self.exclusive = Exclusive("the solver")
+        with Interruptible():
+            self._make()
+
+    def _make(self) -> None:
         self._given_grid = self.ocp.grid
         if isinstance(self.settings, SLQ):
             self.ocp = self.ocp.refined(self.settings.step)
@@ -184,18 +195,12 @@ class Solver:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
 
         Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
-        linear between its nodes, inputs hold over its intervals.
+        linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
+        :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
-        given = {"x": np.asarray(x, float), "u": np.zeros(self.problem.nu) if u is None else np.asarray(u, float)}
-        own, fine = self._given_grid, self.ocp.grid
-        if own.size < fine.size and given["x"].shape == (own.size, self.problem.nx):
-            given["x"] = np.stack([np.interp(fine, own, column) for column in given["x"].T], axis=1)
-        if own.size < fine.size and given["u"].shape == (own.size - 1, self.problem.nu):
-            given["u"] = given["u"][np.searchsorted(own, fine[:-1] + 1e-9) - 1]
-        for name, trajectory in (("x", self.ws.x), ("u", self.ws.u)):
-            if given[name].shape not in (trajectory.shape, trajectory.shape[1:]):
-                raise InputError(f"guess of {name}: {trajectory.shape} numbers are needed, got {given[name].shape}")
-        self.ws.x[:], self.ws.u[:] = given["x"], given["u"]
+        given = trajectories(self.ocp, self._given_grid, x, u)
+        with self.exclusive:
+            self.ws.x[:], self.ws.u[:] = given
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
@@ -221,17 +226,19 @@ class Solver:
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
-        self._check_terms()
-        if self.settings.backend == "interpreted":
-            self.x0 = x0
-            return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log)
-        self.x0[:] = x0
-        tables, out = self.tables(), self._out
-        self._entry(
-            self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
-            self._numbers, self._log, ctypes.addressof(out),
-        )  # fmt: skip
-        return out[0], out[1]
+        with self.exclusive:
+            self._check_terms()
+            if self.settings.backend == "interpreted":
+                self.x0 = x0
+                with Interruptible() as signals:
+                    return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log, signals.check)
+            self.x0[:] = x0
+            tables, out = self.tables(), self._out
+            self._entry(
+                self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
+                self._numbers, self._log, ctypes.addressof(out),
+            )  # fmt: skip
+            return out[0], out[1]
 
     def _check_terms(self) -> None:
         """Raise :class:`InputError` if the problem's terms are no longer those that the solver was made of."""
@@ -258,16 +265,19 @@ class Solver:
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
         if self.settings.backend == "interpreted":
-            return self.twin.simulate(x, u, h)
+            with self.exclusive, Interruptible():
+                return self.twin.simulate(x, u, h)
         # dozens of times in a controller's tick: the addresses that do not change are not asked for again
         x, u, out = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), np.empty(self.problem.nx)
-        self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
+        with self.exclusive:
+            self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
         return out
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
 
-        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence.
+        With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's sentence. Raises
+        :class:`SolverBusy` while another thread is in the solver.
         """
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
@@ -280,12 +290,13 @@ class Solver:
                 f"mode schedule: {without + self.ocp.intervals - 1} events within the horizon, but {self.ocp.intervals - 1} inner"
                 " nodes: more intervals are needed"
             )
-        start = time.perf_counter()
-        status, count = self.run(x0, t0)
-        elapsed = time.perf_counter() - start
-        solution = self.solution(status, count, elapsed)
-        if self.settings.certify or not solution.usable or solution.status is Status.NO_STEP:
-            solution = verdict(self, solution)
+        with self.exclusive, Interruptible():
+            start = time.perf_counter()
+            status, count = self.run(x0, t0)
+            elapsed = time.perf_counter() - start
+            solution = self.solution(status, count, elapsed)
+            if self.settings.certify or not solution.usable or solution.status is Status.NO_STEP:
+                solution = verdict(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -326,7 +337,8 @@ class Solver:
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
         """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
-        return verdict(self, self.solution(status, count, elapsed))
+        with self.exclusive, Interruptible():
+            return verdict(self, self.solution(status, count, elapsed))
 
     @cached_property
     def checks(self) -> Checks:

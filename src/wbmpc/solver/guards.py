@@ -1,0 +1,78 @@
+"""A solver's memory has one owner at a time; and what ends a program from outside, as Ctrl-C does, ends its calls of CasADi."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any
+
+from wbmpc.errors import SolverBusy
+
+#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's for the other.
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Exclusive:
+    """One thread at a time, which may enter again. Who comes meanwhile does not wait: :class:`SolverBusy`."""
+
+    def __init__(self, what: str) -> None:
+        self.what, self._lock = what, threading.RLock()
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise SolverBusy(
+                f"{self.what} is in use by another thread: its memory has one owner; valid: one for each thread"
+            )
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._lock.release()
+
+
+class Interruptible:
+    """What the handler of a signal raises within this context comes out of it, whatever CasADi made of it.
+
+    CasADi's wrapper takes an exception that is raised while it looks at its arguments (they call Python) for arguments of a wrong
+    type: it drops the exception, and raises NotImplementedError or goes on. Handlers run in the main thread only.
+    """
+
+    def __init__(self) -> None:
+        self.raised: BaseException | None = None
+        self._before: list[tuple[int, Callable[..., Any], Callable[..., Any]]] = []
+
+    def __enter__(self) -> Interruptible:
+        if threading.current_thread() is threading.main_thread():
+            for number in _SIGNALS:
+                handler = signal.getsignal(number)
+                if callable(handler):  # neither the system's default nor ignored
+                    noting = self._noting(handler)
+                    self._before.append((number, handler, noting))
+                    signal.signal(number, noting)
+        return self
+
+    def _noting(self, handler: Callable[..., Any]) -> Callable[[int, FrameType | None], Any]:
+        def noting(number: int, frame: FrameType | None) -> Any:
+            try:
+                return handler(number, frame)
+            except BaseException as error:
+                self.raised = error
+                raise
+
+        return noting
+
+    def check(self) -> None:
+        """Raise what a handler has raised, if CasADi dropped it and went on."""
+        if self.raised is not None:
+            raise self.raised
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for number, handler, noting in self._before:
+            while signal.getsignal(number) is noting:  # else the handler has set another one
+                try:
+                    signal.signal(number, handler)
+                except BaseException as late:  # a signal that came just now
+                    if late is not self.raised:
+                        raise
+        if self.raised is not None and error is not self.raised:
+            raise self.raised from None

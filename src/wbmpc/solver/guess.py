@@ -1,0 +1,46 @@
+"""Trajectories that users give a solver to start from, checked before they are taken."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.model import Layout
+from wbmpc.ocp import OptimalControlProblem
+
+
+def trajectories(
+    ocp: OptimalControlProblem, own: np.ndarray, x: np.ndarray, u: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (nx,) or (N + 1, nx) and inputs (nu,) or (N, nu), zero when left out, on the problem's grid; given on that or on the
+    coarser grid ``own``.
+
+    Raises :class:`InputError` for other shapes, and :class:`NotFinite` for numbers that are not finite.
+    """
+    d, fine = ocp.dynamics, ocp.grid
+    nx, nu = d.state.size, d.input.size
+    states = _finite("x", d.state, x)
+    inputs = np.zeros(nu) if u is None else _finite("u", d.input, u)
+    if own.size < fine.size and states.shape == (own.size, nx):
+        states = np.stack([np.interp(fine, own, column) for column in states.T], axis=1)
+    if own.size < fine.size and inputs.shape == (own.size - 1, nu):
+        inputs = inputs[np.searchsorted(own, fine[:-1] + 1e-9) - 1]
+    for name, given, shape in (("x", states, (fine.size, nx)), ("u", inputs, (fine.size - 1, nu))):
+        if given.shape not in (shape, shape[1:]):
+            raise InputError(f"guess of {name}: {shape} numbers are needed, got {given.shape}")
+    return states, inputs
+
+
+def _finite(name: str, layout: Layout, value: np.ndarray) -> np.ndarray:
+    """A guess as numbers, all of them finite."""
+    try:
+        given = np.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"guess of {name}: numbers are needed ({error})") from error
+    bad = np.argwhere(~np.isfinite(np.atleast_1d(given)))
+    if not bad.size:
+        return given
+    *node, i = (int(k) for k in bad[0])
+    component = f"{name}[{i}]" + (f" ('{layout.names[i]}')" if i < layout.size else "")
+    where = f" at node {node[-1]}" if node else ""
+    raise NotFinite(f"guess of {name}: {component}{where} must be finite, got {np.atleast_1d(given)[tuple(bad[0])]}")

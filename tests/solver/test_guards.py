@@ -1,0 +1,221 @@
+"""One thread at a time, Ctrl-C, and guesses that are no numbers. Truth: solvers of their own for every thread; the exception
+that Python's handler raises."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from toys import LinearQuadratic
+from wbmpc.errors import InputError, NotFinite, SolverBusy
+from wbmpc.solver import SLQ, SQP, Solver, Status
+from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.zoo.small import cartpole
+
+
+def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:
+    lq = LinearQuadratic(8, 4, 0, n=60, seed=seed)
+    return lq, Solver(lq.problem(), SQP(iterations=20))
+
+
+def together(*work: Callable[[], object]) -> None:
+    """All at once, each in a thread; what any of them raises is raised."""
+    raised: list[BaseException] = []
+
+    def guarded(one: Callable[[], object]) -> None:
+        try:
+            one()
+        except BaseException as error:
+            raised.append(error)
+
+    threads = [threading.Thread(target=guarded, args=(one,)) for one in work]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if raised:
+        raise raised[0]
+
+
+def test_a_solver_of_several_threads_never_returns_the_solution_of_another() -> None:
+    """Linear systems have one solution for each start, which a solver of the thread's own says."""
+    lq, shared = linear()
+    starts = [k * lq.x0 for k in (-2.0, 1.0, 3.0)]
+    own = [linear()[1].solve(x0).u for x0 in starts]
+    seen = {"busy": 0, "solved": 0}
+
+    def work(x0: np.ndarray, expected: np.ndarray) -> None:
+        for _ in range(150):
+            try:
+                found = shared.solve(x0)
+            except SolverBusy as error:
+                assert "in use by another thread" in str(error)
+                seen["busy"] += 1
+                continue
+            assert found.status is Status.CONVERGED
+            np.testing.assert_allclose(found.x[0], x0, atol=1e-7)
+            np.testing.assert_allclose(found.u, expected, atol=1e-5 * np.abs(expected).max())
+            seen["solved"] += 1
+
+    together(*(lambda x0=x0, u=u: work(x0, u) for x0, u in zip(starts, own)))
+    assert seen["solved"] > 0 and seen["busy"] > 0
+    assert shared.solve(starts[0]).status is Status.CONVERGED  # and nobody has kept it
+
+
+@pytest.mark.parametrize("what", ["solve", "guess", "simulate", "run", "update", "advance", "reset"])
+def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what: str) -> None:
+    """The guess of an MPC runs within its update: there another thread has its turn."""
+    lq, _ = linear()
+    u = np.zeros(4)
+    mpc = wb.MPC(lq.problem(), rate=50.0)
+    ways: dict[str, Callable[[], object]] = {
+        "solve": lambda: mpc.solver.solve(lq.x0),
+        "guess": lambda: mpc.solver.guess(lq.x0),
+        "simulate": lambda: mpc.solver.simulate(lq.x0, u, 0.1),
+        "run": lambda: mpc.solver.run(lq.x0),
+        "update": lambda: mpc.update(wb.Observation(0.0, lq.x0)),
+        "advance": lambda: mpc.advance(wb.Observation(0.0, lq.x0)),
+        "reset": lambda: mpc.reset(lq.x0),
+    }
+    refused: list[SolverBusy] = []
+
+    def from_another_thread(solver: Solver, t: float, x0: np.ndarray) -> None:
+        solver.guess(x0)  # its own thread may
+
+        def enter() -> None:
+            with pytest.raises(SolverBusy) as caught:
+                ways[what]()
+            refused.append(caught.value)
+
+        together(enter)
+
+    mpc.guess = from_another_thread
+    mpc.reset(lq.x0)
+    policy = mpc.update(wb.Observation(0.0, lq.x0))
+    assert len(refused) == 1 and np.isfinite(policy.u).all()
+    mpc.guess = None
+    together(lambda: ways[what]() is None)  # free again, for any thread
+
+
+def test_entering_again_leaves_only_at_the_end_also_by_an_exception() -> None:
+    lock = Exclusive("the solver")
+    with pytest.raises(ValueError, match="inner"), lock, lock:
+        raise ValueError("inner")
+    together(lambda: lock.__enter__())
+
+
+INTERRUPTED = """
+import os, random, signal, sys, threading, time
+import numpy as np
+from wbmpc.solver import SQP, Solver
+from wbmpc.zoo.small import cartpole
+backend, what = sys.argv[1:]
+problem = cartpole(20)
+solver = Solver(problem.ocp, SQP(iterations=400, backend=backend))
+random.seed(0)
+found, before = {}, signal.getsignal(signal.SIGINT)
+for k in range(int(os.environ["TIMES"])):
+    delay = random.uniform(0.0, 0.05)
+    began = threading.Event()
+    def interrupt():
+        began.wait()
+        time.sleep(delay)
+        os.kill(os.getpid(), signal.SIGINT)
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        began.set()
+        while True:
+            if what == "solve":
+                solver.guess(problem.x, problem.u)
+                solver.solve(problem.x0)
+            else:
+                solver.simulate(problem.x0, np.ones(1), 0.01)
+    except BaseException as error:
+        name = type(error).__name__
+        found[name] = found.get(name, 0) + 1
+    thread.join()
+    assert signal.getsignal(signal.SIGINT) is before
+print(found)
+"""
+
+
+@pytest.mark.parametrize(
+    ("backend", "what"), [("interpreted", "solve"), ("interpreted", "simulate"), ("compiled", "solve")]
+)
+def test_ctrl_c_is_a_keyboard_interrupt_wherever_it_comes(backend: str, what: str) -> None:
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": paths, "TIMES": "40"}
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, backend, what], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip() == "{'KeyboardInterrupt': 40}"
+
+
+class _Odd(Exception):
+    pass
+
+
+@pytest.fixture
+def odd_handler():  # type: ignore[no-untyped-def]
+    def handler(number: int, frame: object) -> None:
+        raise _Odd(number)
+
+    before = signal.signal(signal.SIGTERM, handler)
+    yield handler
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals are the main thread's")
+def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: object) -> None:
+    def drop() -> None:
+        with contextlib.suppress(_Odd):
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(_Odd), Interruptible():
+        drop()
+    with pytest.raises(_Odd), Interruptible():
+        drop()
+        raise NotImplementedError("Wrong number or type of arguments")
+    with pytest.raises(_Odd), Interruptible() as signals:
+        drop()
+        signals.check()
+        raise AssertionError("went on")
+    with pytest.raises(ZeroDivisionError), Interruptible():
+        _ = 1 / 0
+    assert signal.getsignal(signal.SIGTERM) is odd_handler
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
+    problem = cartpole(10)
+    solver = Solver(problem.ocp, SQP())
+    solver.guess(problem.x0, np.ones(1))
+    x, u = np.zeros((11, 4)), np.zeros((10, 1))
+    x[7, 1] = u[9, 0] = bad
+    for given, words in (
+        ((x,), ("guess of x", "x[1]", "x.angle", "node 7", str(bad))),
+        ((problem.x0, u), ("guess of u", "u[0]", "u.force", "node 9", str(bad))),
+        ((np.array([0.0, 0.0, bad, 0.0]),), ("guess of x", "x[2]", "x.cart_rate", str(bad))),
+        ((problem.x0, np.array([bad])), ("guess of u", "u[0]", str(bad))),
+    ):
+        with pytest.raises(NotFinite) as caught:
+            solver.guess(*given)
+        assert all(word in str(caught.value) for word in words), caught.value
+    with pytest.raises(InputError, match="guess of x: numbers are needed"):
+        solver.guess(["one", "two"])  # type: ignore[arg-type]
+    assert (solver.ws.u == 1.0).all() and np.isfinite(solver.ws.x).all()  # as it was
+    fine = Solver(problem.ocp, SLQ(step=0.05))
+    with pytest.raises(NotFinite, match="node 7"):
+        fine.guess(x)
