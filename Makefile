@@ -6,18 +6,25 @@ VENV ?= .venv
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 ENVIRONMENT := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
-.PHONY: demo test bench race realtime bus soak study reproduce readme lateness random grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
+.PHONY: demo test fast bench race realtime bus soak study reproduce readme lateness random grids limits robustness swerve rivals ball ball-rivals regulators ball-robustness door push-map rates twist frequency lint format pictures clean
 
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
 
 # those that need the wall clock run after the others and alone, so that other tests do not take their time;
-# both parts run whatever the first one said (5: nothing selected)
+# both parts run whatever the first one said (5: nothing selected); "worksteal" leaves the tests of a module with one process, so
+# that what they share is made once
 test: $(VENV)/.tested
 	@status=0; \
-	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(PYTEST_ARGS) || status=$$?; \
+	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) --dist worksteal -m "not wallclock" $(PYTEST_ARGS) || status=$$?; \
 	$(ENVIRONMENT) $(BIN)/python -m pytest -m wallclock $(PYTEST_ARGS) || { late=$$?; [ $$late = 5 ] || status=$$late; }; \
 	[ $$status = 5 ] || exit $$status
+
+# a minute of tests that need no long run: what breaks often
+FAST_TESTS := tests/test_layering.py tests/test_lie.py tests/test_configuration.py tests/ocp tests/kernel/test_cache_owner.py \
+	tests/solver/test_sqp.py tests/solver/test_riccati.py tests/mpc/test_policy_limits.py tests/mpc/test_buffer.py
+fast: $(VENV)/.tested
+	$(ENVIRONMENT) $(BIN)/python -m pytest -x -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(FAST_TESTS)
 
 # against other solvers, then the soak
 bench: $(VENV)/.installed
