@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import EndedByUser
+from wbmpc.errors import EndedByUser, InputError
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.observer import Observer
+from wbmpc.view import bounds
 from wbmpc.view.loads import Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, errors, fields, filled, ground
@@ -46,8 +47,9 @@ class View(Window):
         port: int = 8080,
         *,
         opened: Callable[[str], None] = lambda url: None,
+        with_token: bool = True,
     ) -> None:
-        super().__init__(title, host, port, opened)
+        super().__init__(title, host, port, opened, with_token)
         self.wants_reset = self.ended = self.steered = False
         self._orders = no_orders()
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
@@ -82,7 +84,7 @@ class View(Window):
         if self.process is None:
             self.open(running)
         self._loads = self._loads_of(running)
-        self._steering = Steering(running, self._observer.lift)
+        self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._orders)
         self._steps, self._resets, self._ends = (int(self._orders[n]) for n in ("steps", "resets", "ends"))
         self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -141,7 +143,12 @@ class View(Window):
         message = self.orders.read()
         if message is None:
             return
-        self._orders = message.values
+        before, self._orders = self._orders["speed"], message.values
+        try:
+            bounds.within("speed", float(self._orders["speed"]), *bounds.SPEEDS)
+        except InputError as error:
+            self._orders["speed"] = before
+            self.reject(str(error))
         if int(self._orders["ends"]) != self._ends:
             self.ended = True
             raise EndedByUser("ended in the view")

@@ -47,9 +47,9 @@ class RealtimeView(Window):
 
     def __init__(
         self, title: str, robot: str, host: str = "127.0.0.1", port: int = 8080, *,
-        opened: Callable[[str], None] = lambda url: None,
+        opened: Callable[[str], None] = lambda url: None, with_token: bool = True,
     ) -> None:  # fmt: skip
-        super().__init__(title, host, port, opened)
+        super().__init__(title, host, port, opened, with_token)
         self.robot_name, self.robot = robot, load_robot(robot)
         self.wants_reset = self.ended = self.stopped = False
         self._orders, self._shown_at, self._late = no_orders(), -np.inf, 0.0
@@ -97,7 +97,7 @@ class RealtimeView(Window):
         lift = np.array([0.0, 0.0, self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
-        steering = Steering(running, lift)
+        steering = Steering(running, lift, self.reject)
         steering.skip(self._orders)
         before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
 

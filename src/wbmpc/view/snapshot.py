@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -100,3 +101,8 @@ def spoken(numbers: Mapping[str, float]) -> str:
     ]
     lines += [f"ZMP {', '.join(margins)}"] if margins else []
     return "".join(f"  \n{line}" for line in lines)
+
+
+def plain(text: str) -> str:
+    """Text that Markdown shows as it is: what was sent by a page does not become a link or an image of another's."""
+    return re.sub(r"([\\`*_{}\[\]()<>#!|~$&])", r"\\\1", " ".join(text.split()))
