@@ -35,8 +35,9 @@ def socket_at(url: str, origin: str | None = None, **headers: str) -> Any:
     """An open WebSocket; ``Host`` among the headers stands in the request in place of the address."""
     parts = urlsplit(url)
     host = headers.pop("Host", parts.netloc)
+    address = parts._replace(scheme="ws", netloc=host).geturl()
     return connect(
-        parts._replace(scheme="ws", netloc=host).geturl(), origin=origin, additional_headers=headers, max_size=None, compression=None,
+        address, origin=origin, additional_headers=headers, max_size=None, compression=None,
         subprotocols=[Subprotocol(f"viser-v{version('viser')}")], proxy=None, open_timeout=20.0,
         sock=socket.create_connection((parts.hostname, parts.port)),
     )  # type: ignore[arg-type]  # fmt: skip

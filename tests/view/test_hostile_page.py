@@ -1,4 +1,4 @@
-"""Messages that no browser sends, at views whose token the sender knows. Truth: the run's own time, which goes on, and the page's text."""
+"""Messages that no browser sends, from clients that know the token. Truth: the run's time goes on; the page's text."""
 
 from __future__ import annotations
 

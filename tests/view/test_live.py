@@ -117,7 +117,7 @@ def test_browsers_that_hang_change_nothing() -> None:
             if t >= 1.5 and not sockets:
                 self.before = len(view.own_time)
                 for _ in range(2):
-                    sockets.append(hanging_client(view.port))
+                    sockets.append(hanging_client(view.port, view.access.token))
 
         def end(self, ending: Ending) -> None: ...
 
@@ -135,11 +135,11 @@ def test_browsers_that_hang_change_nothing() -> None:
             s.close()
 
 
-def hanging_client(port: int) -> socket.socket:
+def hanging_client(port: int, token: str) -> socket.socket:
     s = socket.create_connection(("127.0.0.1", port))
     s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     lines = (
-        "GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
+        f"GET /?token={token} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
         f"Sec-WebSocket-Protocol: viser-v{version('viser')}",  # others are turned away at once
     )  # fmt: skip
@@ -324,7 +324,7 @@ def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[s
     open_view("x", "127.0.0.1", 8080)
     assert capsys.readouterr().err == ""
     open_view("x", "0.0.0.0", 8080)
-    assert "without authentication" in capsys.readouterr().err
+    assert "unencrypted" in capsys.readouterr().err
 
 
 def test_the_server_listens_on_this_machine_alone() -> None:
