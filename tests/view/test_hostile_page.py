@@ -137,3 +137,24 @@ def test_what_a_run_may_be_asked_for() -> None:
             ask()
     np.testing.assert_array_equal(bounds.planar(np.array([2.0, 5.9, 9.0]), base), [2.0, 5.9, 9.0])
     assert bounds.choice("configuration", np.array(2.0), 3) == 2 and load_robot("rezero") is not None
+
+
+def test_the_page_says_how_late_it_is() -> None:
+    """The real-time factor, and how many of the ticks began later than a period."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    command = [sys.executable, "-m", "wbmpc", "view", "rezero", "--json", "--port", str(free_port())]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        client = Client(json.loads(process.stdout.readline())["url"])
+        assert client.hears("real-time factor ", 60.0)
+        found = [
+            re.search(r"real-time factor ([0-9.]+), ([0-9]+) of ([0-9]+) ticks late", text) for text in client.history
+        ]
+        factor, late, ticks = (float(v) for v in [m for m in found if m is not None][-1].groups())
+        assert 0.0 < factor < 1.5 and 0 <= late <= ticks and ticks > 0
+        client.set("End the run", True)
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
