@@ -251,7 +251,13 @@ def _tick(
         return Ending(f"stopped at {t:.2f} s: {type(error).__name__}: {error}")
     if plant.diverged:
         return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
-    return Ending(f"the robot fell at {t:.2f} s", fell=True) if plant.fell else Ending()
+    return Ending(f"the robot fell at {t:.2f} s{_because(plant, mpc)}", fell=True) if plant.fell else Ending()
+
+
+def _because(plant: Any, mpc: Any) -> str:
+    """Why the robot fell, as far as plant and MPC know."""
+    whys = [why for why in (getattr(plant, "why_fell", ""), getattr(mpc, "fault", "")) if why]
+    return f" because {'; the MPC had no new plan: '.join(whys)}" if whys else ""
 
 
 def _check(command: Any) -> None:

@@ -151,7 +151,7 @@ def test_a_slow_tick_is_counted_and_the_grid_stays() -> None:
 
     runner.robot.fault = slow
     report = runner.run(1.0)
-    assert report.misses == 2 and report.ticks == 399
+    assert (report.misses, report.skipped) == (1, 2) and report.ticks == 399
     assert report.tick.max == pytest.approx(2.4 * PERIOD)
     times = np.array([t for t, _ in runner.robot.history]) / PERIOD
     np.testing.assert_allclose(times, np.round(times), atol=1e-6)
@@ -162,9 +162,18 @@ def test_a_slow_solve_is_counted_and_survived() -> None:
     runner = virtual(durations.__next__)
     report = runner.run(2.0)
     # begins at 0.2005, ends at 0.2555: the deadlines 0.2205 and 0.2405 pass, it goes on at 0.2605
-    assert report.mpc_misses == 2 and report.updates == 98
+    assert (report.mpc_misses, report.mpc_skipped) == (1, 2) and report.updates == 98
     assert report.state.startswith("shut down") and report.late == 2
     assert np.abs(runner.robot.x).max() < 0.1
+
+
+def test_misses_are_never_more_than_what_could_miss() -> None:
+    """Every tick lasts six periods, and every solve three: each of them misses one deadline, its own."""
+    runner = virtual(lambda: 0.06, max_policy_age=None)
+    runner.robot.fault = lambda robot: robot.clock.wait(robot.clock.now() + 5.5 * PERIOD)
+    report = runner.run(1.0)
+    assert 0 < report.misses <= report.ticks < report.skipped
+    assert 0 < report.mpc_misses <= report.updates < report.mpc_skipped
 
 
 def test_a_failed_solve_keeps_the_last_policy() -> None:

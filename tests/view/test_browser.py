@@ -194,3 +194,28 @@ def test_pages_of_runs_open_without_errors(tmp_path: Path) -> None:
         assert page.page.get_by_role("heading", name="fake", exact=True).count() == 1
         frame = page.page.frame_locator("iframe")
         assert page.until(lambda: frame.locator(".main-svg").count() >= len(result.plots), 180.0)
+
+
+def test_a_page_keeps_its_access_over_reloads_and_tabs(tmp_path: Path) -> None:
+    """The address with the token lets the page, its WebSocket, a reload and a second tab in; nothing that the page sends by itself
+    is left out; a page of another origin stays outside."""
+    record(tmp_path)
+    process, url = start("replay", str(tmp_path))
+    try:
+        with browser() as page:
+            page.open(url)
+            page.page.mouse.move(300.0, 400.0)
+            page.page.mouse.wheel(0.0, 200.0)  # the camera moves: the page says where it is
+            page.drawn(3)
+            page.page.reload(timeout=120_000)
+            page.page.wait_for_selector("canvas[data-engine]", timeout=120_000)
+            assert page.errors == [] and "Not done" not in page.page.content()
+            # what other tabs of this browser share with the page, and what another browser does not
+            own, other = page.page.context, page.page.context.browser.new_context()
+            assert own.request.get(url.split("?")[0]).status == 200
+            assert other.request.get(url.split("?")[0]).status == 403
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert "Traceback" not in err and "malformed" not in err
+    finally:
+        process.kill()

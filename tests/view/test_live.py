@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import threading
@@ -26,7 +27,7 @@ from wbmpc.plant import SwerveCommand, SwervePlant
 from wbmpc.plant.scene import SceneReader
 from wbmpc.recording.reader import read
 from wbmpc.robots import load_description
-from wbmpc.view.session import _swerve, run_session
+from wbmpc.view.session import _ball, _swerve, run_session
 from wbmpc.view.steering import ORDERS, no_orders
 
 pytest.importorskip("viser")
@@ -117,7 +118,7 @@ def test_browsers_that_hang_change_nothing() -> None:
             if t >= 1.5 and not sockets:
                 self.before = len(view.own_time)
                 for _ in range(2):
-                    sockets.append(hanging_client(view.port))
+                    sockets.append(hanging_client(view.port, view.access.token))
 
         def end(self, ending: Ending) -> None: ...
 
@@ -135,11 +136,11 @@ def test_browsers_that_hang_change_nothing() -> None:
             s.close()
 
 
-def hanging_client(port: int) -> socket.socket:
+def hanging_client(port: int, token: str) -> socket.socket:
     s = socket.create_connection(("127.0.0.1", port))
     s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     lines = (
-        "GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
+        f"GET /?token={token} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
         f"Sec-WebSocket-Protocol: viser-v{version('viser')}",  # others are turned away at once
     )  # fmt: skip
@@ -324,7 +325,7 @@ def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[s
     open_view("x", "127.0.0.1", 8080)
     assert capsys.readouterr().err == ""
     open_view("x", "0.0.0.0", 8080)
-    assert "without authentication" in capsys.readouterr().err
+    assert "unencrypted" in capsys.readouterr().err
 
 
 def test_the_server_listens_on_this_machine_alone() -> None:
@@ -337,3 +338,43 @@ def test_the_server_listens_on_this_machine_alone() -> None:
         assert listening == {"0100007F"}
     finally:
         view.close()
+
+
+def test_the_page_says_why_the_robot_fell() -> None:
+    """Shoved with 3 000 N; also beside the run that begins anew afterwards."""
+    view, texts = live.View("test", port=free_port()), []  # type: ignore[var-annotated]
+
+    class Shove:
+        def begin(self, running: Running) -> None:
+            texts.append(view.board.text)
+            if len(texts) == 1:
+                running.plant.push([3000.0, 0.0, 0.0])
+
+        def tick(self, t: float, command: Any, plans: Plans) -> None: ...
+        def end(self, ending: Ending) -> None:
+            texts.append(view.board.text)
+
+    try:
+        for seconds in (3.0, 0.01):
+            plant, agent, mpc, timing = _ball(load_robot("rezero"), 1)
+            run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, (view, Shove())))
+    finally:
+        view.close()
+    why = r"the robot fell at \d\.\d\d s because its base leaned by (\d+) deg, the limit is 52 deg.*"
+    assert texts[0] == "" and re.fullmatch(f"The run is over: {why}", texts[1])
+    assert texts[2] == texts[1].replace("The run is over", "Before") and texts[3] == "The run is over"
+    found = re.search(why, texts[1])
+    assert found is not None and 52 <= int(found[1]) < 90
+
+
+def test_speeds_that_are_none_are_left_out() -> None:
+    """Whatever writes the orders: a speed of 0 or NaN would end the run."""
+    view, rejected = live.View("test", port=free_port()), []  # type: ignore[var-annotated]
+    view.orders, view.reject = Mailbox(ORDERS), rejected.append  # type: ignore[method-assign]
+    view._ends = view._resets = 0
+    for speed, kept in ((0.5, 0.5), (0.0, 0.5), (np.nan, 0.5), (np.inf, 0.5), (1.0, 1.0)):
+        view.orders.write(**{**no_orders(), "speed": np.array(speed)})
+        view._take_orders()
+        view._anchor(0.0)
+        assert view._speed == kept
+    assert len(rejected) == 3 and all("speed: must be 0.05 to 1" in reason for reason in rejected)

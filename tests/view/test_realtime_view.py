@@ -53,9 +53,9 @@ def test_pictures_show_the_estimated_state(name: str) -> None:
 def test_contacts_are_drawn_where_the_estimate_is() -> None:
     """The world's base is 0.5 m ahead of the estimate: what acts at its feet is shown 0.5 m back, forces as long as before."""
     robot = load_robot("swerve-ur10")
-    moments = Mailbox({"t": (), "late": (), "x": (robot.home.size,)})
+    moments = Mailbox({"t": (), "late": (), "x": (robot.home.size,), "ticks": (), "misses": ()})
     picture = realtime.Picture("swerve-ur10", moments, seen := Mailbox(physics.SEEN))
-    moments.write(t=1.0, late=0.002, x=robot.home)
+    moments.write(t=1.0, late=0.002, x=robot.home, ticks=400.0, misses=3.0)
     picture._puppet.arrange(robot.home)
     base = picture._reader.poses(picture._puppet.data)[picture._reader.scene.index].copy()
     base[0] += 0.5
@@ -71,7 +71,14 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     np.testing.assert_allclose(shown["forces"][0], arrow - [0.5, 0, 0], atol=1e-9)
     np.testing.assert_allclose(shown["pressure"], point - [0.5, 0, 0], atol=1e-9)
     numbers = dict(zip(NUMBERS, shown["numbers"], strict=True))
-    assert numbers["late"] == 0.002 and numbers["margin"] == 0.1 and numbers["error"] < 1e-9
+    assert numbers["late"] == 0.002 and numbers["margin"] == 0.1
+    assert (numbers["ticks"], numbers["late_ticks"]) == (400.0, 3.0) and np.isnan(numbers["factor"])
+    # the physics goes at 0.8 of the clock
+    for k in range(20):
+        seen.write(**{**nothing, "base": base, "time": 0.08 * k, "clock": 7.0 + 0.1 * k})
+        later = dict(zip(NUMBERS, picture(message)["numbers"], strict=True))
+    assert later["factor"] == pytest.approx(0.8)
+    assert numbers["margin"] == 0.1 and numbers["error"] < 1e-9
     np.testing.assert_allclose(shown["hand_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
 
 

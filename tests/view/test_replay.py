@@ -138,9 +138,10 @@ def test_replay_needs_viser(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatc
 
 def test_the_player_shows_moments(run: SimpleNamespace) -> None:
     pytest.importorskip("viser")
+    from wbmpc.view.access import Access
     from wbmpc.view.replay import Player
 
-    player = Player(run.film, "127.0.0.1", free_port())
+    player = Player(run.film, Access.of("127.0.0.1"), free_port())
     try:
         for t in (0.0, 0.98):
             player.show(t)

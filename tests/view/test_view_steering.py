@@ -15,7 +15,7 @@ from wbmpc.model import load_robot
 from wbmpc.mpc import Plans
 from wbmpc.ocp import Reference
 from wbmpc.view.session import _ball, _swerve
-from wbmpc.view.steering import Steering, no_orders
+from wbmpc.view.steering import MOST_WEIGHTS, Steering, no_orders
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
@@ -230,3 +230,31 @@ def test_orders_before_a_run_are_not_for_it() -> None:
     steering.apply(0.0, orders, NOWHERE)
     assert not running.plant.data.xfrc_applied.any()
     assert not steering.has_legs
+
+
+@pytest.mark.parametrize(("make", "name"), [(_swerve, "swerve-ur10"), (_ball, "rezero")])
+def test_orders_that_cannot_be_done_change_nothing(make: Any, name: str) -> None:
+    """Not finite, no quaternion, far away: the references stay, the reason is given, and the loop goes on to its end."""
+    running = drive(make, name, 0.01, [])
+    rejected: list[str] = []
+    steering = Steering(running, np.zeros(3), rejected.append)
+    position, turn = running.agent.robot.pose(running.agent.robot.home)
+    before = running.mpc.reference["hand"]
+    bad: list[dict[str, Any]] = [
+        {"goals": 1, "goal": [np.nan, *position[1:], *turn]}, {"goals": 2, "goal": [*position, 0.0, 0, 0, 0]},
+        {"goals": 3, "goal": [1e9, 0.0, 1.0, *turn]}, {"pushes": 1, "push": [np.nan, 0.0, 0.0], "push_time": 1.0},
+        {"pushes": 2, "push": [10.0, 0.0, 0.0], "push_time": np.inf}, {"base_goals": 1, "base_goal": [np.nan, 0.0, 0.0]},
+        {"weights": np.full(MOST_WEIGHTS, np.nan)}, {"weights": np.zeros(MOST_WEIGHTS)},
+    ]  # fmt: skip
+    if steering.has_legs:
+        bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
+    orders = no_orders()
+    weights = running.mpc.solver.ws.w.copy()
+    for k, wrong in enumerate(bad):
+        for key, value in wrong.items():
+            orders[key][...] = value
+        steering.apply(0.1 * k, orders, NOWHERE)
+        steering.apply(0.1 * k + 0.05, orders, NOWHERE)  # said once, not at every tick
+        assert len(rejected) == k + 1, wrong
+    assert running.mpc.reference["hand"] is before
+    np.testing.assert_array_equal(running.mpc.solver.ws.w, weights)

@@ -39,7 +39,7 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.terminal import table as plain_table
-from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
+from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
@@ -288,9 +288,10 @@ def run(
     show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
     host: Host = LOCAL,
     port: Port = 8080,
+    no_token: NoToken = False,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
-    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
+    shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
     _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
 
 

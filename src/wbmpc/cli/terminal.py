@@ -34,6 +34,12 @@ class Termination:
         raise KeyboardInterrupt
 
 
+def terminated() -> bool:
+    """Whether SIGTERM has come, for commands that end as wanted by Ctrl-C but not by SIGTERM."""
+    handler = signal.getsignal(signal.SIGTERM)
+    return isinstance(handler, Termination) and handler.came
+
+
 @contextmanager
 def terminable() -> Iterator[Termination]:
     """Handle SIGTERM, unless somebody else does or this is not the main thread."""

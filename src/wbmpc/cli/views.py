@@ -14,8 +14,9 @@ import typer
 
 from wbmpc.cli.directories import Force, new_file, run_directory
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import ABORTED, robot_names
+from wbmpc.cli.terminal import ABORTED, TERMINATED, robot_names, terminated
 from wbmpc.errors import InputError
+from wbmpc.view.access import Access, is_loopback
 
 if TYPE_CHECKING:
     from wbmpc.view.live import View
@@ -25,11 +26,18 @@ Host = Annotated[str, typer.Option(help="Address that the view listens on (the d
 Port = Annotated[int, typer.Option(help="Port of the view; a busy one is passed over.")]
 
 
+NoToken = Annotated[
+    bool,
+    typer.Option("--no-token", help="Let everybody on this machine use the view, without the token in its address."),
+]
+
+
 def warn(host: str) -> None:
     """Say what an address beyond this machine means."""
-    if host not in (LOCAL, "localhost", "::1"):
+    if not is_loopback(host):
         typer.echo(
-            f"warning: the view listens on {host} without authentication: whoever reaches it steers the run", err=True
+            f"warning: the view listens on {host}, unencrypted: whoever has its address with the token steers the run",
+            err=True,
         )
 
 
@@ -38,11 +46,11 @@ def say_where(url: str, as_json: bool = False, what: str = "view") -> None:
     typer.echo(json.dumps({"url": url}) if as_json else f"the {what} is at {url}", err=not as_json)
 
 
-def open_view(title: str, host: str, port: int, *, as_json: bool = False) -> View:
+def open_view(title: str, host: str, port: int, no_token: bool = False, *, as_json: bool = False) -> View:
     """A view that says where it is when it can be opened."""
     from wbmpc.view.live import View
 
-    shown = View(title, host, port, opened=partial(say_where, as_json=as_json))
+    shown = View(title, host, port, opened=partial(say_where, as_json=as_json), with_token=not no_token)
     warn(host)
     return shown
 
@@ -59,19 +67,20 @@ def view(
     out: Annotated[Path | None, typer.Option(help="Directory for a recording (left out: none is made).")] = None,
     host: Host = LOCAL,
     port: Port = 8080,
+    no_token: NoToken = False,
     as_json: AsJson = False,
 ) -> None:
     """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
     if realtime:
         if out is not None:
             raise InputError("--out: what runs in real time is not recorded; leave out --realtime")
-        _view_realtime(robot, seed, host, port, as_json)
+        _view_realtime(robot, seed, host, port, no_token, as_json)
         return
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown, reason, wanted = open_view(robot, host, port, as_json=as_json), "an error of the program", False
+    shown, reason, wanted = open_view(robot, host, port, no_token, as_json=as_json), "an error of the program", False
     with nullcontext() if out is None else run_directory(out, robot, seed) as directory:
         recorders = []
         if directory is not None:
@@ -86,16 +95,15 @@ def view(
     typer.echo(reason, err=True)
     for recorder in recorders:
         typer.echo(f"the recording is {recorder.path}", err=True)
-    if not wanted:
-        raise typer.Exit(ABORTED)
+    _leave(ABORTED if not wanted else 0)
 
 
-def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -> None:
+def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, as_json: bool) -> None:
     from wbmpc.view.realtime import RealtimeView
     from wbmpc.view.session import run_realtime
 
     opened = partial(say_where, as_json=as_json)
-    shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened)
+    shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened, with_token=not no_token)
     warn(host)
     reason = "interrupted"
     try:
@@ -104,8 +112,16 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, as_json: bool) -
     finally:
         shown.close()
     if shown.stopped:  # the runner has said why
-        raise typer.Exit(ABORTED)
+        _leave(ABORTED)
     typer.echo(reason, err=True)
+    _leave(0)
+
+
+def _leave(status: int) -> None:
+    """End with a status; after SIGTERM, by which nobody at the view ended it, with its own."""
+    status = TERMINATED if terminated() else status
+    if status:
+        raise typer.Exit(status)
 
 
 def replay(
@@ -114,6 +130,7 @@ def replay(
     force: Force = False,
     host: Host = LOCAL,
     port: Port = 8080,
+    no_token: NoToken = False,
     as_json: AsJson = False,
 ) -> None:
     """Show a recording in a browser, with a time bar; or write it as one page."""
@@ -126,6 +143,7 @@ def replay(
         raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
     if not 0 < port < 65536:
         raise InputError(f"--port: must be 1 to 65535, got {port}")
+    access = Access.of(host, not no_token)
     if html is not None:
         new_file("--html", html, html, force)
     film = Film(read(file))
@@ -134,7 +152,7 @@ def replay(
             write_page(film, html, port)
         else:
             warn(host)
-            player = Player(film, host, port)
+            player = Player(film, access, port)
     if html is not None:
         typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
         return
@@ -143,6 +161,7 @@ def replay(
         player.run()
     with redirect_stdout(io.StringIO()):  # the server says that it stops
         player.server.stop()
+    _leave(0)
 
 
 def render(

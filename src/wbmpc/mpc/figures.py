@@ -73,7 +73,8 @@ class Punctuality:
 class Report:
     """What was counted up to now.
 
-    ``ticks`` of the controller and ``misses`` of its deadlines; ``updates`` of the MPC, ``mpc_misses``, ``failures`` to solve,
+    ``ticks`` of the controller, ``misses``: how many of them were not over at their deadline, ``skipped``: deadlines that passed
+    meanwhile; ``updates`` of the MPC, ``mpc_misses`` and ``mpc_skipped`` as for ticks, ``failures`` to solve,
     ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
     planned for; ``passed``: plans with states outside hard limits by more than 0.1 % of the range, ``worst_passed``: by how much
     of it at most, ``passed_where``: a sentence of that; ``apart``: plans that start elsewhere than in the state they were asked to,
@@ -87,8 +88,10 @@ class Report:
     seconds: float
     ticks: int
     misses: int
+    skipped: int
     updates: int
     mpc_misses: int
+    mpc_skipped: int
     failures: int
     repeated: int
     policies: int
@@ -118,12 +121,14 @@ class Report:
             seconds=seconds,
             updates=int(board["updates"]),
             mpc_misses=int(board["misses"]),
+            mpc_skipped=int(board["skipped"]),
             failures=int(board["failures"]),
             repeated=int(board["repeated"]),
             solve=Spread.of(board.samples("solve_time")),
             update=Spread.of(board.samples("update_time")),
             ticks=count("ticks"),
             misses=count("misses"),
+            skipped=count("skipped"),
             policies=count("policies"),
             late=count("late"),
             clamped=count("clamped"),

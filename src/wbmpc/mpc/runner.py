@@ -88,7 +88,7 @@ class Runner:
         self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
         self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
         own = ("latency", "ready", "jitter", "tick", "sent")
-        self.own = Board(("ticks", "misses", "policies", "late", "clamped"), own, self.settings.records)
+        self.own = Board(("ticks", "misses", "skipped", "policies", "late", "clamped"), own, self.settings.records)
         self.punctuality = Punctuality()
         self.plans, self.latency, self._check_command = Plans(), Latency(self.settings), CommandCheck()
         self.ticker = Ticker(self.settings.period)
@@ -248,7 +248,9 @@ class Runner:
             end = clock.now()
             own.sample("tick", end - start)
             own.count("ticks")
-            own.count("misses", self.ticker.over(end))
+            skipped = self.ticker.over(end)
+            own.count("misses", int(skipped > 0))
+            own.count("skipped", skipped)
             self._beat = self.ticker.due  # until then no tick has to run
         sys.setswitchinterval(usual)  # the clock may have changed it
 

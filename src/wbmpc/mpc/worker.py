@@ -21,6 +21,7 @@ NUMBERS = (
     "ready",
     "updates",
     "misses",
+    "skipped",
     "failures",
     "repeated",
     "failed",
@@ -65,8 +66,10 @@ class Worker:
         board, clock = self.board, self.clock
         while not self.orders["end"]:
             yield self.ticker.due
+            looked = False
             try:
-                if self._look():
+                looked = self._look()
+                if looked:
                     start = clock.now()
                     usable = self._solve()
                     computing = clock.computing()
@@ -80,9 +83,10 @@ class Worker:
             except (Exception, SystemExit) as error:
                 self.fail(error)
                 return
-            missed = self.ticker.over(clock.now())
-            if missed and board["updates"] > 1:  # the first solve iterates to convergence
-                board.count("misses", missed)
+            skipped = self.ticker.over(clock.now())
+            if looked and skipped and board["updates"] > 1:  # the first solve iterates to convergence
+                board.count("misses")
+                board.count("skipped", skipped)
 
     def fail(self, error: BaseException) -> None:
         """Say that this worker has ended, and why."""

@@ -269,6 +269,15 @@ class InWorld:
         return self.world.diverged
 
     @property
+    def why_fell(self) -> str:
+        """What counts as the fall, in words; empty while there is none."""
+        if not self.fell:
+            return ""
+        if self.diverged:
+            return "numbers of the simulation are not finite"
+        return f"its base leaned by {np.degrees(self.world.tilt):.0f} deg, the limit is {np.degrees(FALL_TILT):.0f} deg"
+
+    @property
     def external(self) -> Hook | None:
         """Called before every physics step with (model, data)."""
         return self.world.external

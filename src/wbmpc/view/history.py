@@ -7,8 +7,33 @@ from collections import deque
 import numpy as np
 
 Array = np.ndarray
+#: Over how long a real-time factor is taken, and at least [s].
+WINDOW, LEAST = 1.0, 0.2
 #: Seconds of the run that are kept, and samples in them.
 SPAN, SAMPLES = 20.0, 300
+
+
+class Factor:
+    """How fast a run goes against the clock: the real-time factor over the last :data:`WINDOW` seconds."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, float]] = deque()
+
+    def forget(self) -> None:
+        """The run stood, or begins anew: what was before does not count."""
+        self._points.clear()
+
+    def add(self, clock: float, t: float) -> float:
+        """The run is at ``t`` [s] when the clock is at ``clock`` [s]; nan until there is something to compare with."""
+        if not (np.isfinite(clock) and np.isfinite(t)) or (self._points and (clock, t) < self._points[-1]):
+            self._points.clear()
+        if np.isfinite(clock) and np.isfinite(t):
+            self._points.append((clock, t))
+        while len(self._points) > 2 and self._points[1][0] < clock - WINDOW:
+            self._points.popleft()
+        if len(self._points) < 2 or clock - self._points[0][0] < LEAST:
+            return float("nan")
+        return (t - self._points[0][1]) / (clock - self._points[0][0])
 
 
 class History:

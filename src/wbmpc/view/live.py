@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.errors import EndedByUser
+from wbmpc.errors import EndedByUser, InputError
 from wbmpc.loop import Ending, Running
 from wbmpc.mpc import Plans
 from wbmpc.recording.observer import Observer
+from wbmpc.view import bounds
+from wbmpc.view.history import Factor
 from wbmpc.view.loads import Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, errors, fields, filled, ground
@@ -46,10 +48,12 @@ class View(Window):
         port: int = 8080,
         *,
         opened: Callable[[str], None] = lambda url: None,
+        with_token: bool = True,
     ) -> None:
-        super().__init__(title, host, port, opened)
+        super().__init__(title, host, port, opened, with_token)
         self.wants_reset = self.ended = self.steered = False
-        self._orders = no_orders()
+        self._orders, self._factor, self._before = no_orders(), Factor(), ""
+        self._ticks, self._late_ticks, self._period = 0, 0, np.inf
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
         self.lateness: deque[float] = deque(maxlen=_KEPT)
@@ -76,13 +80,16 @@ class View(Window):
         """Show this loop from now on; of one without MPC there are no goals and weights."""
         self.running, self._observer = running, Observer(running)
         self.say("")
+        self._ticks, self._late_ticks, self._period = 0, 0, running.timing.period
+        self._factor.forget()
         if self.process is not None and self._observer.scene != self.scene:
             self.close()  # another world: browsers find the new server at the same place
             self._orders = no_orders()
         if self.process is None:
             self.open(running)
+        self.say(self._before)
         self._loads = self._loads_of(running)
-        self._steering = Steering(running, self._observer.lift)
+        self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._orders)
         self._steps, self._resets, self._ends = (int(self._orders[n]) for n in ("steps", "resets", "ends"))
         self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -103,6 +110,7 @@ class View(Window):
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
         self.say(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
+        self._before = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
@@ -113,12 +121,15 @@ class View(Window):
         if self._orders["paused"]:
             self._pause(t, plans)
             self._anchor(t)
+            self._factor.forget()
         else:
             self._steps = int(self._orders["steps"])  # what was asked for while nothing was paused
         if float(self._orders["speed"]) != self._speed:
             self._anchor(t)
         ahead = self._origin + t / self._speed - time.perf_counter()
         self.lateness.append(-ahead)
+        self._ticks += 1
+        self._late_ticks += int(-ahead > self._period)
         if ahead > 0.0:
             time.sleep(ahead)
         elif ahead < -_LATEST:
@@ -141,7 +152,12 @@ class View(Window):
         message = self.orders.read()
         if message is None:
             return
-        self._orders = message.values
+        before, self._orders = self._orders["speed"], message.values
+        try:
+            bounds.within("speed", float(self._orders["speed"]), *bounds.SPEEDS)
+        except InputError as error:
+            self._orders["speed"] = before
+            self.reject(str(error))
         if int(self._orders["ends"]) != self._ends:
             self.ended = True
             raise EndedByUser("ended in the view")
@@ -166,6 +182,7 @@ class View(Window):
             "t": t, **errors(moment.hand, shown_goal, moment.base, base_goal), "solve": solve, "deadline": deadline,
             **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             **self._loads.shares(reader.joint_states(data)[:, 1], data.actuator_force), "late": np.nan,
+            "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": moment.bodies, "goal": shown_goal,

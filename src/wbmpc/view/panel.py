@@ -15,7 +15,7 @@ from viser import uplot
 from wbmpc.mpc.buffer import Mailbox
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
-from wbmpc.view.snapshot import NUMBERS, spoken
+from wbmpc.view.snapshot import NUMBERS, plain, spoken
 from wbmpc.view.stage import add_follow, add_legend, name_tab
 from wbmpc.view.steering import Controls, no_orders
 
@@ -24,6 +24,8 @@ Array = np.ndarray
 _EVERY, _EVERY_PLOT = 3, 6
 #: How long a run may take to follow a click [s].
 _ANSWER = 1.0
+#: How long the page shows why something was not done, and how long a goal is left alone after it was moved last [s].
+_SHOWN, _HELD = 10.0, 10.0
 #: Lines of the drives' groups: name and colour.
 _LINES = {
     "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
@@ -40,6 +42,7 @@ class Panel:
         self.server, self._orders, self.controls = server, orders, controls
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
         self._dragged, self._about, self._said = False, "", ""
+        self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
         self._status = server.gui.add_markdown(f"**{controls.title}**")
@@ -146,7 +149,7 @@ class Panel:
         """Do ``order`` where a handle is moved; not where it is only grasped or let go."""
 
         async def dragged(event: Any) -> None:  # the server waits for it: what follows cannot pass it
-            self._dragged = event.phase != "end"
+            self._dragged, self._moved_at = event.phase != "end", time.monotonic()
             if event.phase == "update":
                 order()
 
@@ -179,7 +182,7 @@ class Panel:
         numbers = s["numbers"]
         self._history.add(numbers)
         self._count += 1
-        if not self._dragged:
+        if not self._dragged or time.monotonic() > self._moved_at + _HELD:  # a browser may vanish while it holds a goal
             self._place(self._goal, s["goal"])
             if self.controls.base and np.isfinite(s["base_goal"]).all():
                 x, y, yaw = s["base_goal"]
@@ -203,9 +206,16 @@ class Panel:
             self._said = sentence
             self._head()
 
+    def reject(self, reason: str) -> None:
+        """Show for a while why something that was asked for is not done. May be called from any thread."""
+        self._rejected, self._rejected_at = reason, time.monotonic()
+        self._head()
+
     def _head(self) -> None:
-        said = f"  \n**{self._said}**" if self._said else ""
-        self._status.content = f"**{self.controls.title}**{self._about}{said}"
+        said = f"  \n**{plain(self._said)}**" if self._said else ""
+        if time.monotonic() < self._rejected_at + _SHOWN:
+            said += f"  \n**Not done:** {plain(self._rejected)}"
+        self._status.content = f"**{plain(self.controls.title)}**{self._about}{said}"
 
     def _place(self, handle: Any, pose: Array) -> None:
         finite = bool(np.isfinite(pose).all())

@@ -23,8 +23,9 @@ from wbmpc.view.snapshot import GROUND, ground
 NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
 #: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
 LOOK, EVERY = 1e-3, 10
-#: What the physics shows: pose of the base, and what acts between robot and floor, all in the world.
-SEEN = {"base": (7,), **GROUND}
+#: What the physics shows: pose of the base, and what acts between robot and floor, all in the world; its own time and the
+#: clock's [s] (nan before the first command).
+SEEN = {"base": (7,), **GROUND, "time": (), "clock": ()}
 #: Physics that is later than this [s] lets the time go, and counts it.
 PATIENCE = 0.05
 
@@ -89,7 +90,7 @@ class Simulated:
     def write(self, command: Any) -> None:
         """The command that holds from now on; the first one lets the physics go."""
         if self.board["fell"]:
-            raise RunAborted("the robot fell")
+            raise RunAborted(f"the robot fell because {self.board.text}")
         self._started = True
         self.commands.write(**values(command))
 
@@ -156,18 +157,21 @@ def simulate(
             _record(plant, board, measured["time"])
         if now - shown > 1.0 / RATE:
             shown = now
-            _show(plant, reader, seen)
+            _show(plant, reader, seen, now if command is not None else np.nan)
         board["ready"] = 1.0
         looks, due = looks + 1, max(due + LOOK, clock.now())
         clock.wait(due)
 
 
-def _show(plant: Any, reader: SceneReader, seen: Mailbox) -> None:
-    seen.write(base=reader.poses(plant.data)[reader.scene.index], **ground(reader.contacts(plant.data)))
+def _show(plant: Any, reader: SceneReader, seen: Mailbox, now: float) -> None:
+    contacts = ground(reader.contacts(plant.data))
+    seen.write(base=reader.poses(plant.data)[reader.scene.index], time=plant.time, clock=now, **contacts)
 
 
 def _record(plant: Any, board: Board, time: float) -> None:
     truth = plant.truth()
     for name, value in zip(RECORDS, (time, *truth.tool), strict=True):
         board.sample(name, value)
-    board["tilt"], board["fell"] = max(board["tilt"], truth.tilt), float(plant.fell)
+    board["tilt"] = max(board["tilt"], truth.tilt)
+    if plant.fell and not board["fell"]:
+        board.text, board["fell"] = plant.why_fell, 1.0

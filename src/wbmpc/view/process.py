@@ -11,6 +11,7 @@ from typing import Any
 
 from wbmpc.mpc.buffer import Board, Mailbox
 from wbmpc.plant.scene import Scene
+from wbmpc.view.access import Access
 
 #: Pictures per second.
 RATE = 30.0
@@ -18,14 +19,15 @@ RATE = 30.0
 OVERLAYS = 3
 #: How long a page goes on saying why the run is over [s], if there is a browser.
 FAREWELL = 4.0
-#: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why) tell each other.
-BOARD = ("ready", "port", "end")
+#: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why; how many orders were ``rejected``, as
+#: note why the last one was) tell each other.
+BOARD = ("ready", "port", "end", "rejected")
 #: Makes, in this process, what turns messages into snapshots.
 Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
 
 
 def serve(
-    scene: dict[str, Any], controls: Any, shown: Mailbox, orders: Mailbox, board: Board, host: str, port: int,
+    scene: dict[str, Any], controls: Any, shown: Mailbox, orders: Mailbox, board: Board, access: Access, port: int,
     drawer: Drawer | None,
 ) -> None:  # fmt: skip
     """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
@@ -34,11 +36,11 @@ def serve(
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
     try:
         draw = None if drawer is None else drawer()
-        stage, panel = _open(Scene.of_plain(scene), controls, orders, host, port)
+        stage, panel = _open(Scene.of_plain(scene), controls, orders, access, port)
     except Exception as error:
         board.text = f"{type(error).__name__}: {error}"
         return
-    pictures = 0
+    pictures, rejected = 0, 0.0
     board["port"], board["ready"] = stage.server.get_port(), 1.0
     while not board["end"] and os.getppid() == parent:
         message = shown.read()
@@ -49,6 +51,9 @@ def serve(
             panel.show(snapshot)
             stage.follow(snapshot["poses"], panel.follows)
         panel.say(board.text)
+        if board["rejected"] != rejected:
+            rejected = board["rejected"]
+            panel.reject(board.note)
         time.sleep(1.0 / RATE)
     panel.say(board.text)
     if board.text and stage.server.get_clients() and os.getppid() == parent:
@@ -56,11 +61,12 @@ def serve(
     stage.server.stop()
 
 
-def _open(scene: Scene, controls: Any, orders: Mailbox, host: str, port: int) -> tuple[Any, Any]:
-    import viser
-
+def _open(scene: Scene, controls: Any, orders: Mailbox, access: Access, port: int) -> tuple[Any, Any]:
     from wbmpc.view.panel import Panel
+    from wbmpc.view.server import open_server
     from wbmpc.view.stage import Stage
 
-    server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
-    return Stage(server, scene), Panel(server, orders, controls)
+    server, guard = open_server(access, port)
+    panel = Panel(server, orders, controls)
+    guard.rejected = panel.reject
+    return Stage(server, scene), panel

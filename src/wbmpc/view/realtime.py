@@ -25,6 +25,7 @@ from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.scene import SceneReader
 from wbmpc.recording.observer import PLAN_POINTS, base_poses
 from wbmpc.solver import Solver
+from wbmpc.view.history import Factor
 from wbmpc.view.loads import GROUPS, Loads
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, NUMBERS, PLAN, REFERENCE, errors, filled
@@ -47,12 +48,14 @@ class RealtimeView(Window):
 
     def __init__(
         self, title: str, robot: str, host: str = "127.0.0.1", port: int = 8080, *,
-        opened: Callable[[str], None] = lambda url: None,
+        opened: Callable[[str], None] = lambda url: None, with_token: bool = True,
     ) -> None:  # fmt: skip
-        super().__init__(title, host, port, opened)
+        super().__init__(title, host, port, opened, with_token)
         self.robot_name, self.robot = robot, load_robot(robot)
         self.wants_reset = self.ended = self.stopped = False
         self._orders, self._shown_at, self._late = no_orders(), -np.inf, 0.0
+        self._runner: Runner | None = None
+        self._before = ""
 
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
         """Start the process; returns when it answers."""
@@ -71,7 +74,7 @@ class RealtimeView(Window):
             pushes=seen is not None,
         )
         nx = mpc.ocp.dynamics.state.size
-        self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,)})
+        self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
             "brakes": (),
@@ -85,7 +88,8 @@ class RealtimeView(Window):
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
             return
-        self.moments.write(t=t, late=self._late, x=self._agent.state())
+        counts = {n: np.nan if self._runner is None else self._runner.own[n] for n in ("ticks", "misses")}
+        self.moments.write(t=t, late=self._late, x=self._agent.state(), **counts)
         self._shown_at, self._late = t, 0.0
 
     # ------------------------------------------------------------------ the MPC's thread
@@ -93,11 +97,11 @@ class RealtimeView(Window):
         """Steer this MPC from now on, before each of its solves; ``agent`` is the runner's."""
         self._agent, self._shown_at = agent, -np.inf
         self.wants_reset = self.stopped = False
-        self.say("")
+        self.say(self._before)
         lift = np.array([0.0, 0.0, self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
-        steering = Steering(running, lift)
+        steering = Steering(running, lift, self.reject)
         steering.skip(self._orders)
         before, planned, counts = mpc.guess, [-np.inf], {n: int(self._orders[n]) for n in ("resets", "ends")}
 
@@ -120,11 +124,13 @@ class RealtimeView(Window):
     # ------------------------------------------------------------------ the session's thread
     def follow(self, runner: Runner) -> str:
         """Start the runner and wait until the user, Ctrl-C or a safe stop ends it; returns why."""
+        self._runner = runner
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
                 time.sleep(_LOOK)
             self.say(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
+        self._before = f"Before: {runner.state}" if runner.stopped else ""
         return self._reason(runner)
 
     def _reason(self, runner: Runner) -> str:
@@ -189,7 +195,10 @@ class Picture:
         self._lift = self.robot.base.radius if isinstance(self.robot.base, BallBase) else 0.0
         self._loads = Loads(self.robot.description, self._reader.joint_names)
         self._moment: dict[str, Array] = {"t": np.array(0.0), "late": np.array(np.nan), "x": self.robot.home}
+        self._moment |= {name: np.array(np.nan) for name in ("ticks", "misses")}
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
+        self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
+        self._factor = Factor()
         self._before: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(GROUPS, np.nan)
 
@@ -212,6 +221,8 @@ class Picture:
             **errors(hand, plan["goal"], poses[self._reader.scene.index], plan["base_goal"]),
             "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
+            "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
+            "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
             "numbers": np.array([float(numbers[name]) for name in NUMBERS]), "poses": poses, "goal": plan["goal"],

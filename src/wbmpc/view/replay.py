@@ -15,7 +15,8 @@ from wbmpc.errors import InputError
 from wbmpc.plant.scene import Body, Contact, Scene
 from wbmpc.recording.plots import hand_error, positions
 from wbmpc.recording.reader import Recording
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, spoken
+from wbmpc.view.access import Access
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, spoken
 
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
@@ -165,13 +166,13 @@ def latest(times: Array, t: float) -> int:
 class Player:
     """A time bar over a film."""
 
-    def __init__(self, film: Film, host: str, port: int) -> None:
-        import viser
-
+    def __init__(self, film: Film, access: Access, port: int) -> None:
+        from wbmpc.view.server import open_server
         from wbmpc.view.stage import Stage, add_follow, add_legend, name_tab
 
-        self.film = film
-        self.server = viser.ViserServer(host=host, port=port, label="wbmpc", verbose=False)
+        self.film, self.access = film, access
+        self.server, guard = open_server(access, port)
+        guard.rejected = self._reject
         self.stage = Stage(self.server, film.scene)
         gui, end = self.server.gui, float(film.times[-1])
         gui.main_panel.dock_right()
@@ -183,10 +184,14 @@ class Player:
         self._follow = add_follow(self.server)
         add_legend(gui)
 
+    def _reject(self, reason: str) -> None:
+        """Say on the page why something is not done, until another moment is shown."""
+        self._text.content = f"**Not done:** {plain(reason)}"
+
     @property
     def url(self) -> str:
         """Where a browser finds it."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return self.access.url(self.server.get_port())
 
     def show(self, t: float) -> None:
         """One moment."""
@@ -211,11 +216,10 @@ class Player:
 
 def write_page(film: Film, path: Path, port: int) -> None:
     """The film as one page with a time bar, which needs no server and no network."""
-    import viser
-
+    from wbmpc.view.server import open_server
     from wbmpc.view.stage import Stage
 
-    server = viser.ViserServer(host="127.0.0.1", port=port, label=film.recording.title, verbose=False)
+    server, _ = open_server(Access.of("127.0.0.1"), port, film.recording.title)
     try:
         stage, serializer = Stage(server, film.scene, carried=True), None
         for t in np.arange(film.times[0], film.times[-1] + 1e-9, 1.0 / PAGE_RATE):

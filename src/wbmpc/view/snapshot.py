@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,8 +21,12 @@ ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the hand, ``base``: of a base with a goal;
 #: those of :data:`~wbmpc.view.loads.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
-#: ``late``: by how much a tick of a real-time run began late.
-NUMBERS = ("t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late")
+#: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
+#: of the ``ticks`` were late.
+NUMBERS = (
+    "t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late", "factor", "ticks",
+    "late_ticks",
+)  # fmt: skip
 #: Shapes of what :func:`ground` finds.
 GROUND: dict[str, tuple[int, ...]] = {
     "forces": (CONTACTS, 2, 3), "support": (CONTACTS, 3), "triangle": (3, 3), "pressure": (3,), "margin": (),
@@ -91,7 +96,8 @@ def errors(hand: Array, goal: Array, base: Array, base_goal: Array) -> dict[str,
 
 
 def spoken(numbers: Mapping[str, float]) -> str:
-    """The hand's error and how far the ZMP is inside of what it must stay in, in Markdown's lines that follow a first one."""
+    """The hand's error, how far the ZMP is inside of what it must stay in and how late the run is, in Markdown's lines that follow
+    a first one."""
     lines = [f"hand error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
     margins = [
         f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
@@ -99,4 +105,13 @@ def spoken(numbers: Mapping[str, float]) -> str:
         if np.isfinite(numbers[name]) and numbers[name] != 0.0
     ]
     lines += [f"ZMP {', '.join(margins)}"] if margins else []
+    pace = [f"real-time factor {numbers['factor']:.2f}"] if np.isfinite(numbers.get("factor", np.nan)) else []
+    if np.isfinite(numbers.get("ticks", np.nan)):
+        pace.append(f"{numbers['late_ticks']:.0f} of {numbers['ticks']:.0f} ticks late")
+    lines += [", ".join(pace)] if pace else []
     return "".join(f"  \n{line}" for line in lines)
+
+
+def plain(text: str) -> str:
+    """Text that Markdown shows as it is: what was sent by a page does not become a link or an image of another's."""
+    return re.sub(r"([\\`*_{}\[\]()<>#!|~$&])", r"\\\1", " ".join(text.split()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,12 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.control.brakes import refuse_floating
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.loop import Running
 from wbmpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
 from wbmpc.stability import CONFIGURATIONS, leg_angles
+from wbmpc.view import bounds
 
 _LOG = logging.getLogger(__name__)
 Array = np.ndarray
@@ -53,12 +56,16 @@ class Controls:
 
 
 class Steering:
-    """Applies orders to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it."""
+    """Applies orders to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it.
 
-    def __init__(self, running: Running, lift: Array) -> None:
-        self.running, self.mpc, self._lift = running, running.mpc, lift
+    What cannot be done, or is outside of :mod:`wbmpc.view.bounds`, is left out: ``reject(reason)`` is called.
+    """
+
+    def __init__(self, running: Running, lift: Array, reject: Callable[[str], None] = lambda reason: None) -> None:
+        self.running, self.mpc, self._lift, self._reject = running, running.mpc, lift, reject
         self._done = {name: 0 for name in ORDERS if name.endswith("s") and name != "weights"}
-        self._weights = np.ones(MOST_WEIGHTS)
+        self._limit = RateLimit()
+        self._weights = self._seen_weights = np.ones(MOST_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
         #: Whether anything was done.
@@ -101,25 +108,57 @@ class Steering:
     def apply(self, t: float, orders: dict[str, Array], drift: Array) -> None:
         """Do what is new at time t [s]."""
         if self._asked(orders, "goals"):
-            self._hand_goal(t, lie.pose_between(drift, orders["goal"]))
+            self._try(lambda: self._hand_goal(t, self._near(orders["goal"], drift)))
         if self._asked(orders, "base_goals"):
-            self._base_goal(t, planar(lie.pose_between(drift, spatial(orders["base_goal"]))))
+            self._try(lambda: self._base_goal(t, self._near_planar(orders["base_goal"], drift)))
         if self._asked(orders, "pushes"):
-            self._push_ends = t + float(orders["push_time"])
-            self.running.plant.push(orders["push"])
+            self._try(lambda: self._push(t, *bounds.push(orders["push"], orders["push_time"])))
         if self._push_ends is not None and t >= self._push_ends:
             self._push_ends = None
             self.running.plant.push(np.zeros(3))
         if self._asked(orders, "configurations") and self.has_legs:
-            self._configure(list(CONFIGURATIONS)[int(orders["configuration"])])
+            names = list(CONFIGURATIONS)
+            index = lambda: bounds.choice("configuration", orders["configuration"], len(names))
+            self._try(lambda: self._configure(names[index()]))
         if self._asked(orders, "brake_clicks") and self.has_legs:
-            self._click(bool(orders["brakes_open"]))
+            self._try(lambda: self._click(bool(bounds.choice("brakes", orders["brakes_open"], 2))))
         if self._legs is not None and np.abs(self.running.agent.state()[self._leg_part] - self._legs).max() < _THERE:
             self._legs = None
             self._brakes(False)
-        if not np.array_equal(orders["weights"], self._weights):
-            self.used = True
-            self._weigh(orders["weights"])
+        if not np.array_equal(orders["weights"], self._seen_weights, equal_nan=True):
+            self.used, self._seen_weights = True, orders["weights"].copy()
+            self._try(lambda: self._weigh(bounds.factors(orders["weights"])))
+
+    def _try(self, act: Callable[[], None]) -> None:
+        """Do something, or say why not."""
+        try:
+            act()
+        except InputError as error:
+            left_out = self._limit.admit(str(error).partition(":")[0])
+            if left_out is not None:
+                _LOG.warning("view: %s%s", error, f" ({left_out} more like this)" if left_out else "")
+            self._reject(str(error))
+
+    def _near(self, goal: Array, drift: Array) -> Array:
+        """A goal of the hand in the estimate's frame, checked before and after."""
+        checked = bounds.pose(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
+        return lie.pose_between(drift, checked)
+
+    def _near_planar(self, goal: Array, drift: Array) -> Array:
+        checked = bounds.planar(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
+        return planar(lie.pose_between(drift, spatial(checked)))
+
+    def _here(self) -> Array:
+        """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
+        agent = self.running.agent
+        if self.mpc is None or "base" not in self.mpc.ocp.dynamics.state:
+            return np.zeros(3)
+        place = agent.state()[self.mpc.ocp.dynamics.state["base"]][:2]
+        return np.array([*place, 0.0])
+
+    def _push(self, t: float, force: Array, seconds: float) -> None:
+        self._push_ends = t + seconds
+        self.running.plant.push(force)
 
     # ------------------------------------------------------------------ goals
     def _hand_goal(self, t: float, goal: Array) -> None:
@@ -162,11 +201,8 @@ class Steering:
         return part
 
     def _configure(self, name: str) -> None:
-        """Legs to a configuration by name, if the robot's hinges reach it."""
-        try:
-            self._move_legs(leg_angles(self.running.agent.robot, name))
-        except InputError as error:
-            _LOG.warning("%s", error)
+        """Legs to a configuration by name; :class:`InputError` if the robot's hinges do not reach it."""
+        self._move_legs(leg_angles(self.running.agent.robot, name))
 
     def _move_legs(self, angles: Array) -> None:
         """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
@@ -184,14 +220,10 @@ class Steering:
         self._brakes(True)
 
     def _click(self, is_open: bool) -> None:
-        """Brakes opened or closed by hand; open ones that would hold the base against nothing (H) stay closed."""
+        """Brakes opened or closed by hand; where they would hold the base against nothing (H), :class:`InputError`."""
         agent = self.running.agent
-        try:
-            if is_open:
-                refuse_floating(agent.robot.base.geometry, agent.state()[self._leg_part], np.ones(4))
-        except InputError as error:
-            _LOG.warning("%s", error)
-            return
+        if is_open:
+            refuse_floating(agent.robot.base.geometry, agent.state()[self._leg_part], np.ones(4))
         self._legs = None
         self._brakes(is_open)
 

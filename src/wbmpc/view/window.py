@@ -12,6 +12,7 @@ from typing import Any
 from wbmpc.errors import InputError
 from wbmpc.mpc.buffer import Board, Fields, Mailbox
 from wbmpc.plant.scene import Scene
+from wbmpc.view.access import Access
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
 from wbmpc.view.steering import ORDERS, Controls
 
@@ -19,20 +20,27 @@ _START = 60.0
 
 
 class Window:
-    """A view at ``url``. ``opened(url)`` is called once the server answers; no browser is waited for."""
+    """A view at ``url``. ``opened(url)`` is called once the server answers; no browser is waited for.
 
-    def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None]) -> None:
+    ``with_token``: whether the address has a random token, without which requests are refused; only a loopback ``host`` may be
+    without, else :class:`InputError` is raised.
+    """
+
+    def __init__(
+        self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool = True
+    ) -> None:
         if find_spec("viser") is None:
             raise InputError("view: this needs viser: pip install 'wbmpc[viz]'")
         if not 0 < port < 65536:
             raise InputError(f"--port: must be 1 to 65535, got {port}")
         self.title, self.host, self.port, self.opened = title, host, port, opened
+        self.access = Access.of(host, with_token)
         self.process: Any = None
 
     @property
     def url(self) -> str:
         """Where a browser finds the view."""
-        return f"http://{'localhost' if self.host == '0.0.0.0' else self.host}:{self.port}"
+        return self.access.url(self.port)
 
     def start(self, scene: Scene, controls: Controls, shown: Fields, drawer: Drawer | None = None) -> None:
         """Start the server's process; returns when it answers. ``shown``: shapes of the messages that are drawn;
@@ -44,7 +52,7 @@ class Window:
                 f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
             ) from e
         self.shown, self.orders, self.board = Mailbox.shared(shown), Mailbox.shared(ORDERS), Board.shared(BOARD)
-        arguments = (scene.plain(), controls, self.shown, self.orders, self.board, self.host, self.port, drawer)
+        arguments = (scene.plain(), controls, self.shown, self.orders, self.board, self.access, self.port, drawer)
         self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
         self.process.start()
         deadline = time.monotonic() + _START
@@ -59,6 +67,12 @@ class Window:
         """Let the page say something beside its title until something else is said; empty: nothing."""
         if self.process is not None:
             self.board.text = sentence
+
+    def reject(self, reason: str) -> None:
+        """Let the page show for a while why something that was asked for is not done."""
+        if self.process is not None:
+            self.board.note = reason
+            self.board.count("rejected")
 
     def close(self) -> None:
         """End the process; a browser is left the time to read what was said last."""

@@ -1,0 +1,119 @@
+"""Who may use a view's server: requests that name it as it is reached, come from its own page, and know its token.
+
+A page of any other site can make a browser send requests to this machine. The `Host` header defeats names that are made to
+resolve to it (DNS rebinding), the `Origin` header pages of others, the token everything else: other users of the machine, and
+the network where the view listens there.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import re
+import secrets
+import socket
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+from wbmpc.errors import InputError
+
+#: Bytes of randomness in a token.
+_BYTES = 32
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_WILDCARD = ("", "0.0.0.0", "::")
+_AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address; names other than localhost are not looked up."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class Access:
+    """The rule of one server at ``host``; an empty ``token``: none is needed."""
+
+    host: str
+    token: str
+
+    @classmethod
+    def of(cls, host: str, with_token: bool = True) -> Access:
+        """A rule with a fresh random token, or without one, which only a loopback address may be.
+
+        Raises :class:`InputError` for another address without a token.
+        """
+        if not (with_token or is_loopback(host)):
+            raise InputError(
+                f"--no-token: --host {host} is reached from other machines, which needs the token; valid: leave out --no-token, "
+                f"or --host 127.0.0.1"
+            )
+        return cls(host, secrets.token_urlsafe(_BYTES) if with_token else "")
+
+    def url(self, port: int) -> str:
+        """What a browser opens."""
+        name = "localhost" if self.host in _WILDCARD else f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{name}:{port}" + (f"/?token={self.token}" if self.token else "")
+
+    def cookie(self, port: int) -> str:
+        """A `Set-Cookie` header's value. Cookies of one host are shared by all of its ports, so the name has the port."""
+        return f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    # ------------------------------------------------------------------ requests
+    def refusal(self, path: str, headers: Any, port: int) -> str:
+        """Why a request for ``path`` with ``headers`` (``get_all(name)``) at ``port`` is refused; empty if it is not."""
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or not self._serves(hosts[0], port):
+            return "the Host header is not the address of this view"
+        if len(origins) > 1 or any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
+            return "the request comes from a page of another origin"
+        if set(parse_qs(path.partition("?")[2], keep_blank_values=True)) - {"token"}:
+            return "the address has parameters other than the token"  # some would let the page talk to another server
+        if not (self.in_query(path) or self._in_cookie(headers, port)):
+            return "the token is missing or wrong: open the address that the command printed"
+        return ""
+
+    def in_query(self, path: str) -> bool:
+        """Whether the address has the token; true where none is needed."""
+        return self._is_token(parse_qs(path.partition("?")[2]).get("token", [""])[-1])
+
+    def _in_cookie(self, headers: Any, port: int) -> bool:
+        for header in headers.get_all("Cookie"):
+            try:
+                found = SimpleCookie(header).get(_cookie_name(port))
+            except CookieError:
+                continue
+            if found is not None and self._is_token(found.value):
+                return True
+        return False
+
+    def _is_token(self, given: str) -> bool:
+        return not self.token or hmac.compare_digest(given.encode(errors="replace"), self.token.encode())
+
+    def _serves(self, authority: str, port: int) -> bool:
+        """Whether a `Host` header names this server."""
+        match = _AUTHORITY.fullmatch(authority.lower())
+        if match is None or int(match[2] or 80) != port:
+            return False
+        name = match[1]
+        if name in _LOOPBACK or name in (self.host.lower(), f"[{self.host.lower()}]"):
+            return True
+        own = socket.gethostname().lower()
+        return self.host in _WILDCARD and (name in (own, f"{own}.local") or _is_address(name))
+
+
+def _cookie_name(port: int) -> str:
+    return f"wbmpc-{port}"
+
+
+def _is_address(name: str) -> bool:
+    """A number cannot be made to resolve to another machine."""
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True

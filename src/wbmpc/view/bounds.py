@@ -1,0 +1,70 @@
+"""What a user of a view may ask a robot for. What is outside of it is not done; the run goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.checks import numbers
+from wbmpc.errors import InputError
+
+Array = np.ndarray
+#: Goals are at most this far from the base in the plane [m], and between these heights [m] above the floor.
+REACH, HEIGHTS = 5.0, (-0.5, 3.0)
+#: The largest push [N] and how long it may last [s]; factors of weights; speeds of a run against the clock.
+PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-2, 1e2), (0.05, 1.0)
+#: How far a quaternion's norm may be from 1.
+_UNIT = 1e-3
+
+
+def pose(given: Array, base: Array) -> Array:
+    """A pose (7) of the hand, its height above the floor, with its quaternion at length 1; ``base``: where the robot is
+    (x, y, …) [m]. Raises :class:`InputError` for one that is not finite, no pose or too far away."""
+    value = numbers("goal of the hand", "pose", given, 7)
+    norm = float(np.linalg.norm(value[3:]))
+    if abs(norm - 1.0) > _UNIT:
+        raise InputError(f"goal of the hand: the quaternion must have the length 1, got {norm:.3g}")
+    _near("goal of the hand", value, base)
+    within("goal of the hand: height [m]", float(value[2]), *HEIGHTS)
+    return np.concatenate([value[:3], value[3:] / norm])
+
+
+def planar(given: Array, base: Array) -> Array:
+    """A pose (x, y, yaw) of the base near where it is; raises :class:`InputError` as :func:`pose` does."""
+    value = numbers("goal of the base", "pose", given, 3)
+    _near("goal of the base", value, base)
+    return value
+
+
+def _near(who: str, value: Array, base: Array) -> None:
+    distance = float(np.linalg.norm(value[:2] - base[:2]))
+    if distance > REACH:
+        raise InputError(f"{who}: must be at most {REACH:g} m from the robot, got {distance:.3g} m")
+
+
+def push(force: Array, seconds: Array) -> tuple[Array, float]:
+    """A force (3) [N] and its duration [s]; raises :class:`InputError` for what is not finite or too large."""
+    value = numbers("push", "force", force, 3)
+    within("push: force [N]", float(np.linalg.norm(value)), 0.0, PUSH)
+    within("push: time [s]", float(seconds), 0.0, PUSH_TIME)
+    return value, float(seconds)
+
+
+def factors(given: Array) -> Array:
+    """Factors (n) of weights; raises :class:`InputError` for what is not finite or outside of :data:`FACTORS`."""
+    for value in numbers("weights", "factors", given, len(given)):
+        within("weights: factor", float(value), *FACTORS)
+    return given
+
+
+def choice(who: str, given: Array, count: int) -> int:
+    """One of ``count`` choices by its number; raises :class:`InputError` for another."""
+    value = float(given)
+    if value not in range(count):
+        raise InputError(f"{who}: must be a whole number from 0 to {count - 1}, got {value:g}")
+    return int(value)
+
+
+def within(who: str, value: float, low: float, high: float) -> None:
+    """Raise :class:`InputError` for a number outside of [low, high], or none."""
+    if not low * (1.0 - 1e-9) - 1e-9 <= value <= high * (1.0 + 1e-9) + 1e-9:
+        raise InputError(f"{who}: must be {low:g} to {high:g}, got {value:g}")

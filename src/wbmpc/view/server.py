@@ -1,0 +1,124 @@
+"""The server behind every view: viser's, with a guard before its requests and its messages."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any
+
+import viser
+from websockets.asyncio import server as websockets_server
+from websockets.datastructures import Headers
+from websockets.http11 import Response
+
+from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
+from wbmpc.view.access import Access
+from wbmpc.view.frames import LARGEST, checked
+
+_PATCH = threading.Lock()
+#: Of every answer: no other page may frame this one (clicks would be the user's), learn its address, or keep a copy.
+_HEADERS = {
+    "X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'", "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin",
+}  # fmt: skip
+
+
+class Guard:
+    """Stands before a server: refuses requests by ``access`` with status 403, and messages that are not as they should be.
+
+    ``rejected(reason)`` is called, in the server's thread, for messages of a page that were left out.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self.access = access
+        self.rejected: Callable[[str], None] = lambda reason: None
+        self.server: viser.ViserServer | None = None
+        self.installed = False
+        # not one of the registered loggers: their filters would add up over several servers
+        self.log = logging.Logger("wbmpc.view")
+        self.log.parent = logging.getLogger("wbmpc")
+        self.log.addFilter(RateLimit(brief=True))
+
+    # ------------------------------------------------------------------ requests
+    def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:
+        """The answer to a request; None lets a WebSocket begin."""
+        port = int(connection.local_address[1])
+        reason = self.access.refusal(request.path, request.headers, port)
+        if reason:
+            self.log.warning("view: a request was refused: %s", reason)
+            text = f"403: {reason}\n".encode()
+            response = Response(
+                HTTPStatus.FORBIDDEN.value,
+                "Forbidden",
+                Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}),
+                text,
+            )
+        else:
+            response = serve(connection, request)
+        if response is not None:
+            for name, value in _HEADERS.items():
+                response.headers[name] = value
+            if not reason and self.access.token and self.access.in_query(request.path):
+                response.headers["Set-Cookie"] = self.access.cookie(port)
+        return response
+
+    # ------------------------------------------------------------------ messages
+    def take(self, raw: bytes | str) -> bytes | None:
+        """A message as the server may have it; None if it is left out."""
+        try:
+            return checked(raw, self._input)
+        except InputError as error:
+            self.log.warning("view: %s", error)
+            self.rejected(str(error))
+            return None
+
+    def _input(self, uuid: str) -> Any:
+        return None if self.server is None else self.server.gui._gui_input_handle_from_uuid.get(uuid)
+
+    # ------------------------------------------------------------------ installation
+    @contextmanager
+    def before(self) -> Iterator[None]:
+        """While this holds, a server that is started gets the guard: viser has no way to hand it over."""
+        serve = websockets_server.serve
+        guard = self
+
+        class Connection(websockets_server.ServerConnection):
+            async def recv(self, decode: bool | None = None) -> Any:
+                while True:
+                    message = guard.take(await super().recv(decode))
+                    if message is not None:
+                        return message
+
+        def guarded(handler: Any, *place: Any, process_request: Any, **options: Any) -> Any:
+            guard.installed = True
+            asyncio.get_running_loop().set_exception_handler(guard._failed)
+            options |= {"create_connection": Connection, "max_size": LARGEST, "logger": self.log}
+            answer = lambda connection, request: guard.answer(connection, request, process_request)
+            return serve(handler, *place, process_request=answer, **options)
+
+        with _PATCH:
+            websockets_server.serve = guarded  # type: ignore[misc,assignment]
+            try:
+                yield
+            finally:
+                websockets_server.serve = serve  # type: ignore[misc]
+
+    def _failed(self, loop: Any, context: dict[str, Any]) -> None:
+        self.log.warning("view: %s", context.get("message", "an error"), exc_info=context.get("exception"))
+
+
+def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.ViserServer, Guard]:
+    """A server at the address of ``access``, and its guard. A busy ``port`` is passed over."""
+    guard = Guard(access)
+    with guard.before():
+        server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
+    if not guard.installed:  # another version of viser starts its server in another way: nobody would be refused
+        server.stop()
+        raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
+    guard.server = server
+    return server, guard

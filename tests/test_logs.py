@@ -1,0 +1,70 @@
+"""Log lines of one cause, limited. Truth: counted by hand, against a clock that the test turns."""
+
+from __future__ import annotations
+
+import logging
+
+from wbmpc.logs import RateLimit
+
+
+class Lines(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(self.format(record))
+
+
+def logger(limit: RateLimit) -> tuple[logging.Logger, list[str]]:
+    log, lines = logging.Logger("test"), Lines()
+    log.addHandler(lines)
+    log.addFilter(limit)
+    return log, lines.texts
+
+
+def test_a_flood_of_one_cause_is_one_line_in_each_interval() -> None:
+    """1 000 records in 10 s at one line in 5 s: at 0 s, 5 s; the second says how many were left out."""
+    now = [0.0]
+    log, lines = logger(RateLimit(5.0, lambda: now[0]))
+    for k in range(1000):
+        now[0] = 0.01 * k
+        log.warning("frame %d is malformed", k)
+    assert lines == ["frame 0 is malformed", "frame 500 is malformed (499 more like this)"]
+
+
+def test_causes_do_not_silence_each_other() -> None:
+    log, lines = logger(RateLimit(5.0, lambda: 0.0))
+    for _ in range(3):
+        log.warning("malformed %s", "a")
+        log.error("malformed %s", "a")
+        log.warning("refused")
+    assert lines == ["malformed a", "malformed a", "refused"]
+    limit = RateLimit(5.0, lambda: 0.0)
+    assert [limit.admit(c) for c in ("one", "one", "two", "one")] == [0, None, 0, None]
+
+
+def test_what_was_left_out_is_said_once() -> None:
+    now = [0.0]
+    limit = RateLimit(2.0, lambda: now[0])
+    found = []
+    for now[0] in (0.0, 1.0, 1.5, 2.0, 2.5, 4.5, 10.0):
+        found.append(limit.admit("cause"))
+    assert found == [0, None, None, 2, None, 1, 0]
+
+
+def test_many_causes_do_not_fill_the_memory() -> None:
+    limit = RateLimit(5.0, lambda: 0.0)
+    for k in range(10_000):
+        assert limit.admit(k) == 0
+    assert len(limit._causes) <= 256
+
+
+def test_brief_lines_name_the_exception_without_its_traceback() -> None:
+    for brief in (True, False):
+        log, lines = logger(RateLimit(5.0, lambda: 0.0, brief=brief))
+        try:
+            raise ValueError("no number")
+        except ValueError:
+            log.exception("handler failed")
+        assert ("Traceback" in lines[0]) == (not brief) and "ValueError: no number" in lines[0]

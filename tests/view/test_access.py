@@ -1,0 +1,173 @@
+"""Who gets into a view. Truth: the rules of browsers for `Origin`, `Host` and cookies, and raw clients that break them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from filmed import record
+from hostile import get, upgrade
+from test_live import free_port
+from websockets.datastructures import Headers
+
+from wbmpc.cli import main
+from wbmpc.errors import InputError
+from wbmpc.view.access import Access, is_loopback
+
+pytest.importorskip("viser")
+
+
+def headers(*pairs: tuple[str, str]) -> Headers:
+    found = Headers()
+    for name, value in pairs:
+        found[name] = value
+    return found
+
+
+def refused(access: Access, *pairs: tuple[str, str], path: str = "/") -> bool:
+    return access.refusal(path, headers(*pairs), 8080) != ""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("film")
+    record(folder)
+    return folder
+
+
+def started(*command: str) -> tuple[subprocess.Popen[str], str]:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wbmpc", *command, "--json", "--port", str(free_port())],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    return process, json.loads(process.stdout.readline())["url"]
+
+
+@pytest.fixture(params=["view", "realtime", "replay"])
+def served(request: pytest.FixtureRequest, recording: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Each of the views as a command."""
+    commands = {
+        "view": ("view", "rezero"),
+        "realtime": ("view", "rezero", "--realtime"),
+        "replay": ("replay", str(recording)),
+    }
+    process, url = started(*commands[request.param])
+    yield process, url
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def test_only_the_page_with_the_token_gets_in(served: tuple[Any, str]) -> None:
+    """Foreign origins and hosts, no token and a wrong one get status 403, for pages and WebSockets; SIGTERM ends with 143."""
+    process, url = served
+    place, token = urlsplit(url).netloc, parse_qs(urlsplit(url).query)["token"][0]
+    port, base = place.split(":")[1], f"http://{place}"
+    wrong = f"{base}/?token={'A' * len(token)}"
+    for foreign in (
+        "http://evil.example",
+        f"http://evil.example:{port}",
+        "http://127.0.0.1:1",
+        f"https://{place}",
+        "null",
+    ):
+        assert (get(url, Origin=foreign)[0], upgrade(url, foreign)) == (403, 403), foreign
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        f"127.0.0.1.evil.example:{port}",
+        "127.0.0.1",
+        f"{place[:-1]}{(int(place[-1]) + 1) % 10}",
+    ):
+        assert (get(url, Host=host)[0], upgrade(url, Host=host)) == (403, 403), host
+    for address in (
+        base,
+        wrong,
+        f"{base}/?token=",
+        f"{base}/?token={token[:-1]}",
+        f"{url}&websocket=ws://evil.example",
+    ):
+        assert (get(address)[0], upgrade(address)) == (403, 403), address
+    assert get(url, Host="")[0] in (400, 403) and get(base, "/index.html")[0] == 403 and get(base, "/nothing")[0] == 403
+    status, answered, body = get(url)
+    assert status == 200 and b"<html" in body[:2000] and answered["X-Frame-Options"] == "DENY"
+    cookie = answered["Set-Cookie"]
+    assert cookie.startswith(f"wbmpc-{port}=") and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    cookie = cookie.split(";")[0]
+    # the page's WebSocket and a reload have the cookie, beside those of runs at other ports
+    for name in (place, f"localhost:{port}"):
+        assert upgrade(base, f"http://{name}", Host=name, Cookie=f"wbmpc-1=other; {cookie}") == 101
+    assert get(base, Cookie=cookie)[0] == 200 and upgrade(base, Cookie=cookie.replace(token, token[::-1])) == 403
+    assert upgrade(base, "http://evil.example", Cookie=cookie) == 403
+    assert upgrade(url) == 101
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 143 and "Traceback" not in err
+    assert (
+        len([line for line in err.splitlines() if "refused" in line]) <= 5 + 2
+    )  # one of each cause, not one of each request
+
+
+def test_requests_of_other_sites_are_refused() -> None:
+    access = Access("127.0.0.1", "")
+    assert not refused(access, ("Host", "127.0.0.1:8080")) and not refused(access, ("Host", "LOCALHOST:8080"))
+    assert not refused(access, ("Host", "[::1]:8080"), ("Origin", "http://[::1]:8080"))
+    assert refused(access) and refused(access, ("Host", "127.0.0.1:8080"), ("Host", "evil.example:8080"))
+    same = ("Host", "localhost:8080")
+    assert not refused(access, same, ("Origin", "http://localhost:8080"))
+    for origin in ("http://127.0.0.1:8080", "http://localhost:8081", "http://localhost", "null", "", "file://"):
+        assert refused(access, same, ("Origin", origin)), origin
+    assert refused(access, same, ("Origin", "http://localhost:8080"), ("Origin", "http://evil.example"))
+    assert not refused(Access("127.0.0.1", ""), ("Host", "localhost:8080"), path="/?token=any")
+    assert Access("127.0.0.1", "").refusal("/", headers(("Host", "localhost")), 80) == ""
+
+
+def test_a_view_for_the_network_is_reached_by_numbers_and_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name that somebody else owns may be made to resolve to this machine; a number cannot."""
+    monkeypatch.setattr("socket.gethostname", lambda: "robot7")
+    everywhere, one = Access("0.0.0.0", ""), Access("192.168.1.7", "")
+    for name, at_everywhere, at_one in (
+        ("192.168.1.7", False, False), ("192.168.1.8", False, True), ("robot7", False, True), ("robot7.local", False, True),
+        ("evil.example", True, True), ("192.168.1.7.evil.example", True, True), ("localhost", False, False),
+    ):  # fmt: skip
+        host = ("Host", f"{name}:8080")
+        assert (refused(everywhere, host), refused(one, host)) == (at_everywhere, at_one), name
+
+
+def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    tokens = {Access.of("127.0.0.1").token for _ in range(20)}
+    assert len(tokens) == 20 and min(map(len, tokens)) >= 43  # 256 bits
+    assert all(map(is_loopback, ("127.0.0.1", "localhost", "::1", "127.3.2.1")))
+    assert Access.of("127.0.0.1", with_token=False).url(80) == "http://127.0.0.1:80"
+    for host in ("0.0.0.0", "::", "", "192.168.1.7", "robot7", "127.0.0.1.evil.example"):
+        with pytest.raises(InputError, match="which needs the token"):
+            Access.of(host, with_token=False)
+    for command in (
+        ("run", "swerve-track", "--view"),
+        ("view", "rezero"),
+        ("view", "rezero", "--realtime"),
+        ("replay", "x"),
+    ):
+        assert main([*command, "--host", "0.0.0.0", "--no-token"]) == 2
+        assert "--no-token: --host 0.0.0.0 is reached from other machines" in capsys.readouterr().err
+
+
+def test_without_a_token_other_sites_stay_outside(recording: Path) -> None:
+    process, url = started("replay", str(recording), "--no-token")
+    try:
+        assert "token" not in url and get(url)[0] == 200 and upgrade(url) == 101 and upgrade(url, url) == 101
+        assert "Set-Cookie" not in get(url)[1]
+        assert upgrade(url, "http://evil.example") == 403 and get(url, Host="evil.example")[0] == 403
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,160 @@
+"""Messages that no browser sends, from clients that know the token. Truth: the run's time goes on; the page's text."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hostile import BAD_GOALS, MALFORMED, Client
+from test_live import free_port
+
+from wbmpc.errors import InputError
+from wbmpc.model import load_robot
+from wbmpc.view import bounds
+from wbmpc.view.steering import MOST_WEIGHTS
+
+pytest.importorskip("viser")
+#: Values that a control may not have.
+WRONG: dict[str, tuple[Any, ...]] = {
+    "Speed": (0.0, float("nan"), -1.0, 1e9, "fast", True, [1.0]),
+    "Force [N]": (1e9, float("inf"), -5.0),
+    "Time [s]": (float("nan"), 1e6),
+    "hand": (400.0, float("nan"), "heavy"),
+    "Configuration": ("Z", 7, "__class__"),
+    "Brakes open": (2, "yes", 0.5),
+    "Pause": ("no", 7.0),
+}
+
+
+@pytest.fixture(params=["lockstep", "realtime"])
+def running(request: pytest.FixtureRequest) -> Iterator[tuple[subprocess.Popen[str], Client]]:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    extra = ["--realtime"] if request.param == "realtime" else []
+    command = [sys.executable, "-m", "wbmpc", "view", "swerve-ur10", *extra, "--json", "--port", str(free_port())]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    client = Client(json.loads(process.stdout.readline())["url"])
+    assert client.hears(" s  \nhand error", 60.0)
+    yield process, client
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def run_time(client: Client) -> float:
+    """The run's time [s] as the page shows it."""
+    client.listen(0.5)
+    found = [re.search(r", ([0-9.]+) s", text) for text in client.history]
+    return float([m for m in found if m is not None][-1][1])
+
+
+def hand_error(client: Client) -> float:
+    """As the page shows it last [mm]."""
+    found = [m for m in (re.search(r"hand error ([0-9.]+) mm", text) for text in client.history) if m is not None]
+    return float(found[-1][1])
+
+
+def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
+    """Each one is answered on the page, the run goes on and does afterwards what it is asked for properly."""
+    process, client = running
+    before = run_time(client)
+    for message in MALFORMED:
+        client.history.clear()
+        client.send(message)
+        assert client.hears("**Not done:**"), message
+    for position, quaternion, answer in BAD_GOALS:
+        for handle in ("/goal", "/base_goal"):
+            if handle == "/base_goal" and "height" in answer:
+                continue
+            client.history.clear()
+            client.move(handle, position, quaternion)
+            assert client.hears(answer), (handle, position, quaternion, client.history[-1:])
+    for label, values in WRONG.items():
+        for value in values:
+            if label in client.controls:
+                client.history.clear()
+                client.set(label, value)
+                assert client.hears("**Not done:**"), (label, value)
+    uuid = client.controls["Force [N]"]
+    for updates in ({"min": -1e9}, {"update_cb": 1}, {"removed": True}, {"value": 10.0, "max": 1e9}, {}):
+        client.history.clear()
+        client.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
+        assert client.hears("**Not done:**"), updates
+    assert client.alive and process.poll() is None
+    assert run_time(client) > before + 1.0 and hand_error(client) < 20.0
+    client.move("/goal", (1.0, 0.2, 1.0), (1.0, 0.0, 0.0, 0.0))
+    client.history.clear()
+    assert client.hears("hand error")
+    client.listen(0.5)
+    assert hand_error(client) > 50.0  # a proper goal is taken
+    client.set("End the run", True)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and "ended in the view" in err
+    assert "Traceback" not in err and len(err.splitlines()) < 30
+
+
+def test_a_flood_of_malformed_messages_is_a_few_lines(running: tuple[Any, Client]) -> None:
+    process, client = running
+    before = run_time(client)
+    for _ in range(3000):
+        client.send(b"\xc1")
+        client.send("text")
+    assert client.alive and run_time(client) > before
+    client.set("End the run", True)
+    _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err and len(err.splitlines()) < 15
+
+
+# ---------------------------------------------------------------------- what a run may be asked for
+def test_what_a_run_may_be_asked_for() -> None:
+    """Also where the page lets it pass: the run checks anew."""
+    base, nan = np.array([2.0, 1.0, 0.0]), np.nan
+    good = np.array([3.0, 1.0, 1.0, 1.0 + 5e-4, 0.0, 0.0, 0.0])
+    checked = bounds.pose(good, base)
+    assert np.linalg.norm(checked[3:]) == pytest.approx(1.0, abs=1e-12) and checked[0] == 3.0
+    bad: list[Any] = [
+        lambda k=k, v=v: bounds.pose(np.where(np.arange(7) == k, v, good), base)
+        for k, v in ((0, nan), (1, 1e9), (2, 3.1), (2, -np.inf), (3, 0.0), (5, nan), (0, 7.1))
+    ]
+    bad += [lambda v=v: bounds.planar(np.array(v), base) for v in ((nan, 0, 0), (0, 0, nan), (2.0, 6.1, 0.0))]
+    bad += [
+        lambda v=v: bounds.push(np.array(v[:3]), np.array(v[3]))
+        for v in ((nan, 0, 0, 1), (1001, 0, 0, 1), (1, 0, 0, nan))
+    ]
+    bad += [lambda v=v: bounds.factors(np.full(MOST_WEIGHTS, v)) for v in (nan, 0.0, -1.0, 1e3)]
+    bad += [lambda v=v: bounds.choice("configuration", np.array(v), 3) for v in (nan, -1.0, 0.5, 3.0, np.inf)]
+    bad += [lambda v=v: bounds.within("speed", v, *bounds.SPEEDS) for v in (nan, 0.0, -1.0, np.inf)]
+    for ask in bad:
+        with pytest.raises(InputError):
+            ask()
+    np.testing.assert_array_equal(bounds.planar(np.array([2.0, 5.9, 9.0]), base), [2.0, 5.9, 9.0])
+    assert bounds.choice("configuration", np.array(2.0), 3) == 2 and load_robot("rezero") is not None
+
+
+def test_the_page_says_how_late_it_is() -> None:
+    """The real-time factor, and how many of the ticks began later than a period."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
+    command = [sys.executable, "-m", "wbmpc", "view", "rezero", "--json", "--port", str(free_port())]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        client = Client(json.loads(process.stdout.readline())["url"])
+        assert client.hears("real-time factor ", 60.0)
+        found = [
+            re.search(r"real-time factor ([0-9.]+), ([0-9]+) of ([0-9]+) ticks late", text) for text in client.history
+        ]
+        factor, late, ticks = (float(v) for v in [m for m in found if m is not None][-1].groups())
+        assert 0.0 < factor < 1.5 and 0 <= late <= ticks and ticks > 0
+        client.set("End the run", True)
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
