@@ -1,0 +1,128 @@
+"""What a robot's XML may be at most, looked at before MuJoCo grows anything of it.
+
+A few lines can ask for millions of bodies (``replicate``, models attached to models, XML entities) or for an image of a
+terabyte; the simulator's parser would build them all.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Never
+from xml.parsers import expat
+
+from wbmpc.errors import InputError
+
+#: Bytes of one file; elements and bodies after all that is repeated; levels of nesting; pixels or points of an image or a field.
+LARGEST, MOST_ELEMENTS, MOST_BODIES, DEEPEST, MOST_PIXELS = 16 * 1024 * 1024, 50_000, 1_000, 128, 64_000_000
+#: Elements that make several of what is inside, with the numbers whose product says how many.
+_REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
+#: Attributes whose product is the size of an image or a field.
+_AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
+_BODIES = ("body", "link", "composite", "flexcomp")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+
+
+@dataclass
+class _Count:
+    """What a file asks for."""
+
+    elements: float = 0.0
+    bodies: float = 0.0
+    models: dict[str, Path] = field(default_factory=dict)
+
+
+def check_size(path: Path) -> None:
+    """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, or is not well-formed."""
+    _Walk(path, {}, ()).run()
+
+
+class _Walk:
+    """One file; ``done``: what other files ask for, ``above``: files that led here."""
+
+    def __init__(self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...]) -> None:
+        self._path, self._done, self._above = path, done, (*above, path.resolve())
+        self._main = above[0].parent if above else path.parent
+        self._count, self._times, self._depth = _Count(), [1.0], 0
+
+    def run(self) -> _Count:
+        """What the file asks for, with all that it includes."""
+        if self._path.stat().st_size > LARGEST:
+            raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
+        # MuJoCo's parser takes comments that XML does not (with -- inside)
+        text = _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), self._path.read_bytes())
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
+        self._parser.StartDoctypeDeclHandler = self._doctype
+        try:
+            self._parser.Parse(text, True)
+        except expat.ExpatError as error:
+            raise InputError(f"{self._path}: cannot be read: {error}") from error
+        return self._count
+
+    def _fail(self, text: str) -> Never:
+        raise InputError(f"{self._path}: line {self._parser.CurrentLineNumber}: {text}")
+
+    def _doctype(self, *_: Any) -> None:
+        self._fail("a document type (<!DOCTYPE) with entities is not allowed")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            self._fail(f"<{name}> is nested deeper than {DEEPEST} levels")
+        times = self._times[-1]
+        if name in _REPEAT:
+            times *= max(self._product(name, attributes.get("count", "1")), 1.0)
+        self._times.append(times)
+        self._add(name, times, times if name in _BODIES else 0.0)
+        if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MOST_PIXELS:
+            self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MOST_PIXELS}")
+        if name == "include":
+            self._include(attributes.get("file", ""), times)
+        elif name == "model" and "file" in attributes:
+            self._count.models[attributes.get("name", "")] = self._found(attributes["file"])
+        elif name == "attach" and (model := self._count.models.get(attributes.get("model", ""))) is not None:
+            self._add_file(name, model, times)
+
+    def _end(self, name: str) -> None:
+        self._depth -= 1
+        self._times.pop()
+
+    def _product(self, name: str, text: str) -> float:
+        out = 1.0
+        for word in text.split():
+            try:
+                out *= float(word)
+            except ValueError:
+                self._fail(f"<{name}>: whole numbers are needed, got '{text[:40]}'")
+        return out
+
+    def _add(self, name: str, elements: float, bodies: float) -> None:
+        self._count.elements += elements
+        self._count.bodies += bodies
+        if not self._count.bodies <= MOST_BODIES:
+            self._fail(f"<{name}>: more than {MOST_BODIES} bodies; at most so many are read")
+        if not self._count.elements <= MOST_ELEMENTS:
+            self._fail(f"<{name}>: more than {MOST_ELEMENTS} elements; at most so many are read")
+
+    def _found(self, name: str) -> Path:
+        """Where MuJoCo looks for a file: beside the main one, or the one that names it."""
+        beside = self._main / name
+        return beside if beside.is_file() else self._path.parent / name
+
+    def _include(self, name: str, times: float) -> None:
+        if name:
+            self._add_file("include", self._found(name), times)
+
+    def _add_file(self, element: str, path: Path, times: float) -> None:
+        if not path.is_file():
+            return  # MuJoCo says so
+        if path.resolve() in self._above:
+            self._fail(f"<{element}>: '{path}' leads back to itself")
+        inside = self._done.get(path.resolve())
+        if inside is None:
+            inside = self._done[path.resolve()] = _Walk(path, self._done, self._above).run()
+        if element == "include":
+            self._count.models |= inside.models
+        self._add(element, times * inside.elements, times * inside.bodies)
