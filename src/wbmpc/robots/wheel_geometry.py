@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MOST = 0.05
 #: How far a round shape's axis may be from the wheel's: angle [rad], and distance [of its radius].
 TILT, BESIDE = 0.02, 0.05
-_ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE}
+_ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID}
 
 
 def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
@@ -64,6 +64,9 @@ def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
             points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])] @ turned.T + centre
             found.append(float(np.linalg.norm(np.cross(points, axis), axis=1).max()))
             continue
+        if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            flat = int(np.argmax(np.abs(turned.T @ axis)))
+            turned, size = np.roll(turned, 2 - flat, axis=1), np.sort(np.delete(size, flat))[::-1]
         if not (kind == mujoco.mjtGeom.mjGEOM_SPHERE or (kind in _ROUND and _along(turned[:, 2], axis))):
             continue
         if np.linalg.norm(np.cross(centre, axis)) <= BESIDE * size[0]:
