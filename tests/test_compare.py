@@ -75,7 +75,7 @@ def test_what_is_no_run_is_said(runs: list[dict], capsys: pytest.CaptureFixture[
         assert capsys.readouterr().err == f"wbmpc: {path}: {why}\n"
     Path("b/metrics.json").write_text("{")
     assert main(["compare", "a", "b"]) == 2
-    assert "metrics.json or log.npz cannot be read" in capsys.readouterr().err
+    assert "b/metrics.json: is not JSON: Expecting property name" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -59,7 +59,7 @@ BAD = {
     "mpc.rate": ["the form is key=value"],
     "mpc.rate=": ["the form is key=value"],
     "=3": ["the form is key=value"],
-    "mpc.rate=[": ["mpc.rate", "cannot be read"],
+    "mpc.rate=[": ["mpc.rate", "not valid YAML"],
     "mpc.rate=true": ["mpc.rate=true", "not true or false"],
     "plant.friction=[true, 1]": ["not true or false"],
     "plant.friction=8e-1": ["plant.friction=0.8", "several numbers in brackets", "[0.6, 0.9]"],

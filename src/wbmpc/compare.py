@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.json_file import parse_json
 from wbmpc.recording.reader import read
 from wbmpc.report import RECORDING
 from wbmpc.result import Plot, Series
 from wbmpc.robots import SwerveBaseDescription, load_description
+from wbmpc.run_files import check_metric, read_log, read_metrics
 
 #: Components of a channel, at most, that are drawn.
 MOST_LINES = 6
@@ -67,25 +69,22 @@ def load(path: Path) -> Run:
 
 
 def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    try:
-        metrics = json.loads((directory / "metrics.json").read_text())
-        with np.load(directory / "log.npz") as log:
-            return metrics, {name: log[name] for name in log.files}
-    except (ValueError, OSError) as error:
-        raise InputError(f"{directory}: metrics.json or log.npz cannot be read: {error}") from error
+    return read_metrics(directory / "metrics.json"), read_log(directory / "log.npz")
 
 
 def _recorded(path: Path) -> Run:
     """What a recording alone says. That of a run that ended holds its figures, without their units."""
     recording = read(path)
     about, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
-    try:
-        seed = int(about["seed"]) if "seed" in about else None
-        settings, values = json.loads(about.get("settings", "{}")), json.loads(result.get("metrics", "{}"))
-        metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
-    except (ValueError, AttributeError) as error:
-        raise InputError(f"{recording.path}: what it says of its run cannot be read: {error}") from error
-    figures = {"experiment": about.get("experiment"), "seed": seed, "settings": settings, "metrics": metrics}
+    where = f"{recording.path}: what it says of its run"
+    settings, values = (parse_json(text, where) for text in (about.get("settings", "{}"), result.get("metrics", "{}")))
+    seed = about.get("seed", "")
+    if not isinstance(settings, dict) or not isinstance(values, dict) or not re.fullmatch(r"-?\d{0,18}", seed):
+        raise InputError(f"{where} cannot be read: settings and metrics must be objects, the seed a whole number")
+    metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
+    for name, metric in metrics.items():
+        check_metric(f"{where}: metric '{name}'", metric)
+    figures = {"experiment": about.get("experiment"), "seed": int(seed) if seed.strip("-") else None, "settings": settings, "metrics": metrics}
     note = f"did not complete: {result['reason']}" if result.get("reason") else ""
     if not metrics:
         note = f"left no metrics; its recording ends at {recording.duration:.2f} s"

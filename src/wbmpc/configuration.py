@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, get_args
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from wbmpc.errors import InputError, did_you_mean
+from wbmpc.yaml_file import parse_yaml
 
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:
@@ -63,10 +63,7 @@ def _parse(assignment: str, where: str) -> tuple[str, Any]:
     key, equals, text = assignment.partition("=")
     if not equals or not key.strip() or not text.strip():
         raise InputError(f"{where}: --set '{assignment}': the form is key=value, e.g. mpc.rate=100")
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"{where}: --set {key.strip()}: the value '{text}' cannot be read") from error
+    value = parse_yaml(text, f"{where}: --set {key.strip()}={text.strip()[:80]}")
     if not _finite(value):
         raise InputError(f"{where}: --set {key.strip()}={text.strip()}: the value must be a finite number")
     return key.strip(), _numbers(value)
@@ -104,25 +101,6 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
             tree[parent] = {}
         tree = tree[parent]
     tree[last] = value
-
-
-class _OnceLoader(yaml.SafeLoader):
-    """YAML takes the last of two equal keys without a word; here they are an error."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """As in YAML, after a look at the keys."""
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
-                if key.value in seen:
-                    raise yaml.YAMLError(f"key '{key.value}' is there twice (line {key.start_mark.line + 1})")
-                seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-def parse_yaml(text: str) -> Any:
-    """What a YAML text says. Raises :class:`yaml.YAMLError`, also for a key that is there twice."""
-    return yaml.load(text, _OnceLoader)
 
 
 def describe(error: ValidationError) -> str:

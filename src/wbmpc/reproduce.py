@@ -21,6 +21,7 @@ from typing import Any
 from wbmpc.errors import InputError
 from wbmpc.report import RUN_FILES, document, goal_text, number, table
 from wbmpc.result import Metric
+from wbmpc.run_files import read_metrics
 
 #: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
 MOST_SEEDS = 1000
@@ -146,9 +147,7 @@ def summarise(jobs: list[Job]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for job in jobs:
         if job.done:
-            out.setdefault(job.name, {"runs": {}})["runs"][job.seed] = json.loads(
-                (job.directory / "metrics.json").read_text()
-            )
+            out.setdefault(job.name, {"runs": {}})["runs"][job.seed] = read_metrics(job.directory / "metrics.json")
     for entry in out.values():
         runs = list(entry["runs"].values())
         entry["metrics"] = {name: _spread(name, runs) for name in dict.fromkeys(n for r in runs for n in r["metrics"])}

@@ -220,7 +220,7 @@ SWERVE = (Path(load_description("swerve-ur10").source)).read_text()
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (b"name: \xff\xfe", "cannot be read as text in UTF-8"),
+        (b"name: \xff\xfe", "not a text file in UTF-8"),
         (b"1: 2\nname: r", "unknown key '1'; valid: name, model, base"),
     ],
 )

@@ -23,18 +23,10 @@ if TYPE_CHECKING:
 
 def _channels(path: Path) -> tuple[dict[str, Any], Path]:
     """The arrays of a run's log (its folder or the log.npz itself), and the file."""
-    import zipfile
-
-    import numpy as np
+    from wbmpc.run_files import read_log
 
     file = path / "log.npz" if path.is_dir() else path
-    if not file.is_file():
-        raise InputError(f"{file}: there is no such file; give a run's folder or its log.npz")
-    try:
-        with np.load(file, allow_pickle=False) as log:
-            return {name: log[name] for name in log.files}, file
-    except (ValueError, OSError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(f"{file}: this is not the log of a run (log.npz)") from error
+    return read_log(file), file
 
 
 #: Bases whose places [m] and directions [rad] differ by less are the same: descriptions are measured, and measured again.
@@ -44,11 +36,12 @@ SAME_BASE = 0.02
 def _robot_of(file: Path, given: str | None) -> RobotModel:
     """The robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other bases."""
     from wbmpc.experiments.swerve_calibrate import swerve_robot
+    from wbmpc.run_files import read_metrics
 
     metrics = file.with_name("metrics.json")
     try:
-        said = str(json.loads(metrics.read_text())["settings"]["robot"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        said = str(read_metrics(metrics)["settings"]["robot"])
+    except (InputError, KeyError) as error:
         if given is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
         return swerve_robot(given)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.swerve import SwerveGeometry
+from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
 
@@ -149,10 +150,7 @@ def _read(path: Path, modules: list[str]) -> tuple[dict[str, dict[str, object]],
     """By module, in the file's order, what it says; and its correlation (None if there is none)."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; 'wbmpc calibrate' writes one")
-    try:
-        data = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    data = load_yaml(path)
     rows = data.get("modules") if isinstance(data, Mapping) else None
     if not isinstance(rows, Mapping):
         raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")

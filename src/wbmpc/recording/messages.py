@@ -213,6 +213,10 @@ class _Writer:
 
 
 # ---------------------------------------------------------------------- from bytes
+#: Bytes that may follow a message: some middleware fills up to a multiple of 4 or 8.
+PADDING = 7
+
+
 def decode(kind: str, data: bytes) -> Any:
     """The message in CDR bytes; sequences of float64 as arrays, types of float64 alone as one vector.
 
@@ -221,9 +225,12 @@ def decode(kind: str, data: bytes) -> Any:
     if data[:4] != _HEADER:
         raise InputError(f"message: only plain little-endian CDR can be read, got header {data[:4].hex()}")
     try:
-        return _read(data, 4, kind)[0]
-    except (struct.error, ValueError) as error:
+        message, end = _read(data, 4, kind)
+    except (struct.error, ValueError, OverflowError, MemoryError) as error:
         raise InputError(f"message: {len(data)} bytes are no {kind}: {error}") from error
+    if len(data) - end > PADDING:
+        raise InputError(f"message: {len(data)} bytes are no {kind}: {len(data) - end} are left over")
+    return message
 
 
 def _read(data: bytes, at: int, kind: str) -> tuple[Any, int]:
@@ -265,7 +272,10 @@ def _read_value(data: bytes, at: int, kind: str) -> tuple[Any, int]:
     if kind == "string":
         at = _aligned(at, 4)
         (length,) = struct.unpack_from("<I", data, at)
-        return data[at + 4 : at + 3 + length].decode(), at + 4 + length
+        text = data[at + 4 : at + 4 + length]
+        if len(text) < length or text[-1:] not in (b"", b"\0"):
+            raise ValueError(f"a text of {length} bytes does not end where it says")
+        return text[:-1].decode(), at + 4 + length
     if kind in _PRIMITIVES:
         code = _PRIMITIVES[kind]
         at = _aligned(at, struct.calcsize(code))

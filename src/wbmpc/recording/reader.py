@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from mcap.records import Attachment, Channel, Footer, McapRecord, Metadata, Sche
 from mcap.records import Message as Record
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.json_file import parse_json
 from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
 from wbmpc.recording.records import MAGIC, records
 
@@ -84,10 +84,7 @@ class Recording:
         """A JSON file inside the recording."""
         if name not in self.attachments:
             raise InputError(f"{self.path}: holds no '{name}': it was not written by wbmpc")
-        try:
-            return json.loads(self.attachments[name][1])
-        except ValueError as error:
-            raise InputError(f"{self.path}: its '{name}' is not JSON: it was not written by wbmpc") from error
+        return parse_json(self.attachments[name][1], f"{self.path}: its '{name}', not written by wbmpc")
 
     @property
     def scenes(self) -> list[tuple[float, Any]]:

@@ -26,6 +26,8 @@ _READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.CHUNK: Chunk.read, Opcode.ATTACHMENT: Attachment.read, Opcode.METADATA: Metadata.read,
     Opcode.DATA_END: DataEnd.read,
 }  # fmt: skip
+#: Bytes of a chunk when it is unpacked, at most; what a compressed frame says that does not know its size.
+LARGEST_CHUNK, UNKNOWN = 256 * 1024 * 1024, 2**64 - 1
 #: Kinds from here on are other programs' own.
 _PRIVATE = 0x80
 _CHECKSUM = "its checksum does not fit"
@@ -47,6 +49,7 @@ def records(data: bytes, damage: list[str]) -> Iterator[McapRecord]:
         try:
             found = _record(kind, data[start:end])
             if isinstance(found, Chunk):
+                _check_growth(found)
                 yield from breakup_chunk(found, validate_crc=True)
             elif isinstance(found, DataEnd):
                 summary = end
@@ -65,6 +68,15 @@ def records(data: bytes, damage: list[str]) -> Iterator[McapRecord]:
         at = end
     if data[len(MAGIC) :].endswith(MAGIC) and not closed:  # it was closed once: what is missing is not its end
         damage.append(f"its records cannot be followed from byte {at} of {len(data)} on")
+
+
+def _check_growth(chunk: Chunk) -> None:
+    """Raise for a chunk that would become too large, or larger than it says, before any of it is unpacked."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":  # the decoder makes room for what the compressed frame says
+        size = max(size, zstandard.get_frame_parameters(chunk.data).content_size % UNKNOWN)
+    if size > LARGEST_CHUNK:
+        raise ValueError(f"it would have {size} bytes unpacked; at most {LARGEST_CHUNK} are read")
 
 
 def _record(kind: int, body: bytes) -> McapRecord | None:

@@ -8,13 +8,15 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_ball, check_joints, compiled
+from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.lock import lock
 from wbmpc.robots.mechanics import keep_mechanics, refuse_couplings, widen
+from wbmpc.robots.wheel_geometry import check_radii
+from wbmpc.yaml_file import load_yaml
 
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
@@ -206,12 +208,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         path = DATA / f"{name_or_path}.yaml"
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    try:
-        data = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
-    except (UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{path}: cannot be read as text in UTF-8: {error}") from error
+    data = load_yaml(path)
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping of keys is needed")
     strange = [key for key in data if not isinstance(key, str)]
@@ -231,6 +228,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     model = compiled(spec, description.model)
     check_joints(description, model)
     check_ball(description, model)
+    check_radii(description, model)
     return description
 
 
@@ -325,6 +323,7 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
     path = description.model
     if not path.is_file():
         raise InputError(f"{description.source}: key 'model': there is no file {path}")
+    check_size(path)
     try:
         spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, ElementTree.ParseError) as error:

@@ -32,13 +32,15 @@ _NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "par
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     """Leave out, in place, what plants have of their own, and the joints of the body ``base``, which the kind of base moves."""
     fresh = mujoco.MjSpec()
+    for name in _OF_MEMORY:  # before anything is compiled: a file may ask for more than there is
+        setattr(spec, name, getattr(fresh, name))
+    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
+        spec.delete(actuator)
     _fix_masses(spec, fresh, path)
     _copy(fresh.option, spec.option)
     spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
-    for name in _OF_MEMORY:
-        setattr(spec, name, getattr(fresh, name))
     own = [j for j in spec.joints if j.parent.name == base]
-    lists = (spec.actuators, spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)
+    lists = (spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)
     for element in [e for elements in lists for e in elements]:
         spec.delete(element)
     _leave_the_world(spec, base)

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from wbmpc.configuration import describe, keys, parse_yaml
+from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.experiments.rezero_problem import RezeroCost
 from wbmpc.experiments.rezero_steps import RezeroStepsSettings
@@ -19,6 +18,7 @@ from wbmpc.experiments.settings import MpcSettings, Settings
 from wbmpc.experiments.swerve_problem import SwerveCost
 from wbmpc.model import RobotModel
 from wbmpc.ros2.bus import full_name
+from wbmpc.yaml_file import load_yaml
 
 #: Groups of drives; each that a robot has gets a controller unless the file says otherwise.
 GROUPS = ("wheel", "steer", "arm", "brake")
@@ -321,12 +321,7 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
         raise InputError(f"--config: '{path}' is a directory, a YAML file is needed")
     if not path.is_file():
         raise InputError(f"--config: there is no file '{path}'")
-    try:
-        data = parse_yaml(path.read_text("utf-8"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    data = load_yaml(path)
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping of keys is needed; valid: {', '.join(kind.model_fields)}")

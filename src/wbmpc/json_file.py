@@ -1,0 +1,47 @@
+"""JSON from files and recordings: what is broken, nested too deep or too large is one clear error."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from wbmpc.errors import InputError
+
+#: Bytes of a file and levels of nesting, at most.
+LARGEST, DEEPEST = 64 * 1024 * 1024, 64
+
+
+def load_json(path: Path) -> Any:
+    """What a JSON file says. Raises :class:`InputError` naming the file."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"{path}: has {path.stat().st_size} bytes; at most {LARGEST} are read")
+        return parse_json(path.read_bytes(), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def parse_json(text: str | bytes, where: str) -> Any:
+    """What a JSON text says; ``where``: what messages begin with. Raises :class:`InputError`, for NaN and infinity too."""
+    try:
+        value = json.loads(text, parse_constant=_no_number)
+    except RecursionError as error:
+        raise InputError(f"{where}: nested deeper than {DEEPEST} levels") from error
+    except ValueError as error:
+        raise InputError(f"{where}: is not JSON: {error}") from error
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [inner for outer in level for inner in _inside(outer)]
+        if not level:
+            return value
+    raise InputError(f"{where}: nested deeper than {DEEPEST} levels")
+
+
+def _no_number(text: str) -> None:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _inside(value: Any) -> list[Any]:
+    found = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return [v for v in found if isinstance(v, (dict, list))]

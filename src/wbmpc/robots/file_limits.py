@@ -1,0 +1,151 @@
+"""What a robot's XML may be at most, looked at before MuJoCo grows anything of it.
+
+A few lines can ask for millions of bodies (``replicate``, models attached to models, XML entities) or for an image of a
+terabyte; the simulator's parser would build them all.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Never
+from xml.parsers import expat
+
+from wbmpc.errors import InputError
+
+#: Bytes of one file; elements and bodies after all that is repeated; levels of nesting; pixels or points of an image or a field.
+LARGEST, MOST_ELEMENTS, MOST_BODIES, DEEPEST, MOST_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 64_000_000
+#: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
+MOST_BESIDE = 1_000
+_OF_WORLD, _LISTS = ("geom", "light", "camera"), ("sensor", "actuator", "keyframe", "contact", "tuple", "equality", "tendon")
+#: Elements that make several of what is inside, with the numbers whose product says how many.
+_REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
+#: Attributes whose product is the size of an image or a field.
+_AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
+#: Attributes whose every number is a count of what is made, and its largest value.
+_COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0} | {
+    ("size", name): 10_000.0
+    for name in ("nkey", "nuserdata", *(f"nuser_{k}" for k in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")))
+}
+_BODIES = ("body", "link", "composite", "flexcomp")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+
+
+@dataclass
+class _Count:
+    """What a file asks for."""
+
+    elements: float = 0.0
+    bodies: float = 0.0
+    beside: float = 0.0
+    models: dict[str, Path] = field(default_factory=dict)
+
+
+def check_size(path: Path) -> None:
+    """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, or is not well-formed."""
+    _Walk(path, {}, ()).run()
+
+
+class _Walk:
+    """One file; ``done``: what other files ask for, ``above``: files that led here."""
+
+    def __init__(self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...]) -> None:
+        self._path, self._done, self._above = path, done, (*above, path.resolve())
+        self._main = above[0].parent if above else path.parent
+        self._count, self._times, self._open = _Count(), [1.0], []  # type: _Count, list[float], list[str]
+
+    def run(self) -> _Count:
+        """What the file asks for, with all that it includes."""
+        if self._path.stat().st_size > LARGEST:
+            raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
+        # MuJoCo's parser takes comments that XML does not (with -- inside)
+        text = _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), self._path.read_bytes())
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
+        self._parser.StartDoctypeDeclHandler = self._doctype
+        try:
+            self._parser.Parse(text, True)
+        except expat.ExpatError as error:
+            raise InputError(f"{self._path}: cannot be read: {error}") from error
+        return self._count
+
+    def _fail(self, text: str) -> Never:
+        raise InputError(f"{self._path}: line {self._parser.CurrentLineNumber}: {text}")
+
+    def _doctype(self, *_: Any) -> None:
+        self._fail("a document type (<!DOCTYPE) with entities is not allowed")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        if len(self._open) >= DEEPEST:
+            self._fail(f"<{name}> is nested deeper than {DEEPEST} levels")
+        times = self._times[-1]
+        if name in _REPEAT:
+            times *= max(self._product(name, attributes.get("count", "1")), 1.0)
+        beside = (name in _OF_WORLD and not self._in_body()) or (bool(self._open) and self._open[-1] in _LISTS)
+        self._times.append(times)
+        self._open.append(name)
+        self._add(name, _Count(times, times * (name in _BODIES), times * beside))
+        if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MOST_PIXELS:
+            self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MOST_PIXELS}")
+        for attribute in attributes:
+            most = _COUNTS.get((name, attribute))
+            if most is not None and max(self._numbers(name, attributes[attribute]), default=0.0) > most:
+                self._fail(f"<{name}>: '{attribute}' has a number above {most:g}, the largest that is read")
+        if name == "include":
+            self._include(attributes.get("file", ""), times)
+        elif name == "model" and "file" in attributes:
+            self._count.models[attributes.get("name", "")] = self._found(attributes["file"])
+        elif name == "attach" and (model := self._count.models.get(attributes.get("model", ""))) is not None:
+            self._add_file(name, model, times)
+
+    def _end(self, name: str) -> None:
+        self._open.pop()
+        self._times.pop()
+
+    def _in_body(self) -> bool:
+        return "body" in self._open
+
+    def _product(self, name: str, text: str) -> float:
+        return math.prod(self._numbers(name, text))
+
+    def _numbers(self, name: str, text: str) -> list[float]:
+        try:
+            return [float(word) for word in text.split()]
+        except ValueError:
+            self._fail(f"<{name}>: numbers are needed, got '{text[:40]}'")
+
+    def _add(self, name: str, more: _Count) -> None:
+        count = self._count
+        count.elements, count.bodies = count.elements + more.elements, count.bodies + more.bodies
+        count.beside += more.beside
+        for what, value, most in (
+            ("bodies", count.bodies, MOST_BODIES),
+            ("elements", count.elements, MOST_ELEMENTS),
+            ("shapes, sensors and drives beside the bodies", count.beside, MOST_BESIDE),
+        ):
+            if not value <= most:
+                self._fail(f"<{name}>: more than {most} {what}; at most so many are read")
+
+    def _found(self, name: str) -> Path:
+        """Where MuJoCo looks for a file: beside the main one, or the one that names it."""
+        beside = self._main / name
+        return beside if beside.is_file() else self._path.parent / name
+
+    def _include(self, name: str, times: float) -> None:
+        if name:
+            self._add_file("include", self._found(name), times)
+
+    def _add_file(self, element: str, path: Path, times: float) -> None:
+        if not path.is_file():
+            return  # MuJoCo says so
+        if path.resolve() in self._above:
+            self._fail(f"<{element}>: '{path}' leads back to itself")
+        inside = self._done.get(path.resolve())
+        if inside is None:
+            inside = self._done[path.resolve()] = _Walk(path, self._done, self._above).run()
+        if element == "include":
+            self._count.models |= inside.models
+        beside = 0.0 if self._in_body() else times * inside.beside
+        self._add(element, _Count(times * inside.elements, times * inside.bodies, beside))

@@ -1,0 +1,133 @@
+"""The radius of a wheel as its shapes have it, against the one that the description gives."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from wbmpc.robots.description import RobotDescription
+
+#: How far [of it] a described radius may be from that of the shapes: tyres wear, and are pressed flat.
+MOST = 0.05
+#: How far a round shape's axis may be from the wheel's: angle [rad], and distance [of its radius].
+TILT, BESIDE = 0.02, 0.05
+_ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID}
+
+
+def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
+    """Raise :class:`InputError` naming both figures where a wheel's or the ball's shapes have another radius than the description.
+
+    A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tyre may be another
+    one) cannot be checked.
+    """
+    base, urdf = description.base, description.model.suffix.lower() == ".urdf"
+    wheels = [("base.wheel_radius", m.wheel, getattr(base, "wheel_radius", 0.0)) for m in getattr(base, "modules", ())]
+    root = ElementTree.parse(description.model).getroot() if urdf else None
+    for key, joint, given in wheels:
+        drawn = _of_urdf(root, joint) if root is not None else _of_model(model, joint)
+        _compare(description, key, f"wheel '{joint}'", given, drawn)
+    ball = getattr(base, "ball", None)
+    if ball is not None and not urdf:
+        _compare(description, "base.ball_radius", f"ball '{ball}'", base.ball_radius, _of_ball(model, ball))
+
+
+def _compare(description: RobotDescription, key: str, what: str, given: float, drawn: float | None) -> None:
+    if drawn is not None and abs(given - drawn) > MOST * drawn:
+        raise InputError(
+            f"{description.source}: key '{key}': {given:g} m, but the shape of the {what} in {description.model} has a radius of "
+            f"{drawn:.4g} m; they may differ by {100 * MOST:g} % at most"
+        )
+
+
+def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
+    """The largest radius [m] of what is round about the axis of a joint; a mesh counts by its outermost point."""
+    j = model.joint(joint).id
+    if (model.body_parentid == model.jnt_bodyid[j]).any():
+        return None
+    axis, anchor = model.jnt_axis[j], model.jnt_pos[j]
+    found = []
+    for g in np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[j]):
+        kind, size = mujoco.mjtGeom(int(model.geom_type[g])), model.geom_size[g]
+        turned = lie.quaternion_to_rotation(model.geom_quat[g].copy())
+        centre = model.geom_pos[g] - anchor
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = int(model.geom_dataid[g])
+            start = int(model.mesh_vertadr[mesh])
+            points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])] @ turned.T + centre
+            found.append(float(np.linalg.norm(np.cross(points, axis), axis=1).max()))
+            continue
+        if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            flat = int(np.argmax(np.abs(turned.T @ axis)))
+            turned, size = np.roll(turned, 2 - flat, axis=1), np.sort(np.delete(size, flat))[::-1]
+        if not (kind == mujoco.mjtGeom.mjGEOM_SPHERE or (kind in _ROUND and _along(turned[:, 2], axis))):
+            continue
+        if np.linalg.norm(np.cross(centre, axis)) <= BESIDE * size[0]:
+            found.append(float(size[0]))
+    return max(found, default=None)
+
+
+def _of_ball(model: mujoco.MjModel, body: str) -> float | None:
+    geoms = np.flatnonzero(model.geom_bodyid == model.body(body).id)
+    spheres = [float(model.geom_size[g][0]) for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
+    return max(spheres, default=None)
+
+
+def _along(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool(np.linalg.norm(np.cross(one, other)) <= math.sin(TILT))
+
+
+# ---------------------------------------------------------------------- URDF, whose shapes MuJoCo is not given
+def _of_urdf(root: ElementTree.Element, joint: str) -> float | None:
+    """The same of a URDF's own text; None where the wheel has a mesh, whose size the text does not say."""
+    element = next((j for j in root.iter("joint") if j.get("name") == joint), None)
+    child = None if element is None else element.find("child")
+    link = next((k for k in root.iter("link") if child is not None and k.get("name") == child.get("link")), None)
+    if element is None or link is None:
+        return None
+    parents = [p.get("link") for j in root.iter("joint") if (p := j.find("parent")) is not None]
+    if link.get("name") in parents:
+        return None
+    axis = _vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
+    axis /= np.linalg.norm(axis)
+    found = []
+    for shape in [*link.findall("collision"), *link.findall("visual")]:
+        geometry = shape.find("geometry")
+        kinds = [] if geometry is None else list(geometry)
+        if any(kind.tag == "mesh" for kind in kinds):
+            return None
+        origin = shape.find("origin")
+        roll, pitch, yaw = _vector(origin, "rpy", (0.0, 0.0, 0.0))
+        beside = np.linalg.norm(np.cross(_vector(origin, "xyz", (0.0, 0.0, 0.0)), axis))
+        along = lie.euler_zyx_to_rotation(yaw, pitch, roll)[:, 2]
+        for kind in kinds:
+            radius = _number(kind.get("radius"))
+            if kind.tag == "cylinder" and not _along(along, axis):
+                continue
+            if kind.tag in ("cylinder", "sphere") and radius is not None and beside <= BESIDE * radius:
+                found.append(radius)
+    return max(found, default=None)
+
+
+def _vector(element: ElementTree.Element | None, name: str, default: tuple[float, float, float]) -> np.ndarray:
+    words = "" if element is None else element.get(name, "")
+    values = [_number(word) for word in words.split()]
+    ok = len(values) == 3 and all(v is not None for v in values)
+    return np.array(values if ok else default, float)
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+

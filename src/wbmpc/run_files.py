@@ -1,0 +1,90 @@
+"""Reads what a run has written, with everything checked that its readers take for granted: metrics.json and log.npz."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.json_file import load_json
+
+#: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
+LARGEST_LOG = 4 * 1024**3
+_DAMAGED = (ValueError, OSError, EOFError, LookupError, AttributeError, TypeError, MemoryError, RecursionError, SyntaxError)
+_BROKEN_ARCHIVE = (*_DAMAGED, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """A metrics.json: ``metrics`` (value or None, and unit, by name) and ``settings`` are mappings, empty where they are missing.
+
+    Raises :class:`InputError` naming file and key.
+    """
+    data = load_json(path)
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: an object is needed, with the key 'metrics'")
+    for key, kind, name in (("experiment", str, "a text"), ("reason", str, "a text"), ("completed", bool, "true or false")):
+        if data.get(key) is not None and not isinstance(data[key], kind):
+            raise InputError(f"{path}: key '{key}': {name} is needed, got {data[key]!r:.60}")
+    for key in ("metrics", "settings"):
+        if not isinstance(data.setdefault(key, {}), dict):
+            raise InputError(f"{path}: key '{key}': an object is needed, got {data[key]!r:.60}")
+    for name, metric in data["metrics"].items():
+        check_metric(f"{path}: key 'metrics.{name}'", metric)
+    return data
+
+
+def check_metric(where: str, metric: Any) -> None:
+    """Raise :class:`InputError` unless a metric has a finite value or None, and a unit; ``where``: what messages begin with."""
+    if not isinstance(metric, dict) or "value" not in metric or not isinstance(metric.get("unit"), str):
+        raise InputError(f"{where}: an object with 'value' and 'unit' is needed, got {metric!r:.60}")
+    value = metric["value"]
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    try:
+        finite = value is None or (number and math.isfinite(value))
+    except OverflowError:  # a whole number beyond all floats
+        finite = False
+    if not finite:
+        raise InputError(f"{where}: 'value' must be a finite number or null, got {value!r:.60}")
+
+
+def read_log(path: Path) -> dict[str, np.ndarray]:
+    """The channels of a log.npz: rows of numbers, (n, width) or (n,), and their times CHANNEL.time (n,) [s].
+
+    Raises :class:`InputError` naming the file, and the channel that is not so.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; give a run's folder or its log.npz")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > LARGEST_LOG:
+            raise InputError(f"{path}: its arrays have {size} bytes; at most {LARGEST_LOG} are read")
+        with np.load(path, allow_pickle=False) as log:
+            channels = {name: log[name] for name in log.files}
+    except InputError:
+        raise
+    except _BROKEN_ARCHIVE as error:
+        raise InputError(f"{path}: this is not the log of a run (log.npz), or not whole: {error or type(error).__name__}") from error
+    for name, values in channels.items():
+        _check_channel(path, name, values, channels)
+    return channels
+
+
+def _check_channel(path: Path, name: str, values: Any, channels: dict[str, Any]) -> None:
+    where = f"{path}: channel '{name}'"
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
+        raise InputError(f"{where}: an array of numbers is needed")
+    if name.endswith(".time"):
+        if values.ndim != 1 or not np.isfinite(values).all():
+            raise InputError(f"{where}: finite times (n) [s] are needed, got shape {values.shape}")
+        return
+    times = channels.get(f"{name}.time")
+    if times is None:
+        return
+    if values.ndim not in (1, 2) or len(values) != len(times):
+        raise InputError(f"{where}: a row for each of its {len(times)} times is needed, got shape {values.shape}")
