@@ -29,12 +29,14 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
 from wbmpc.ros2.carrier import idl_types, shared_carrier
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.parameters import Parameters, ParameterServices
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -83,7 +85,7 @@ class DdsNode:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
-        self._mismatches = Mismatches(self)
+        self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
         _open_domain(network)
         try:
@@ -93,7 +95,9 @@ class DdsNode:
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._readers: list[DataReader] = []
-        self._forget: dict[DataReader, Callable[[], None]] = {}  # of readers that call back, what ends their entry in LOCAL
+        self._forget: dict[
+            DataReader, Callable[[], None]
+        ] = {}  # of readers that call back, what ends their entry in LOCAL
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
         self._graph = [
@@ -134,7 +138,7 @@ class DdsNode:
             try:
                 callback(self.types.decode(kind, data))
             except Exception as error:
-                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
@@ -170,7 +174,7 @@ class DdsNode:
                     try:
                         values = answer(self.types.decode(asked, body))
                     except Exception as error:
-                        _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
                         continue
                 reply = self.types.encode(answered, values)
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))
@@ -210,6 +214,10 @@ class DdsNode:
             writer.__del__()
             reader.__del__()
             self._announce()
+
+    def offer(self, parameters: Parameters) -> None:
+        """Parameters of this node, by its services."""
+        ParameterServices(self, self.name, parameters)
 
     # ------------------------------------------------------------------ graph
     def publishers(self, topic: str) -> list[Endpoint]:
@@ -342,6 +350,8 @@ class DdsNode:
             reliable if qos.reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
             Policy.History.KeepLast(qos.depth),
+            # how many of a latched topic's messages late joiners get; one, unless it is said
+            Policy.DurabilityService(0, Policy.History.KeepLast(qos.depth), -1, -1, -1),
             Policy.DataRepresentation(use_cdrv0_representation=True),
             # a write of this node would wait for a callback of its own; services have one anyway, see `write`
             Policy.IgnoreLocal.Nothing if mark else Policy.IgnoreLocal.Participant,
