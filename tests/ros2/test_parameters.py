@@ -118,6 +118,7 @@ def test_a_change_that_is_not_taken_leaves_the_old_value() -> None:
 
 def test_log_lines_are_on_rosout_for_late_joiners_too(pair: Callable[..., Any]) -> None:
     p = pair()
+    p.ready()  # there is a time
     logging.getLogger("wbmpc").warning("%s is near", "the wall")
     p.run(0.1)
     lines: list[Any] = []
