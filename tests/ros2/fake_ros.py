@@ -193,6 +193,7 @@ class FakeNode:
         self.profiles: list[Any] = []
         self.topics: list[tuple[str, str, str, Any]] = []  # side, topic, name of the node, profile
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
+        self.parameters: dict[str, Any] = {}
 
     def create_publisher(
         self, msg_type: type, topic: str, qos_profile: QoSProfile | int, *, callback_group: Any = None,
@@ -230,6 +231,18 @@ class FakeNode:
         self, srv_type: Any, srv_name: str, callback: Any, *, qos_profile: Any = None, callback_group: Any = None
     ) -> None:
         self.services[srv_name] = callback
+
+    def has_parameter(self, name: str) -> bool:
+        return name == "use_sim_time" or name in self.parameters
+
+    def declare_parameter(
+        self, name: str, value: Any = None, descriptor: Any = None, ignore_override: bool = False
+    ) -> None:
+        assert name not in self.parameters and type(descriptor).__name__ == "rcl_interfaces/msg/ParameterDescriptor"
+        self.parameters[name] = value, descriptor
+
+    def add_on_set_parameters_callback(self, callback: Any) -> None:
+        self.on_set = callback
 
     def get_publishers_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
         return self._info("publisher", topic_name)

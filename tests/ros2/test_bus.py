@@ -406,3 +406,19 @@ def test_wrong_use_is_one_sentence(nodes: tuple[Any, Any]) -> None:
     nodes[0].publisher("/x", STRING)
     with pytest.raises(InputError, match=r"/x: is used with std_msgs/msg/String and std_msgs/msg/Bool"):
         nodes[0].publisher("/x", "std_msgs/msg/Bool")
+
+
+def test_a_flood_of_messages_that_nobody_can_use_is_a_few_lines(
+    nodes: tuple[Any, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Malformed CDR in place of a string: the bus goes on, and says it a few times."""
+    one, other = nodes
+    got: list[str] = []
+    other.subscribe("/flood", STRING, lambda m: got.append(m.data), Qos(depth=1000))
+    publisher = one.publisher("/flood", STRING, Qos(depth=1000))
+    assert wait_until(lambda: publisher._writer.get_matched_subscriptions())
+    for _ in range(300):
+        publisher.send(b"\x00\x01\x00\x00\x05\x00\x00\x00\xff\xfe\xff\xfe\x00\x00\x00\x00")  # not UTF-8
+    publisher.publish({"data": "a good one"})
+    assert wait_until(lambda: got == ["a good one"])
+    assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5

@@ -15,7 +15,7 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.cli import main
 from wbmpc.model import load_robot
-from wbmpc.ros2 import DEFAULT, SENSOR, Network, Qos, open_node
+from wbmpc.ros2 import DEFAULT, LATCHED, SENSOR, Network, Qos, open_node
 
 pytestmark = needs_dds
 if not MISSING:
@@ -97,6 +97,29 @@ def test_a_good_robot(robot: Any, looker: Any) -> None:
     assert f["/joint_states"][0] in ("ok", "warning"), f["/joint_states"]  # a busy machine may be irregular
     assert "missing" not in f["/joint_states"][1]
     assert all(f[f"/{g}_controller/commands"] == ("ok", "1 listening") for g in GROUPS)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "names", "says"),
+    [
+        (None, None, ("ok", "the robot on the bus has the joints of 'swerve-ur10'")),
+        ("<robot name='swerve-ur10'/>", None, ("ok", "the robot on the bus is 'swerve-ur10'")),
+        ('<?xml version="1.0"?><robot name="rezero">', ["wheel_0"],
+         ("error", "the robot on the bus is called 'rezero', not 'swerve-ur10'; its joints do not fit either")),
+        ("<robot name='mine'/>", None,
+         ("warning", "the robot on the bus is called 'mine', not 'swerve-ur10'; its joints fit all the same")),
+    ],
+)  # fmt: skip
+def test_the_robot_that_is_there_is_named(
+    robot: Any, looker: Any, urdf: str | None, names: list[str] | None, says: tuple[str, str]
+) -> None:
+    if urdf is not None:
+        robot.publisher("/robot_description", "std_msgs/msg/String", LATCHED).publish({"data": urdf})
+    end = states(robot, 100.0, names)
+    known(looker, ("/joint_states", "/robot_description") if urdf is not None else ("/joint_states",))
+    f = found(looker)
+    end.set()
+    assert f["robot"] == says
 
 
 def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) -> None:

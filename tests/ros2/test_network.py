@@ -105,3 +105,47 @@ def test_a_killed_process_leaves_the_bus_soon() -> None:
         victim.kill()
         victim.wait()
         node.close()
+
+
+#: A participant that asks nobody: it is found, and finds others, only if these go on looking for it.
+LATE = """
+import os, sys, time
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.domain import Domain, DomainParticipant
+number = int(os.environ["ROS_DOMAIN_ID"])
+own = "<General><AllowMulticast>false</AllowMulticast></General>"
+own += "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+own += "<Peers AddLocalhost='false'/></Discovery>"
+domain = Domain(number, f"<CycloneDDS><Domain>{own}</Domain></CycloneDDS>,{os.environ['CYCLONEDDS_URI']}")
+participant = DomainParticipant(number)
+reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+end = time.monotonic() + 10.0
+while time.monotonic() < end and not any(s.topic_name == "rt/early" for s in reader.take(N=100)):
+    time.sleep(0.05)
+print("found" if time.monotonic() < end else "not found")
+"""
+EARLY = """
+import time
+from wbmpc.ros2 import open_node
+publisher = open_node("early", "dds").publisher("/early", "std_msgs/msg/String")
+print("there", flush=True)
+time.sleep(600.0)
+"""
+
+
+@needs_dds
+@pytest.mark.wallclock
+def test_who_starts_half_a_minute_later_finds_us() -> None:
+    """Without multicast. By default Cyclone DDS looks for peers in the first 30 s of its life only."""
+    environment = everything()
+    early = subprocess.Popen([sys.executable, "-c", EARLY], env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        assert early.stdout is not None and early.stdout.readline() == "there\n"
+        time.sleep(36.0)
+        run = subprocess.run(
+            [sys.executable, "-c", LATE], env=environment, timeout=60.0, capture_output=True, text=True
+        )
+    finally:
+        early.kill()
+        early.communicate()
+    assert run.stdout == "found\n", run.stderr

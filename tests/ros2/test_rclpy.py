@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -156,3 +157,24 @@ def test_two_nodes_of_a_real_ros() -> None:
     assert wait_until(lambda: got == [1.0, 2.0])
     one.close()
     other.close()
+
+
+@needs_dds
+def test_parameters_are_those_of_the_rclpy_node(made: list[Any]) -> None:
+    from wbmpc.ros2.parameters import Parameter, Parameters
+
+    node, new = open_node("wbmpc"), []
+    given = [Parameter("rates.odom", 50.0), Parameter("cost.hand.weight", 1.0, read_only=False, range=(0.0, 9.0))]
+    node.offer(Parameters([*given, Parameter("use_sim_time", False)], new.append))
+    (fake,) = made
+    assert {name: value for name, (value, _) in fake.parameters.items()} == {
+        "rates.odom": 50.0,
+        "cost.hand.weight": 1.0,
+    }
+    (rate, weight) = (fake.parameters[p.name][1] for p in given)
+    assert (rate.read_only, weight.read_only, weight.floating_point_range[0].to_value) == (True, False, 9.0)
+    change = lambda value: fake.on_set([SimpleNamespace(name="cost.hand.weight", value=value)])
+    assert change(2.0).successful and new == [{"cost.hand.weight": 2.0}]
+    bad = change(10.0)
+    assert not bad.successful and "valid: 0 to 9" in bad.reason and len(new) == 1
+    node.close()

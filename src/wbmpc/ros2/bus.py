@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.network import Network
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.parameters import Parameters
 
 BACK_ENDS = ("auto", "rclpy", "dds")
 
@@ -60,6 +63,7 @@ class Node(Protocol):
     """A node. Callbacks come from a thread of the back end, one at a time, so they must be short; those of ``deferred``
     subscriptions from :meth:`work`. Messages have attributes as in ROS. :meth:`subscribe` gives a function that ends the
     subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once.
+    :meth:`offer` makes parameters those of the node; once.
 
     ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: sentences about endpoints that do not
     match, as long as these are there; ``backend``: its name.
@@ -76,6 +80,7 @@ class Node(Protocol):
     ) -> Callable[[], None]: ...  # fmt: skip
     def work(self) -> None: ...
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...
+    def offer(self, parameters: Parameters) -> None: ...
     def publishers(self, topic: str) -> list[Endpoint]: ...
     def subscribers(self, topic: str) -> list[Endpoint]: ...
     def owner(self, endpoint: Endpoint) -> str: ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
-from wbmpc.ros2.bus import DEFAULT, SENSOR, Endpoint, Node
+from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
 from wbmpc.ros2.localisation import POSE_AGE, PoseSource
@@ -40,7 +41,7 @@ class _Ear:
     def __init__(self, node: Node, topic: str, kind: str, read: Any) -> None:
         self.times: list[float] = []
         self.stamps: list[float] = []
-        self.fault, self.offset = "", np.nan
+        self.topic, self.fault, self.offset = topic, "", np.nan
         self._read = read
         node.subscribe(topic, kind, self._take, SENSOR)
 
@@ -79,6 +80,8 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in wanted.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
+    described: list[str] = []
+    node.subscribe("/robot_description", "std_msgs/msg/String", lambda m: described.append(m.data), LATCHED)
     silent, begin = 0.0, time.monotonic()
     while time.monotonic() - begin < max(listen, _DISCOVERY):
         if poses is not None:
@@ -94,6 +97,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         found += _source(node, topic, kind, ears[topic], settings, needed)
         if robot.description.base.type == "ball" and topic != "/clock":
             found += _balancing(topic, ears[topic].rate, settings.rates.control)
+    found += _which_robot(robot, ears[topics.joint_states], described)
     controllers = settings.command_topics(robot)
     for controller in controllers.values():
         found += _sink(node, controller, settings.node, needed="brake" not in controller.topic)
@@ -105,6 +109,22 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     if poses is not None:
         found += _localisation(node, poses, topics.pose, silent)
     return found
+
+
+def _which_robot(robot: RobotModel, joints: _Ear, described: list[str]) -> list[Finding]:
+    """The robot that is there: by its URDF on the bus, if there is one, and by its joints."""
+    wanted = robot.description.name
+    has_joints = bool(joints.times) and not joints.fault
+    if described:
+        named = re.search(r"""<robot[^>]*\bname\s*=\s*["']([^"']*)["']""", described[-1])
+        name = named.group(1) if named else ""
+        if name and name != wanted:
+            fit = "its joints fit all the same" if has_joints else "its joints do not fit either"
+            text = f"the robot on the bus is called '{name}', not '{wanted}'; {fit}"
+            return [Finding(WARNING if has_joints else ERROR, "robot", text)]
+        if name:
+            return [Finding(OK, "robot", f"the robot on the bus is '{name}'")]
+    return [Finding(OK, "robot", f"the robot on the bus has the joints of '{wanted}'")] if has_joints else []
 
 
 def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> list[Finding]:

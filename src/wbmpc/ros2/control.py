@@ -26,10 +26,12 @@ from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.pilot import Pilot
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.robot import BusRobot
+from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.sending import Trajectories
 from wbmpc.ros2.settings import BallSettings, RosSettings, settings_of
 from wbmpc.ros2.swerve import SwervePilot
 from wbmpc.ros2.telling import Teller
+from wbmpc.ros2.tuning import parameters_of
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
@@ -61,6 +63,7 @@ class ControlNode:
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
         settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
+        self.rosout = Rosout(node, settings.node, self.now, self.breathe)
         self.period = 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
@@ -90,6 +93,7 @@ class ControlNode:
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
         self.teller = Teller(node, self)
+        node.offer(parameters_of(self.pilot, settings))
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -119,6 +123,7 @@ class ControlNode:
             self._said = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
                 _LOG.info("%s", self.state)
+        self.rosout.send()
 
     def close(self) -> None:
         """Bring the robot to rest and end."""
@@ -134,6 +139,7 @@ class ControlNode:
                 time.sleep(self.period)
         if self.runner is not None:
             self.body.rest()
+        self.rosout.close()
 
     def _end_runner(self) -> None:
         runner = self.runner

@@ -29,11 +29,14 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
 from wbmpc.ros2.carrier import idl_types, shared_carrier
-from wbmpc.ros2.messages import Types, request, response, types
+from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
+from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.parameters import Parameters, ParameterServices
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -74,7 +77,7 @@ def _open_domain(network: Network) -> None:
 
 
 class DdsNode:
-    """See :class:`wbmpc.ros2.bus.Node`."""
+    """See :class:`wbmpc.ros2.bus.Node`. A node does not hear what it publishes itself."""
 
     backend = "dds"
 
@@ -82,7 +85,7 @@ class DdsNode:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
-        self._mismatches = Mismatches(self)
+        self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
         _open_domain(network)
         try:
@@ -92,6 +95,9 @@ class DdsNode:
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._readers: list[DataReader] = []
+        self._forget: dict[
+            DataReader, Callable[[], None]
+        ] = {}  # of readers that call back, what ends their entry in LOCAL
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
         self._writers: list[DataWriter] = []
         self._graph = [
@@ -118,7 +124,7 @@ class DdsNode:
         listener = _Watch(lambda policy: self._mismatch(ours, policy))
         writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
         self._own(self._writers, writer)
-        return DdsPublisher(writer, place.data_type, self.types, kind)
+        return DdsPublisher(writer, self.types, kind, self._where(place), self)
 
     def subscribe(
         self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
@@ -132,7 +138,7 @@ class DdsNode:
             try:
                 callback(self.types.decode(kind, data))
             except Exception as error:
-                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
@@ -144,7 +150,7 @@ class DdsNode:
 
         ours = Ours("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
-        reader = self._read(place, self._qos(qos, kind), take, lambda policy: self._mismatch(ours, policy))
+        reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
 
     def work(self) -> None:
@@ -168,13 +174,13 @@ class DdsNode:
                     try:
                         values = answer(self.types.decode(asked, body))
                     except Exception as error:
-                        _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
                         continue
                 reply = self.types.encode(answered, values)
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))
 
         self._own(self._writers, writer)
-        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take)
+        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take, None)
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
@@ -195,7 +201,7 @@ class DdsNode:
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
                 _wait(end, f"{name}: nobody serves it")
-            writer.write(requests.data_type(body[:4] + head + body[4:]))
+            write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
                 for data in _taken(reader):
                     if data[4 : 4 + _HEADER_SIZE] == head:
@@ -209,6 +215,10 @@ class DdsNode:
             reader.__del__()
             self._announce()
 
+    def offer(self, parameters: Parameters) -> None:
+        """Parameters of this node, by its services."""
+        ParameterServices(self, self.name, parameters)
+
     # ------------------------------------------------------------------ graph
     def publishers(self, topic: str) -> list[Endpoint]:
         """Everybody's publishers of a topic, this node's too."""
@@ -220,6 +230,8 @@ class DdsNode:
 
     def owner(self, endpoint: Endpoint) -> str:
         """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`."""
+        if endpoint.own:
+            return self.name
         if self._names is None:
             topic = self._topic("ros_discovery_info", _INFO)
             self._names = {}, DataReader(self._participant, topic, qos=self._qos(Qos(latched=True, depth=100), _INFO))
@@ -272,15 +284,29 @@ class DdsNode:
         for entity in entities:
             entity.set_listener(None)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
+        for reader in list(self._forget):
+            self._forget.pop(reader)()
         _OPEN.discard(self)
 
     # ------------------------------------------------------------------ inside
-    def _read(self, topic: Any, qos: DdsQos, take: Take, mismatch: Callable[[int], None] | None = None) -> DataReader:
-        """A reader that calls ``take``. The package calls listeners before the reader is complete: what came then is taken
-        as soon as it is."""
-        complete = threading.Event()
-        watch = _Watch(mismatch, lambda reader: take(reader) if complete.is_set() else None)
-        reader = DataReader(self._participant, topic, qos=qos, listener=watch)
+    def _where(self, topic: Topic) -> tuple[int, str]:
+        return self.network.domain, topic.name
+
+    def _read(
+        self, topic: Any, qos: DdsQos, take: Take, of: DdsNode | None, mismatch: Callable[[int], None] | None = None
+    ) -> DataReader:
+        """A reader that calls ``take``; ``of``: the node that it does not hear, None for a service. The package calls listeners
+        before the reader is complete: what came then is taken as soon as it is."""
+        complete, where = threading.Event(), self._where(topic)
+
+        def call(reader: DataReader) -> None:
+            if complete.is_set():
+                with LOCAL.callback(where, of):
+                    take(reader)
+
+        forget = LOCAL.add(where, of)
+        reader = DataReader(self._participant, topic, qos=qos, listener=_Watch(mismatch, call))
+        self._forget[reader] = forget
         complete.set()
         self._own(self._readers, reader)
         take(reader)
@@ -293,6 +319,7 @@ class DdsNode:
             self._readers.remove(reader)
         reader.set_listener(None)  # without the lock: it waits for callbacks
         reader.__del__()
+        self._forget.pop(reader, lambda: None)()
         self._announce()
 
     def _own(self, group: list[Any], entity: Any) -> None:
@@ -323,34 +350,16 @@ class DdsNode:
             reliable if qos.reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
             Policy.History.KeepLast(qos.depth),
+            # how many of a latched topic's messages late joiners get; one, unless it is said
+            Policy.DurabilityService(0, Policy.History.KeepLast(qos.depth), -1, -1, -1),
             Policy.DataRepresentation(use_cdrv0_representation=True),
+            # a write of this node would wait for a callback of its own; services have one anyway, see `write`
+            Policy.IgnoreLocal.Nothing if mark else Policy.IgnoreLocal.Participant,
             Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
         )
 
     def _mismatch(self, ours: Ours, policy: int) -> None:
         self._mismatches.notice(ours, _POLICIES.get(policy, f"policy {policy}"))
-
-
-class DdsPublisher:
-    """See :class:`wbmpc.ros2.bus.Publisher`.
-
-    The package waits for a writer with Python's interpreter in its hand, and a reader in the same process is served from within
-    a write: two threads on one writer would wait for each other for ever. So they take turns here.
-    """
-
-    def __init__(self, writer: DataWriter, carry: type, known: Types, kind: str) -> None:
-        self._writer, self._carry, self._types, self._kind = writer, carry, known, kind
-        self._turn = threading.RLock()
-
-    def publish(self, values: Mapping[str, Any]) -> None:
-        """Send a message."""
-        self.send(self._types.encode(self._kind, values))
-
-    def send(self, data: bytes) -> None:
-        """Send a message that is CDR already, for example from a recording."""
-        sample = self._carry(data)
-        with self._turn:
-            self._writer.write(sample)
 
 
 class _Watch(Listener):  # type: ignore[misc]

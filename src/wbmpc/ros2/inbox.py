@@ -12,6 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
@@ -44,6 +45,7 @@ class Inbox:
         self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
         self.refused = self._limited = ""
         self.running: Task | None = None
+        self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
         self._twist_at = -np.inf
@@ -97,7 +99,7 @@ class Inbox:
     def refuse(self, sentence: str) -> None:
         """Say once why a goal is not taken."""
         if sentence != self.refused:
-            _LOG.warning("%s", sentence)
+            self._limited_log.log(_LOG, logging.WARNING, sentence.split(":")[0], sentence)
         self.refused = sentence
 
     @property
@@ -197,7 +199,7 @@ class Inbox:
         most = told(self._fastest)
         self._limited = f"{topic}: {told(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
         if not was:
-            _LOG.warning("%s", self._limited)
+            self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
     def _slow_down(self) -> None:
         self._put(lambda x, t: self.planner.slow_down(x, t, self.running))

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
 from wbmpc.mpc.safety import SafeStop
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
 from wbmpc.ros2.settings import RosSettings
@@ -39,6 +40,7 @@ class PoseSource:
     def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
         self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
         self.at, self.jumped, self._wrong = -np.inf, "", ""
+        self._limit = RateLimit()
         self._good = -np.inf  # when the last one that counted came
         self._fix: tuple[float, Array, Array] | None = None
         self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
@@ -75,7 +77,7 @@ class PoseSource:
     def judge(self, jumped: str, goes_on: bool = True) -> None:
         """What the gate said of the pose that was taken last; empty: it counts. A stop tells it itself."""
         if jumped and goes_on and not self.jumped:
-            _LOG.error("%s; it does not count", jumped)
+            self._limit.log(_LOG, logging.ERROR, "jumped", f"{jumped}; it does not count")
         self.jumped = jumped
         if not jumped:
             self._good = self.now()
@@ -85,7 +87,7 @@ class PoseSource:
             self._read(message)
         except InputError as error:
             if str(error) != self._wrong:
-                _LOG.error("%s", error)
+                self._limit.log(_LOG, logging.ERROR, "wrong", str(error))
             self._wrong = str(error)
         else:
             self._wrong = ""

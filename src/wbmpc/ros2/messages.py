@@ -19,7 +19,22 @@ SERVICES = {
     "wbmpc_msgs/srv/SetLegs": ("string configuration\nstring[] leg\nfloat64[] angle\nbool[] brake_open\n", _RESULT),
     "std_srvs/srv/Trigger": (_EMPTY, _RESULT),
     "std_srvs/srv/SetBool": ("bool data\n", _RESULT),
-}
+    # of a node's parameters (rcl_interfaces)
+    "rcl_interfaces/srv/GetParameters": ("string[] names\n", "rcl_interfaces/ParameterValue[] values\n"),
+    "rcl_interfaces/srv/GetParameterTypes": ("string[] names\n", "uint8[] types\n"),
+    "rcl_interfaces/srv/SetParameters": (
+        "rcl_interfaces/Parameter[] parameters\n", "rcl_interfaces/SetParametersResult[] results\n",
+    ),
+    "rcl_interfaces/srv/SetParametersAtomically": (
+        "rcl_interfaces/Parameter[] parameters\n", "rcl_interfaces/SetParametersResult result\n",
+    ),
+    "rcl_interfaces/srv/ListParameters": (
+        "string[] prefixes\nuint64 depth\n", "rcl_interfaces/ListParametersResult result\n",
+    ),
+    "rcl_interfaces/srv/DescribeParameters": (
+        "string[] names\n", "rcl_interfaces/ParameterDescriptor[] descriptors\n",
+    ),
+}  # fmt: skip
 #: What is not zero or empty when it is not given.
 DEFAULTS: dict[str, dict[str, Any]] = {"geometry_msgs/msg/Quaternion": {"w": 1.0}}
 

@@ -54,7 +54,8 @@ class Network:
         return cls(domain, reach, peers, environment.get("CYCLONEDDS_URI", ""), distribution)
 
     def cyclone(self) -> str:
-        """Configuration of Cyclone DDS, the same as rmw_cyclonedds makes, so that both find each other."""
+        """Configuration of Cyclone DDS: what rmw_cyclonedds makes, so that both find each other, and besides a shorter lease and
+        peers that are asked for ever."""
         if self.reach == "SYSTEM_DEFAULT":
             return self.extra
         multicast = "" if self.reach == "SUBNET" else "<General><AllowMulticast>false</AllowMulticast></General>"
@@ -65,7 +66,8 @@ class Network:
             peers = (("localhost",) if self.reach == "LOCALHOST" else ()) + self.peers
             listed = "".join(f'<Peer address="{p}"/>' for p in peers)
             inner = f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
-            inner += f"<Peers>{listed}</Peers>" if listed else ""
+            if listed:  # asked as long as the node lives: by default who starts 30 s later than we do is never found
+                inner += f"<Peers>{listed}</Peers><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
         inner += f"<LeaseDuration>{LEASE:g} s</LeaseDuration><SPDPInterval>{LEASE / 6.0:g} s</SPDPInterval>"
         own = f"<CycloneDDS><Domain>{multicast}<Discovery>{inner}</Discovery></Domain></CycloneDDS>"
         return f"{own},{self.extra}" if self.extra else own

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -13,12 +13,15 @@ from wbmpc.control import BrakeControl
 from wbmpc.model import RobotModel
 from wbmpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, Reference
+from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.solver import Solver
 
 Array = np.ndarray
+#: Weights of costs, by name and place (path or terminal).
+Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
 Groups = dict[str, Array]
 #: Another localisation's pose: time [s] of the runner's clock, (x, y, yaw), covariance (3, 3) (zero: exact).
 Fix = tuple[float, Array, Array]
@@ -51,6 +54,7 @@ class Pilot(Protocol):
     settings: RosSettings
     planner: Planner
     mpc: MPC
+    pending: Pending
     agent: Any
     keeps: bool
     watches: str
@@ -78,13 +82,14 @@ class Pilot(Protocol):
 
 
 class Pending:
-    """A guess for the MPC that first puts new references and modes into force: in its own thread, between two solves."""
+    """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
 
     def __init__(self, then: Callable[[Solver, float, Array], None] | None = None) -> None:
         self._then = then
         self._references: dict[str, Reference] | None = None
         self._schedule: ModeSchedule | None = None
         self._once: Callable[[Solver, Array], None] | None = None
+        self._weights: Weights = {}
         self._lock = threading.Lock()
 
     def set(self, references: dict[str, Reference]) -> None:
@@ -97,6 +102,11 @@ class Pending:
         with self._lock:
             self._schedule = schedule
 
+    def reweigh(self, weights: Weights) -> None:
+        """In force from the next solve on."""
+        with self._lock:
+            self._weights = {**self._weights, **weights}
+
     def guess(self, once: Callable[[Solver, Array], None]) -> None:
         """Rewrites the trajectories before the next solve, in place of the usual guess."""
         with self._lock:
@@ -107,8 +117,11 @@ class Pending:
             references, self._references = self._references, None
             schedule, self._schedule = self._schedule, None
             once, self._once = self._once, None
+            weights, self._weights = self._weights, {}
         for name, reference in (references or {}).items():
             solver.set_reference(name, reference)
+        for (name, place), weight in weights.items():
+            solver.set_weight(name, weight, place)
         if schedule is not None:
             solver.set_schedule(schedule)
         if once is not None:

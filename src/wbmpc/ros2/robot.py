@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.mpc import WallClock
 from wbmpc.mpc.safety import SafeStop
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds
@@ -39,6 +40,7 @@ class BusRobot:
 
     def __init__(self, node: Node, pilot: Pilot, settings: RosSettings, clock: WallClock | BusClock) -> None:
         self.pilot, self.settings, self.clock = pilot, settings, clock
+        self._limit = RateLimit()
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(pilot.robot, settings, pilot.keeps)
         self._joints: tuple[JointSample, float] | None = None
@@ -98,7 +100,7 @@ class BusRobot:
 
     def _note(self, source: str, fault: str) -> None:
         if self._armed and self.pilot.keeps and source not in self._wrong:
-            _LOG.error("%s; it does not count, the robot goes on", fault)
+            self._limit.log(_LOG, logging.ERROR, source, f"{fault}; it does not count, the robot goes on")
         if not (self._armed and source in self._wrong):
             self._wrong[source] = fault
 

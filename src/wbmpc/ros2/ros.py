@@ -15,8 +15,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rosidl_runtime_py.utilities import get_message, get_service
 
+from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
+from wbmpc.ros2.convert import sentence_of
 from wbmpc.ros2.mismatch import Mismatches, Ours
+from wbmpc.ros2.parameters import Parameters, descriptor_of
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -33,7 +36,7 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._mismatches = Mismatches(self)
+        self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
         self._made: Counter[tuple[str, str]] = Counter()  # publishers and subscriptions of this node by topic
         self._context = rclpy.Context()
@@ -77,7 +80,7 @@ class RosNode:
             try:
                 callback(message)
             except Exception as error:
-                _LOG.error("%s: %s: %s", name, type(error).__name__, error)
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
 
         later = lambda message: self._deferred.append((call, message))
         taken = later if deferred else call
@@ -101,6 +104,23 @@ class RosNode:
         self._node.create_service(
             get_service(kind), full_name(service), lambda asked, answered: fill(answered, answer(asked))
         )
+
+    def offer(self, parameters: Parameters) -> None:
+        """Parameters of this node, as rclpy has them."""
+        for p in parameters.known.values():
+            descriptor = fill(get_message("rcl_interfaces/msg/ParameterDescriptor")(), descriptor_of(p))
+            if not self._node.has_parameter(p.name):  # every node of rclpy has use_sim_time
+                self._node.declare_parameter(p.name, p.value, descriptor)
+        result = get_message("rcl_interfaces/msg/SetParametersResult")
+
+        def change(given: list[Any]) -> Any:
+            try:
+                parameters.set({p.name: p.value for p in given})
+            except Exception as error:
+                return fill(result(), {"successful": False, "reason": sentence_of(error)})
+            return fill(result(), {"successful": True})
+
+        self._node.add_on_set_parameters_callback(change)
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """Everybody's publishers of a topic, this node's too."""

@@ -20,6 +20,8 @@ class Several:
         self._node, self._topic, self._takes = node, topic, takes
         self._ends: dict[str, Callable[[], None]] = {}
         self.fault = ""
+        if topic:  # who publishes in the first type finds a subscription at once
+            self._take_in([next(iter(takes))])
 
     def look(self) -> None:
         """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
@@ -27,8 +29,11 @@ class Several:
         kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
         for kind in [k for k in self._ends if kinds and k not in kinds]:
             self._ends.pop(kind)()
+        self._take_in(sorted(kinds - self._ends.keys()))
+
+    def _take_in(self, kinds: list[str]) -> None:
         fault = ""
-        for kind in sorted(kinds - self._ends.keys()):
+        for kind in kinds:
             try:
                 self._ends[kind] = self._node.subscribe(
                     self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)

@@ -15,6 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.model import RobotModel
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.scene import SceneReader
+from wbmpc.rate_limit import RateLimit
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
 from wbmpc.ros2.convert import header, pose, stamp, vector
@@ -59,6 +60,7 @@ class SimNode:
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
+        self._limit = RateLimit()
         self.side = plant_of(robot, settings, perturbation, seed)
         self.plant = self.side.plant
         self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
@@ -108,7 +110,9 @@ class SimNode:
     def _take(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         values = np.asarray(message.data, float)
         if values.size != len(places) or not np.isfinite(values).all():
-            _LOG.error("%s: %d finite numbers are needed, got %s", self._controllers[name].topic, len(places), values)
+            topic = self._controllers[name].topic
+            why = f"{topic}: {len(places)} finite numbers are needed, got {values}"
+            self._limit.log(_LOG, logging.ERROR, topic, why)
             return
         with self._changed:
             for (group, i), value in zip(places, values, strict=True):
@@ -120,7 +124,8 @@ class SimNode:
         try:
             led = self.side.lead(self._bus_names[name], places, message, self.now())
         except InputError as error:
-            _LOG.error("%s: %s", self._controllers[name].topic, error)
+            topic = self._controllers[name].topic
+            self._limit.log(_LOG, logging.ERROR, topic, f"{topic}: {error}")
             return
         with self._changed:
             self.side.led[name] = led

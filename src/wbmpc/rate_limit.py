@@ -1,0 +1,55 @@
+"""Log lines of one cause, at a limited rate: who floods a process with bad messages does not fill its log."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+#: Causes that are known at a time; of more the oldest is forgotten.
+MOST_CAUSES = 1000
+
+
+@dataclass
+class _Seen:
+    """``since`` [s]: when the period began; lines in it; lines that were left out since the last one that was written."""
+
+    since: float
+    written: int = 0
+    left_out: int = 0
+
+
+class RateLimit:
+    """At most ``lines`` of one cause within ``period`` [s] of ``clock()``; the next line of the cause that is written says how
+    many were left out before it. Thread-safe."""
+
+    def __init__(self, lines: int = 5, period: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.lines, self.period, self.clock = lines, period, clock
+        self._seen: dict[Hashable, _Seen] = {}
+        self._lock = threading.Lock()
+
+    def left_out(self, cause: Hashable) -> int | None:
+        """Count a line of a cause. How many of it were left out before, if this one may be written, else None."""
+        now = self.clock()
+        with self._lock:
+            seen = self._seen.pop(cause, None) or _Seen(now)
+            self._seen[cause] = seen  # the newest is the last
+            if len(self._seen) > MOST_CAUSES:
+                del self._seen[next(iter(self._seen))]
+            if now - seen.since >= self.period:
+                seen.since, seen.written = now, 0
+            if seen.written >= self.lines:
+                seen.left_out += 1
+                return None
+            seen.written += 1
+            left_out, seen.left_out = seen.left_out, 0
+            return left_out
+
+    def log(self, logger: logging.Logger, level: int, cause: Hashable, message: str) -> None:
+        """Write a line, unless there were too many of its cause."""
+        left_out = self.left_out(cause)
+        if left_out is not None:
+            more = f" ({left_out} more of this kind were left out)" if left_out else ""
+            logger.log(level, "%s%s", message, more, stacklevel=2)

@@ -1,0 +1,118 @@
+"""Writing to DDS in a process that may also read what it writes.
+
+The package ``cyclonedds`` writes with Python's interpreter lock held. A reader of the same process is served from within the
+write, and DDS lets only one callback of a reader run at a time: a write then waits in C for a callback that waits for the
+interpreter. So a topic that the process reads is written without the interpreter lock. Other topics are written with it: a tick
+of the controller must not let the interpreter go.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.internal import load_cyclonedds
+from cyclonedds.pub import DataWriter
+
+from wbmpc.errors import InputError
+from wbmpc.ros2.messages import Types
+
+#: A topic of a domain: domain, name in DDS.
+Where = tuple[int, str]
+
+
+class _Sample(ctypes.Structure):
+    """What the package's type support takes for a sample: CDR and its size."""
+
+    _fields_ = (("data", ctypes.c_char_p), ("size", ctypes.c_size_t))
+
+
+_write = load_cyclonedds().dds_write  # a function of ctypes: it is called without the interpreter lock
+_write.argtypes, _write.restype = [ctypes.c_int32, ctypes.POINTER(_Sample)], ctypes.c_int32
+
+
+class LocalReaders:
+    """Readers with callbacks in this process, by topic and by the node (any key) that has them. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[Where, list[Any]] = {}
+        self._lock = threading.Lock()
+        self._running = threading.local()
+
+    def add(self, where: Where, node: Any) -> Callable[[], None]:
+        """Note a reader, before it exists; returns what forgets it, once it has gone."""
+        with self._lock:
+            self._nodes.setdefault(where, []).append(node)
+
+        def forget() -> None:
+            with self._lock:
+                self._nodes[where].remove(node)
+                if not self._nodes[where]:
+                    del self._nodes[where]
+
+        return forget
+
+    def of_others(self, where: Where, node: Any) -> bool:
+        """Whether another node of this process reads a topic."""
+        with self._lock:
+            return any(n is not node for n in self._nodes.get(where, ()))
+
+    @contextmanager
+    def callback(self, where: Where, node: Any) -> Iterator[None]:
+        """While a callback of a node's reader runs in this thread."""
+        stack = self._running.__dict__.setdefault("stack", [])
+        stack.append((where, node))
+        try:
+            yield
+        finally:
+            stack.pop()
+
+    def check(self, where: Where, node: Any) -> None:
+        """Raise :class:`InputError` if this thread is in a callback of another node's reader of the topic: DDS would wait for
+        that callback to end."""
+        if any(w == where and n is not node for w, n in self._running.__dict__.get("stack", ())):
+            name = where[1].removeprefix("rt")
+            raise InputError(
+                f"{name}: a callback of it, in this process, leads to another message on it; "
+                "give the subscription deferred=True, which calls back from work()"
+            )
+
+
+LOCAL = LocalReaders()
+
+
+class DdsPublisher:
+    """See :class:`wbmpc.ros2.bus.Publisher`. Two threads take turns on one writer: with the interpreter lock held they would
+    wait for each other for ever."""
+
+    def __init__(self, writer: DataWriter, types: Types, kind: str, where: Where, node: Any) -> None:
+        self._writer, self._types, self._kind = writer, types, kind
+        self._where, self._node = where, node
+        self._turn = threading.RLock()
+
+    def publish(self, values: Mapping[str, Any]) -> None:
+        """Send a message."""
+        self.send(self._types.encode(self._kind, values))
+
+    def send(self, data: bytes) -> None:
+        """Send a message that is CDR already, for example from a recording. Raises :class:`InputError` from a callback of
+        another node's subscription of the same topic in this process."""
+        write(self._writer, data, self._where, self._node, self._turn)
+
+
+def write(writer: DataWriter, data: bytes, where: Where, node: Any, turn: threading.RLock) -> None:  # type: ignore[valid-type]
+    """Write CDR with a writer of ``node``; see the module. ``turn``: the writer's own lock."""
+    if not LOCAL.of_others(where, node):
+        with turn:  # type: ignore[attr-defined]
+            writer.write(writer.topic.data_type(data))
+        return
+    LOCAL.check(where, node)
+    padded = data.ljust(-(-len(data) // 4) * 4, b"\0")
+    with turn:  # type: ignore[attr-defined]
+        status = _write(writer._ref, ctypes.byref(_Sample(padded, len(padded))))
+    if status < 0:
+        raise DDSException(status, f"while writing on {where[1]}")

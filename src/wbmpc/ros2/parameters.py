@@ -1,0 +1,161 @@
+"""Parameters of a node: names and values as in the settings file, those that can be changed and those that cannot.
+
+The back ends offer them: ``rclpy`` by the node's own parameters, ``dds`` by the services of rcl_interfaces (``serve``).
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.ros2.bus import Node, Qos
+from wbmpc.ros2.convert import sentence_of, stamp
+
+Value = bool | int | float | str
+#: Numbers and fields of the types of rcl_interfaces/msg/ParameterType that are used here; 0 is "not set".
+TYPES: dict[type, tuple[int, str]] = {
+    bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
+}  # fmt: skip
+_READ = {number: field for number, field in TYPES.values()}
+#: As of ROS 2's own publishers of parameter events.
+_EVENTS = Qos(depth=1000)
+
+
+@dataclass
+class Parameter:
+    """``range``: least and largest number; ``read_only``: it is set in the file only."""
+
+    name: str
+    value: Value
+    description: str = ""
+    read_only: bool = True
+    range: tuple[float, float] | None = None
+
+
+class Parameters:
+    """All of a node, by name. ``changed`` gets the new values of settable ones, all of a request at once, and may raise
+    :class:`InputError`: then nothing has changed. Thread-safe."""
+
+    def __init__(self, given: Iterable[Parameter], changed: Callable[[dict[str, Value]], None]) -> None:
+        self.known = {p.name: p for p in given}
+        self._changed, self._lock = changed, threading.Lock()
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Change all or none. Raises :class:`InputError` naming the parameter and what is valid."""
+        with self._lock:
+            new = {name: self._checked(name, value) for name, value in values.items()}
+            self._changed(new)
+            for name, value in new.items():
+                self.known[name].value = value
+
+    def _checked(self, name: str, value: Any) -> Value:
+        if name not in self.known:
+            raise unknown_name("parameter", name, self.known)
+        p = self.known[name]
+        if p.read_only:
+            raise InputError(f"parameter '{name}' is read-only: set it in the settings file and start anew")
+        wanted = type(p.value)
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if type(value) is not wanted:
+            raise InputError(f"parameter '{name}': {wanted.__name__} is needed, got {type(value).__name__}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"parameter '{name}': a finite number is needed, got {value}")
+        if p.range is not None and not p.range[0] <= float(value) <= p.range[1]:
+            raise InputError(f"parameter '{name}': {value} is out of range; valid: {p.range[0]:g} to {p.range[1]:g}")
+        return value  # type: ignore[no-any-return]
+
+    def names(self, prefixes: Iterable[str], depth: int) -> list[str]:
+        """Those that begin with one of some prefixes (none: all), at most ``depth`` parts below it (0: all)."""
+        ends = [f"{p}." for p in prefixes]
+        found = []
+        for name in self.known:
+            below = [name[len(e) :] for e in ends or [""] if name.startswith(e)] + [""] * (f"{name}." in ends)
+            if any(depth == 0 or rest.count(".") < depth for rest in below):
+                found.append(name)
+        return found
+
+
+def message_of(value: Value | None) -> dict[str, Any]:
+    """A value as rcl_interfaces/msg/ParameterValue; None is not set."""
+    if value is None:
+        return {"type": 0}
+    number, field = TYPES[type(value)]
+    return {"type": number, field: value}
+
+
+def value_of(message: Any) -> Any:
+    """The value of a ParameterValue; a list or None for types that no parameter here has."""
+    if message.type not in _READ:
+        return None
+    given = getattr(message, _READ[message.type])
+    return {1: bool, 2: int, 3: float, 4: str}[message.type](given)
+
+
+def descriptor_of(p: Parameter) -> dict[str, Any]:
+    """A parameter's rcl_interfaces/msg/ParameterDescriptor."""
+    ends = [] if p.range is None else [{"from_value": p.range[0], "to_value": p.range[1]}]
+    return {
+        "name": p.name, "type": TYPES[type(p.value)][0], "description": p.description, "read_only": p.read_only,
+        "floating_point_range": ends,
+    }  # fmt: skip
+
+
+class ParameterServices:
+    """The services of rcl_interfaces for a node that has none, and /parameter_events."""
+
+    def __init__(self, node: Node, name: str, parameters: Parameters) -> None:
+        self.parameters, self.name = parameters, f"/{name}"
+        self._events = node.publisher("/parameter_events", "rcl_interfaces/msg/ParameterEvent", _EVENTS)
+        self._tell("new_parameters", list(parameters.known))
+        for service, kind, answer in (
+            ("get_parameters", "GetParameters", self._get),
+            ("get_parameter_types", "GetParameterTypes", self._types),
+            ("set_parameters", "SetParameters", self._set),
+            ("set_parameters_atomically", "SetParametersAtomically", self._set_all),
+            ("list_parameters", "ListParameters", self._list),
+            ("describe_parameters", "DescribeParameters", self._describe),
+        ):
+            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer)
+
+    def _value(self, name: str) -> Value | None:
+        p = self.parameters.known.get(name)
+        return None if p is None else p.value
+
+    def _get(self, request: Any) -> dict[str, Any]:
+        return {"values": [message_of(self._value(n)) for n in request.names]}
+
+    def _types(self, request: Any) -> dict[str, Any]:
+        return {"types": [message_of(self._value(n))["type"] for n in request.names]}
+
+    def _describe(self, request: Any) -> dict[str, Any]:
+        known = self.parameters.known
+        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in request.names]}
+
+    def _list(self, request: Any) -> dict[str, Any]:
+        names = self.parameters.names(request.prefixes, int(request.depth))
+        prefixes = sorted({n.rpartition(".")[0] for n in names} - {""})
+        return {"result": {"names": names, "prefixes": prefixes}}
+
+    def _set(self, request: Any) -> dict[str, Any]:
+        return {"results": [self._change({p.name: value_of(p.value)}) for p in request.parameters]}
+
+    def _set_all(self, request: Any) -> dict[str, Any]:
+        return {"result": self._change({p.name: value_of(p.value) for p in request.parameters})}
+
+    def _change(self, values: dict[str, Any]) -> dict[str, Any]:
+        try:
+            self.parameters.set(values)
+        except Exception as error:
+            return {"successful": False, "reason": sentence_of(error)}
+        self._tell("changed_parameters", list(values))
+        return {"successful": True}
+
+    def _tell(self, what: str, names: list[str]) -> None:
+        changed = [{"name": n, "value": message_of(self._value(n))} for n in names]
+        self._events.publish({"stamp": stamp(time.time()), "node": self.name, what: changed})

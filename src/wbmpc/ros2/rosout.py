@@ -1,0 +1,50 @@
+"""Log lines of this library on /rosout, where ROS's tools collect those of all nodes."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from wbmpc.ros2.bus import Node, Qos
+from wbmpc.ros2.convert import stamp
+
+#: As ROS's own publishers of it: late joiners get the last lines too.
+_QOS = Qos(latched=True, depth=100)
+#: Lines that wait to be sent; of more the oldest are dropped.
+_MOST = 100
+
+
+class Rosout(logging.Handler):
+    """Takes log records in any thread; :meth:`send` publishes them in the node's own, ``breathe()`` before each.
+
+    Levels are those of Python, which are ROS's too (debug 10, info 20, warning 30, error 40, fatal 50).
+    """
+
+    def __init__(self, node: Node, name: str, now: Callable[[], float], breathe: Callable[[], None]) -> None:
+        super().__init__()
+        self._to = node.publisher("/rosout", "rcl_interfaces/msg/Log", _QOS)
+        self._node_name, self._now, self._breathe = name, now, breathe
+        self._waiting: deque[dict[str, Any]] = deque(maxlen=_MOST)
+        self._log = logging.getLogger("wbmpc")
+        self._log.addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record until it is sent."""
+        self._waiting.append({
+            "stamp": stamp(self._now()), "level": min(record.levelno // 10 * 10, 50) or 10, "name": self._node_name,
+            "msg": record.getMessage(), "file": record.pathname, "function": record.funcName or "", "line": record.lineno,
+        })  # fmt: skip
+
+    def send(self) -> None:
+        """Publish what has come since."""
+        while self._waiting:
+            self._breathe()
+            self._to.publish(self._waiting.popleft())
+
+    def close(self) -> None:
+        """Send the rest, and take no more."""
+        self._log.removeHandler(self)
+        self.send()
+        super().close()

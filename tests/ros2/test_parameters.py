@@ -1,0 +1,145 @@
+"""Parameters and log lines on the bus. Truth: the definitions of rcl_interfaces, the problem made anew with other weights."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, wait_until
+
+from wbmpc.errors import InputError
+from wbmpc.experiments.swerve_problem import SwerveCost, swerve_problem
+from wbmpc.ros2.bus import Qos
+from wbmpc.ros2.parameters import Parameter, Parameters
+
+pytestmark = needs_dds
+if not MISSING:
+    from standin import ROBOT, Pair, drive
+
+
+HAND = "cost.hand.weight"
+
+
+def ask(p: Pair, service: str, kind: str, **values: Any) -> Any:
+    """An answer of the controller's node."""
+    return p.standin.node.call(f"/wbmpc/{service}", f"rcl_interfaces/srv/{kind}", values, timeout=30.0)
+
+
+def number(name: str, value: float) -> dict[str, Any]:
+    """A Parameter message."""
+    return {"name": name, "value": {"type": 3, "double_value": value}}
+
+
+def test_the_node_lists_gets_and_describes_its_parameters(pair: Callable[..., Any]) -> None:
+    p = pair(rates={"odom": 30.0})
+    names = ["rates.odom", "frames.base", "use_sim_time", HAND, "no.such"]
+    values = ask(p, "get_parameters", "GetParameters", names=names).values
+    assert [v.type for v in values] == [3, 4, 1, 3, 0]
+    assert (values[0].double_value, values[1].string_value, values[2].bool_value) == (30.0, "base_link", True)
+    assert list(ask(p, "get_parameter_types", "GetParameterTypes", names=names).types) == [3, 4, 1, 3, 0]
+    listed = ask(p, "list_parameters", "ListParameters", prefixes=["rates", "cost"], depth=1).result
+    assert "rates.control" in listed.names and "cost.terminal" in listed.names
+    assert HAND not in listed.names and "frames.base" not in listed.names  # two parts below; not below at all
+    assert HAND in ask(p, "list_parameters", "ListParameters").result.names
+    rate, weight = ask(p, "describe_parameters", "DescribeParameters", names=["rates.odom", HAND]).descriptors
+    assert (rate.read_only, weight.read_only) == (True, False)
+    assert (weight.floating_point_range[0].from_value, len(rate.floating_point_range)) == (0.0, 0)
+
+
+def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[..., Any]) -> None:
+    p = pair()
+    told: list[Any] = []
+    kind = "rcl_interfaces/msg/ParameterEvent"
+    p.standin.node.subscribe("/parameter_events", kind, told.append, Qos(depth=100))
+    drive(p)
+    solver = p.control.pilot.mpc.solver
+    before = solver.ws.w.copy()
+    results = ask(
+        p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]
+    ).results
+    assert [(r.successful, r.reason) for r in results] == [(True, ""), (True, "")]
+    assert p.until(lambda: np.any(solver.ws.w != before))
+    wanted = SwerveCost()
+    wanted = wanted.model_copy(
+        update={
+            "hand": wanted.hand.model_copy(update={"weight": 500.0}),
+            "state": wanted.state.model_copy(update={"yaw": 7.0}),
+        }
+    )
+    fresh = swerve_problem(ROBOT, p.settings.mpc, wanted, accelerations=True)
+    for cost in fresh.costs:
+        for place, weight in (("path", cost.weight), ("terminal", cost.terminal_weight)):
+            if f"{place}.{cost.name}" in solver.problem.constant.slices:
+                assert weight is not None
+                part = solver.ws.w[solver.problem.constant.slices[f"{place}.{cost.name}"]]
+                np.testing.assert_allclose(part, cost.expand(weight), rtol=1e-15)
+    assert ask(p, "get_parameters", "GetParameters", names=[HAND]).values[0].double_value == 500.0
+    assert wait_until(
+        lambda: any(c.name == HAND and c.value.double_value == 500.0 for m in told for c in m.changed_parameters)
+    )
+    assert p.control.running
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (number("rates.odom", 10.0), "read-only"),
+        (number("cost.hand.wait", 10.0), "did you mean 'cost.hand.weight'"),
+        (number(HAND, -1.0), "valid: 0 to"),
+        (number(HAND, np.nan), "a finite number is needed"),
+        ({"name": HAND, "value": {"type": 4, "string_value": "much"}}, "float is needed, got str"),
+        ({"name": HAND, "value": {"type": 8, "double_array_value": [1.0]}}, "float is needed"),
+    ],
+)
+def test_what_cannot_be_set_says_why_and_of_an_atomic_request_nothing_is(
+    pair: Callable[..., Any], given: dict[str, Any], says: str
+) -> None:
+    p = pair()
+    good = number("cost.state.yaw", 9.0)
+    result = ask(p, "set_parameters_atomically", "SetParametersAtomically", parameters=[good, given]).result
+    assert not result.successful and says in result.reason
+    assert ask(p, "get_parameters", "GetParameters", names=["cost.state.yaw"]).values[0].double_value == 5.0
+    first, second = ask(p, "set_parameters", "SetParameters", parameters=[good, given]).results
+    assert first.successful and says in second.reason
+
+
+def test_a_change_that_is_not_taken_leaves_the_old_value() -> None:
+    def change(values: dict[str, Any]) -> None:
+        raise InputError("not now")
+
+    parameters = Parameters([Parameter("a", 1.0, read_only=False)], change)
+    with pytest.raises(InputError, match="not now"):
+        parameters.set({"a": 2})
+    assert parameters.known["a"].value == 1.0
+
+
+def test_log_lines_are_on_rosout_for_late_joiners_too(pair: Callable[..., Any]) -> None:
+    p = pair()
+    p.ready()  # there is a time
+    logging.getLogger("wbmpc").warning("%s is near", "the wall")
+    p.run(0.1)
+    lines: list[Any] = []
+    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
+    assert wait_until(lambda: any(m.msg == "the wall is near" for m in lines))
+    (line,) = [m for m in lines if m.msg == "the wall is near"]
+    assert (line.level, line.name, line.function) == (30, "wbmpc", "test_log_lines_are_on_rosout_for_late_joiners_too")
+    assert line.file.endswith("test_parameters.py") and line.stamp.sec > 0
+    p.control.close()
+    lines.clear()
+    logging.getLogger("wbmpc").warning("after the end")
+    assert not [h for h in logging.getLogger("wbmpc").handlers if type(h).__name__ == "Rosout"]
+
+
+def test_every_input_is_an_endpoint_before_there_is_a_robot(pair: Callable[..., Any]) -> None:
+    """Who publishes speeds with a node of its own finds a subscription at once."""
+    p = pair()
+    topics = p.settings.topics
+    inputs = [getattr(topics, n) for n in ("joint_states", "imu", "goal_pose", "hand_goal", "base_path", "hand_path",
+              "cmd_vel", "wrench", "legs", "brakes", "leg_configuration")]  # fmt: skip
+    there = lambda t: [e.type for e in p.standin.node.subscribers(t) if not e.own]
+    assert wait_until(lambda: all(there(t) for t in inputs))
+    assert there("/cmd_vel") == ["geometry_msgs/msg/Twist"]
+    assert p.control.runner is None
