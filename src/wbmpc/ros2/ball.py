@@ -221,7 +221,9 @@ class BallPilot:
         return {"wheel": command.torque[:n], "arm": command.torque[n:]}
 
     # ------------------------------------------------------------------ states
-    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> BallMessage:
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> BallMessage:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
         assert imu is not None
         return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)

@@ -232,11 +232,13 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
-        """Follow the sensors while nobody commands the drives."""
-        if self.waits_for():
+        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
+        if unheard or (self.pilot.needs_imu and not self.body.has_imu):
             return
-        with suppress(SafeStop, InputError):
-            self.pilot.stand(self.body.read())
+        for measurement in self.body.unread():
+            with suppress(SafeStop, InputError):
+                self.pilot.stand(measurement)
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
@@ -340,6 +342,7 @@ class ControlNode:
         self.gate.forget()
         self._put(task, references)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
+        self._stand()  # what the sensors said meanwhile
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
