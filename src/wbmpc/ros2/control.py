@@ -317,7 +317,10 @@ class ControlNode:
             pilot.swing(legs.angles)
             assert self._task is not None
             self._put(self._task, pilot.references(self._task, x))
-        legs.watch(pilot.brakes, t, leg)
+        if legs.watch(pilot.brakes, t, leg):
+            pilot.legs = legs.angles
+            assert self._task is not None
+            self._put(self._task, pilot.references(self._task, x))
 
     def _lead(self) -> None:
         """Trajectories to those who follow them, and the wrench to who counts with it."""
@@ -438,5 +441,6 @@ class ControlNode:
         """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
         orders = self.legs.refused if self.legs is not None else ""
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
         said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}
