@@ -19,6 +19,7 @@ from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
+from wbmpc.ros2.health import Health
 from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
 from wbmpc.ros2.legs import Legs
@@ -89,6 +90,7 @@ class ControlNode:
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
+        self.health = Health(self)
         self.teller = Teller(node, self)
 
     # ------------------------------------------------------------------ life
@@ -114,6 +116,7 @@ class ControlNode:
         self.pilot.inspect()
         self._move_legs()
         self._lead()
+        self.health.look()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state

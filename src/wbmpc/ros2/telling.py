@@ -57,7 +57,7 @@ class Teller:
         """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
-        said = c.state, *c.refused().values(), *c.pilot.faults
+        said = c.state, *c.refused().values(), *c.pilot.faults, c.health.late, c.health.fell
         if said != self._said and now - self._told > SOON:
             self._said, self._due["say"][0] = said, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
@@ -130,10 +130,11 @@ class Teller:
         c = self.controller
         self._told = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
-        level = ERROR if stopped or c.ill else WELL if c.running else WARNING
-        if level == WELL and c.refused():
+        level = ERROR if stopped or c.ill or c.health.fell else WELL if c.running else WARNING
+        if level == WELL and (c.refused() or c.health.late):
             level = WARNING
-        message = "; ".join([c.state, *(why for why in c.refused().values() if why not in c.state)])
+        reasons = [why for why in c.refused().values() if why not in c.state]
+        message = "; ".join(filter(None, [c.health.fell, c.state, c.health.late, *reasons]))
         entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, figures(c))]
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
