@@ -16,12 +16,12 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from frame_tree import joined, of_transforms, of_urdf, place, root
 from mcap.reader import NonSeekingReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
+from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
@@ -125,7 +125,7 @@ def test_frames_are_those_of_the_archive(track: Path) -> None:
 def test_recorded_frames_and_the_description_are_one_tree(
     run: str, points: set[str], request: pytest.FixtureRequest
 ) -> None:
-    """A stand-in for robot_state_publisher beside the recording gives no frame another parent; the hand is where it was recorded."""
+    """A stand-in for robot_state_publisher beside the recording gives no frame another parent; the hand is where it was."""
     folder = request.getfixturevalue(run)
     text = next(m.data for _, m in messages(folder, "/robot_description"))  # type: ignore[attr-defined]
     fixed, moved = ([m for _, m in messages(folder, t)] for t in ("/tf_static", "/tf"))

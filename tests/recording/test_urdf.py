@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
-from frame_tree import of_urdf, root
 
+from frame_tree import of_urdf, root
 from wbmpc.robots import available_robots, load_description, load_spec
 from wbmpc.robots.description import RobotDescription
 from wbmpc.robots.frames import frame_names

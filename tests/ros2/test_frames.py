@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from frame_tree import joined, of_transforms, of_urdf, place, root
 from needs import MISSING, needs_dds, private
 
+from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc.model import load_robot
 from wbmpc.ros2 import LATCHED, Network
 

@@ -66,7 +66,10 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
 @pytest.mark.parametrize(
     ("changes", "because"),
     [
-        ({"stopped": True, "state": "stopped at 3.000 s: no joint states"}, "because stopped at 3.000 s: no joint states"),
+        (
+            {"stopped": True, "state": "stopped at 3.000 s: no joint states"},
+            "because stopped at 3.000 s: no joint states",
+        ),
         ({"kept": "the MPC raised ValueError"}, "because the MPC raised ValueError; a wheel slips"),
         ({}, "because a wheel slips"),
     ],

@@ -19,8 +19,8 @@ if not MISSING:
 
 
 class Turned:
-    """A stand-in with an inertial unit that turns as the bus asks it to, or as ``other`` does. ``imu_heard``, ``joints_heard``: which
-    of its sensors are; ``broken``: the next joint states are."""
+    """A stand-in with an inertial unit that turns as the bus asks it to, or as ``other`` does. ``imu_heard``, ``joints_heard``:
+    which of its sensors are; ``broken``: the next joint states are."""
 
     def __init__(self, p: Any) -> None:
         self.p, self.imu_heard, self.joints_heard, self.other = p, True, True, False

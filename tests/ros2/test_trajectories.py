@@ -24,7 +24,9 @@ LIMITS = ROBOT.description.limits
 
 def plain(values: dict[str, Any]) -> Any:
     """A message as it comes out of the bus."""
-    points = [SimpleNamespace(**{**p, "time_from_start": SimpleNamespace(**p["time_from_start"])}) for p in values["points"]]
+    points = [
+        SimpleNamespace(**{**p, "time_from_start": SimpleNamespace(**p["time_from_start"])}) for p in values["points"]
+    ]
     head = SimpleNamespace(stamp=SimpleNamespace(**values["header"]["stamp"]))
     return SimpleNamespace(header=head, joint_names=values["joint_names"], points=points)
 

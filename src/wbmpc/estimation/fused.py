@@ -222,7 +222,11 @@ class FusedOdometry:
         gap = h > GAP or leap
         if leap:
             before = now
-        step = self._bridged(h, before, now, LEAP_STD if leap else 0.0) if gap else self._step(h, before, now, gyro, is_open, weights)
+        step = (
+            self._bridged(h, before, now, LEAP_STD if leap else 0.0)
+            if gap
+            else self._step(h, before, now, gyro, is_open, weights)
+        )
         self._past.append((self._state, step))
         self._state = advanced(self._state, step, self.noise)
         self.twist = step.twist / h

@@ -1,8 +1,8 @@
 """What can be seen of a running loop: what recordings and views have in common.
 
-Frames (REP 105; names: :mod:`wbmpc.robots.frames`): ``map`` is the simulated world with z = 0 on the floor, ``odom`` the frame of the controller's estimate, in
-which references and plans are; ``map`` → ``odom`` is the drift. Where the controller has no estimate of the base the two
-are one. Poses (7) are position [m] and quaternion.
+Frames (REP 105; names: :mod:`wbmpc.robots.frames`): ``map`` is the simulated world with z = 0 on the floor, ``odom`` the frame
+of the controller's estimate, in which references and plans are; ``map`` → ``odom`` is the drift. Where the controller has no
+estimate of the base the two are one. Poses (7) are position [m] and quaternion.
 """
 
 from __future__ import annotations

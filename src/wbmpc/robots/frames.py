@@ -27,7 +27,7 @@ class FixedFrame:
 
 
 def frame_names(base_body: str, bodies: Iterable[str], base: str = BASE, world: str = ODOM) -> dict[str, str]:
-    """The frame of each body: ``base`` is that of ``base_body``; others that are called like it, ``world`` or ``map`` get a prefix."""
+    """The frame of each body: ``base`` is that of ``base_body``; others called like it, ``world`` or ``map`` get a prefix."""
     given = list(bodies)
     taken = {base, world, MAP, *(b for b in given if b != base_body)}
     names = {base_body: base}

@@ -24,8 +24,8 @@ def to_urdf(description: RobotDescription, base: str = BASE, world: str = ODOM) 
 
     Links have the frames of MuJoCo's bodies and the names of :func:`wbmpc.robots.frames.frame_names`; the root is the base, which
     hangs on ``world`` by what ``/tf`` says. Named points (tool, mount, inertial unit) become links of their own. URDF knows no ball
-    joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF what
-    is above the base is left out, and links whose names are taken are renamed.
+    joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF
+    what is above the base is left out, and links whose names are taken are renamed.
     """
     if description.model.suffix.lower() == ".urdf":
         return _own(description, base, world)

@@ -241,8 +241,8 @@ class BallPilot:
         return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
 
     def stand(self, m: BallMessage) -> None:
-        """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a run
-        the estimator goes on, wherever the robot rolls or falls."""
+        """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
+        run the estimator goes on, wherever the robot rolls or falls."""
         if self.agent.seen is not None:
             self.agent.follow(m)
             return

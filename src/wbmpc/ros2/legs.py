@@ -38,8 +38,8 @@ NEARER, PATIENCE = 0.002, 4.0
 
 class Legs:
     """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
-    ``refused``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on their
-    way, empty from the next order on.
+    ``refused``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on
+    their way, empty from the next order on.
 
     ``ready()``: why no order can be taken; ``now()``: how brakes and legs are. :meth:`apply` and :meth:`watch` belong to the
     node's own thread.
@@ -58,7 +58,9 @@ class Legs:
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
         self.refused = self.short = ""
-        self._nearest, self._since = np.zeros((2, len(self.names)))  # of legs on their way: distance [rad], since when [s]
+        self._nearest, self._since = np.zeros(
+            (2, len(self.names))
+        )  # of legs on their way: distance [rad], since when [s]
         self._order: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
@@ -214,8 +216,8 @@ class Legs:
         return True
 
     def watch(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
-        """Close the brakes of legs that have arrived, and of those that come no nearer; whether there were some of these, which stay
-        where they are."""
+        """Close the brakes of legs that have arrived, and of those that come no nearer; whether there were some of these, which
+        stay where they are."""
         if self.angles is None or not self.moving.any():
             return False
         there = self.moving & (np.abs(leg - self.angles) < THERE)

@@ -75,7 +75,9 @@ class _Side:
         if start and start + after[-1] < now:
             raise InputError(f"trajectory: it ended {now - start - after[-1]:.3f} s ago")
         if np.any(np.abs(velocities[-1]) > AT_REST):
-            raise InputError(f"trajectory: its last point must be at rest, got velocities {velocities[-1].tolist()} rad/s")
+            raise InputError(
+                f"trajectory: its last point must be at rest, got velocities {velocities[-1].tolist()} rad/s"
+            )
         return Led(places, (start or now) + after, positions[:, order], velocities[:, order])
 
     def track(self, groups: dict[str, Array], now: float) -> None:

@@ -53,7 +53,9 @@ class BusRobot:
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
-        self._before: tuple[float, np.ndarray] | None = None  # the last inertial message that was read: its stamp, its gyro
+        self._before: tuple[float, np.ndarray] | None = (
+            None  # the last inertial message that was read: its stamp, its gyro
+        )
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
@@ -214,7 +216,8 @@ class BusRobot:
                 return self._newest()
             before = [self._before] if self._before is not None else []
             seen = [*before, *((at, i.gyro) for at, i in due)]
-            turning = mean_rate(*zip(*seen, strict=True), self.settings.safety.watchdog)
+            times, rates = zip(*seen, strict=True)
+            turning = mean_rate(times, rates, self.settings.safety.watchdog)
             self._before = seen[-1]
             self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
             return self._read[1]

@@ -66,8 +66,8 @@ class TrajectorySender:
         self.period, self.due = 1.0 / settings.rates.trajectory, -np.inf
 
     def send(self, policy: Policy, t: float, now: float) -> None:
-        """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds, then a ramp
-        to rest: without a successor the arm stands, and a joint_trajectory_controller takes no other ends."""
+        """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds, then a
+        ramp to rest: without a successor the arm stands, and a joint_trajectory_controller takes no other ends."""
         self.due = t + self.period
         times = policy.times[(policy.times > t + 1e-3) & (policy.times < t + AHEAD)]
         if not times.size:
@@ -75,11 +75,13 @@ class TrajectorySender:
         positions = [policy.state(float(s))[self._places] for s in times]
         rates = [policy.feedforward(float(s))[self._rates] for s in times]
         end, position = self._at_rest(positions[-1], rates[-1])
-        self._publish(now, [*(times - t), float(times[-1]) - t + end], [*positions, position], [*rates, 0.0 * rates[-1]])
+        self._publish(
+            now, [*(times - t), float(times[-1]) - t + end], [*positions, position], [*rates, 0.0 * rates[-1]]
+        )
 
     def _at_rest(self, position: np.ndarray, rate: np.ndarray) -> tuple[float, np.ndarray]:
-        """How long [s] braking from ``rate`` (n) [rad/s] takes, and where (n) [rad] it ends: all joints brake evenly for one time, and
-        none leaves its range (sooner than that it brakes harder)."""
+        """How long [s] braking from ``rate`` (n) [rad/s] takes, and where (n) [rad] it ends: all joints brake evenly for one time,
+        and none leaves its range (sooner than that it brakes harder)."""
         takes = float(np.clip(np.max(np.abs(rate) / self._brakes_with), *BRAKES_WITHIN))
         low, high = np.minimum(self._range[0], position), np.maximum(self._range[1], position)
         return takes, np.clip(position + 0.5 * takes * rate, low, high)
