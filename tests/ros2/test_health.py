@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private
 
-from wbmpc import lie
 from wbmpc.model import load_robot
 from wbmpc.mpc import WallClock
 from wbmpc.ros2 import Network
@@ -28,7 +27,7 @@ def controller(**changes: Any) -> Any:
         plans=SimpleNamespace(current=object()), own={"ticks": 0, "misses": 0}, kept="", stopped=False,
         punctuality=SimpleNamespace(late=0), state="running",
     )  # fmt: skip
-    pilot = SimpleNamespace(keeps=False, faults=[], estimate=lambda: None)
+    pilot = SimpleNamespace(keeps=False, faults=[], snapshot=lambda: None)
     given = {"clock": WallClock(), "runner": runner, "running": True, "period": 0.0025, "pilot": pilot}
     return SimpleNamespace(**{**given, "body": SimpleNamespace(fault=""), **changes})
 
@@ -79,8 +78,7 @@ def test_the_cause_of_a_fall(changes: dict[str, Any], because: str) -> None:
     vars(c.runner).update(changes)
     c.pilot.keeps, c.pilot.faults = True, ["a wheel slips"]
     leans = [0.3]
-    turned = lambda: np.asarray(lie.quaternion_about((1.0, 0.0, 0.0), leans[0]))
-    c.pilot.estimate = lambda: SimpleNamespace(orientation=turned())
+    c.pilot.snapshot = lambda: (0.0, np.array([1.0, 2.0, 0.5, 0.0, leans[0]]))
     h = Health(c)
     h.look()
     assert not h.fell

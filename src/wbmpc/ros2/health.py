@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc import lie
 from wbmpc.ros2.clock import BusClock
 
 if TYPE_CHECKING:
@@ -74,15 +74,15 @@ class Health:
     def _look_at_lean(self) -> None:
         """Only who balances falls, and only who has been balanced."""
         c = self.controller
-        estimate = c.pilot.estimate() if c.pilot.keeps and c.runner is not None else None
-        if estimate is None:
+        seen = c.pilot.snapshot() if c.pilot.keeps and c.runner is not None else None
+        if seen is None:
             self.fell = ""
             return
-        lean = float(np.arccos(np.clip(lie.quaternion_to_rotation(estimate.orientation)[2, 2], -1.0, 1.0)))
+        lean = math.acos(math.cos(seen[1][3]) * math.cos(seen[1][4]))  # x, y, yaw, pitch, roll
         if lean <= FALLEN:
             self.fell = ""
         elif not self.fell:
-            self.fell = f"the robot fell, it leans by {np.degrees(lean):.0f} degrees, because {self._cause()}"
+            self.fell = f"the robot fell, it leans by {math.degrees(lean):.0f} degrees, because {self._cause()}"
             _LOG.error("%s", self.fell)
 
     def _cause(self) -> str:
