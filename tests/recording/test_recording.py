@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
+from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
@@ -98,7 +99,7 @@ def test_frames_are_those_of_the_archive(track: Path) -> None:
     assert len(found) > 200
     for t, message in found[::20]:
         frames = {f.child_frame_id: f for f in message.transforms}  # type: ignore[attr-defined]
-        drift, estimate = frames["odom"], frames["body"]
+        drift, estimate = frames["odom"], frames["base_link"]
         assert (drift.header.frame_id, estimate.header.frame_id) == ("map", "odom")
         assert {"leg_LF", "wheel_RB", "wrist_3_link", "contact_wheel_LF"} <= set(frames)
         k = int(np.argmin(np.abs(times - t)))
@@ -116,6 +117,33 @@ def test_frames_are_those_of_the_archive(track: Path) -> None:
     # the speed in the base's axes: its integral is the way
     v = np.array([m.twist.twist.linear.x for m in odometry])  # type: ignore[attr-defined]
     assert np.sum(v) * 0.01 == pytest.approx(x[-1] - x[0], rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("run", "points"), [("track", {"tool0", "mount", "imu", "arm_base_link"}), ("ball", {"tool", "imu", "ball"})]
+)
+def test_recorded_frames_and_the_description_are_one_tree(
+    run: str, points: set[str], request: pytest.FixtureRequest
+) -> None:
+    """A stand-in for robot_state_publisher beside the recording gives no frame another parent; the hand is where it was."""
+    folder = request.getfixturevalue(run)
+    text = next(m.data for _, m in messages(folder, "/robot_description"))  # type: ignore[attr-defined]
+    fixed, moved = ([m for _, m in messages(folder, t)] for t in ("/tf_static", "/tf"))
+    links, by_joints = of_urdf(text)
+    recorded = joined(of_transforms(fixed), of_transforms(moved))
+    parents = joined(by_joints, recorded)
+    assert root(parents, "imu") == "map" and (parents["odom"], parents["base_link"]) == ("map", "odom")
+    assert links | points <= set(recorded)
+    odometry = next(m for _, m in messages(folder, "/odom"))
+    assert odometry.child_frame_id == "base_link"  # type: ignore[attr-defined]
+    frames = {t.child_frame_id: t for m in (fixed[0], moved[-1]) for t in m.transforms}  # type: ignore[attr-defined]
+    at, turn, frame = np.zeros(3), np.eye(3), "tool0" if run == "track" else "tool"
+    while frame in frames:
+        p, r = place(frames[frame].transform)
+        at, turn, frame = p + r @ at, r @ turn, frames[frame].header.frame_id
+    times, hands = poses(folder, "/hand/pose")
+    when = [t for t, _ in messages(folder, "/tf")][-1]
+    np.testing.assert_allclose(at, hands[np.argmin(np.abs(times - when))], atol=1e-6)
 
 
 def test_plans_go_ahead_of_the_hand(track: Path) -> None:
@@ -196,7 +224,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
     figures = {name: m["value"] for name, m in saved["metrics"].items()}
     assert json.loads(recording.metadata["result"]["metrics"]) == figures
     scene = Scene.of_plain(recording.attachment("scene.json"))
-    assert scene.robot == "body" and {s.kind for s in scene.shapes} == {"box", "capsule", "cylinder", "plane"}
+    assert scene.robot == "base_link" and {s.kind for s in scene.shapes} == {"box", "capsule", "cylinder", "plane"}
 
 
 def test_recording_changes_nothing(track: Path) -> None:

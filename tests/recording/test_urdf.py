@@ -7,8 +7,10 @@ import numpy as np
 import pinocchio
 import pytest
 
+from frame_tree import of_urdf, root
 from wbmpc.robots import available_robots, load_description, load_spec
 from wbmpc.robots.description import RobotDescription
+from wbmpc.robots.frames import frame_names
 from wbmpc.robots.urdf import to_urdf
 
 
@@ -29,10 +31,10 @@ def compare(description: RobotDescription, seed: int) -> None:
     pinocchio.framesForwardKinematics(theirs, memory, q)
     base = model.body(description.base.body).id
     turn, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
-    frames = [(model.body(i).name, data.xpos[i], data.xmat[i]) for i in range(1, model.nbody)]
-    if any(s.name == description.arm.tool for s in spec.sites):
-        site = model.site(description.arm.tool).id
-        frames.append((description.arm.tool, data.site_xpos[site], data.site_xmat[site]))
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    names = frame_names(description.base.body, bodies)
+    frames = [(names[body], data.xpos[i], data.xmat[i]) for i, body in enumerate(bodies, 1)]
+    frames += [(model.site(i).name, data.site_xpos[i], data.site_xmat[i]) for i in range(model.nsite)]
     for name, position, rotation in frames:
         placed = memory.oMf[theirs.getFrameId(name, pinocchio.FrameType.BODY)]
         np.testing.assert_allclose(placed.translation, turn.T @ (position - origin), atol=1e-8, err_msg=name)
@@ -82,7 +84,29 @@ def test_a_robot_that_is_urdf_stays_as_it_is(tmp_path) -> None:  # type: ignore[
     (tmp_path / "own.urdf").write_text(text)
     held = ", ".join(f"{name}: 0" for name in source.joints() if name != "elbow_joint")
     (tmp_path / "own.yaml").write_text(
-        "name: own\nmodel: own.urdf\nbase: {type: fixed, body: body}\narm: {joints: [elbow_joint], tool: tool0}\n"
+        "name: own\nmodel: own.urdf\nbase: {type: fixed, body: base_link}\narm: {joints: [elbow_joint], tool: tool0}\n"
         f"lock: {{{held}}}\n"
     )
-    assert to_urdf(load_description(tmp_path / "own.yaml")) == text
+    own = load_description(tmp_path / "own.yaml")
+    assert to_urdf(own) == text
+    links, parents = of_urdf(to_urdf(own, base="chassis", world="wrist_1_link"))
+    assert root(parents, "tool0") == "chassis" and "base_link" not in links and parents["leg_LF"] == "chassis"
+    assert parents["wrist_2_link"] == "arm_wrist_1_link" and parents["arm_base_link"] == "chassis"
+
+
+def test_what_is_above_the_base_of_an_own_urdf_is_left_out(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """A URDF for Gazebo hangs on its world; on the bus the base hangs on odom."""
+    weight = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    joint = '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/><axis xyz="0 0 1"/>{}</joint>'
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    (tmp_path / "own.urdf").write_text(
+        f'<robot name="own"><link name="world"/><link name="trunk">{weight}</link><link name="base_link">{weight}</link>'
+        + joint.format("fix", "fixed", "world", "trunk", "")
+        + joint.format("turn", "revolute", "trunk", "base_link", limit)
+        + "</robot>"
+    )
+    (tmp_path / "own.yaml").write_text(
+        "name: own\nmodel: own.urdf\nbase: {type: fixed, body: trunk}\narm: {joints: [turn], tool: base_link}\n"
+    )
+    links, parents = of_urdf(to_urdf(load_description(tmp_path / "own.yaml")))
+    assert links == {"base_link", "arm_base_link"} and parents == {"arm_base_link": "base_link"}

@@ -97,6 +97,30 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     legs.stop()
 
 
+def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
+    """0.768 of 0.785 rad, and 2 mrad more after 3 s: waited for 4 s from then on. The other leg goes on, slowly."""
+    legs, brakes = robot.control.legs, BrakeControl(ROBOT)
+    legs.stop()
+    legs._put(np.array([0.785, 0.4, np.nan, np.nan]), np.full(4, np.nan))
+    at = lambda t: np.array([0.768 + 0.003 * (t >= 3.0), 0.02 * t, 0.0, 0.0])
+    assert legs.apply(brakes, 0.0, at(0.0))
+    times = np.arange(0.05, 8.0, 0.05)
+    ended = [t for t in times if legs.watch(brakes, t, at(t))]
+    assert len(ended) == 1 and ended[0] == pytest.approx(7.05, abs=0.051)
+    np.testing.assert_array_equal(brakes.commanded(8.0), [0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(legs.moving, [False, True, False, False])
+    assert legs.angles[0] == 0.771 and legs.angles[1] == 0.4
+    says = "leg_LF stopped at 0.771 rad on its way to 0.785 rad: no nearer for 4 s, brakes closed"
+    assert robot.control.refused()["legs stopped short"] == says
+    robot.said.clear()
+    told = lambda: [v.value for m in robot.said for s in m.status for v in s.values if v.key == "legs stopped short"]
+    assert robot.until(lambda: says in told())
+    legs._put(np.array([0.8, np.nan, np.nan, np.nan]), np.full(4, np.nan))
+    legs.apply(brakes, 8.0, at(8.0))
+    assert not legs.short
+    legs.stop()
+
+
 @pytest.mark.parametrize(
     ("values", "says"),
     [

@@ -28,7 +28,7 @@ from wbmpc.view.replay import Film
 from wbmpc.view.snapshot import NUMBERS
 
 #: The robot's base in a page.
-BODY = "/map/bodies/body"
+BODY = "/map/bodies/base_link"
 
 
 class Truth:

@@ -151,20 +151,24 @@ class SwerveAgent:
         """Take in the message of this tick."""
         before, self.measured = self.measured or measurement, measurement
         m = measurement
-        turning = 0.5 * float(before.gyro[2] + m.gyro[2])  # over the interval
+        turning = self._mean_rate(before, m) if self.use_gyro else None
         self._learn_sag(m.arm - before.arm, m.time - before.time)
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
         if self.odd_wheels:
             self._note_odd_wheel(m.time - before.time)
         slips = (self._scrubs > 0.0) | (self._odd > 0.0)  # one sound wheel alone tells no motion
         weights = np.where(slips, SCRUB_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning if self.use_gyro else None, weights=weights)
+        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         for group, drives in self.friction.items():
             drives.learn(getattr(m, group) - getattr(before, group), m.time - before.time)
         if self._smoothing is not None:
             self._smooth(self._smoothing, m.time - before.time)
+
+    def _mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+        """What the gyro says of the yaw rate [rad/s] from one message to the next; None if it says nothing."""
+        return 0.5 * float(before.gyro[2] + now.gyro[2])
 
     def _note_odd_wheel(self, h: float) -> None:
         """Which wheel goes elsewhere than all others do."""

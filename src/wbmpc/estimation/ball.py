@@ -19,6 +19,7 @@ from wbmpc import lie
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation.ball_gap import GAP, GAP_LEAN, bridged, spreads
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
 from wbmpc.robots import InertialDescription
 
@@ -183,7 +184,8 @@ class BallFilter:
     ) -> BallState:
         """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s];
         ``turning`` [N m]: torque of the wheels on the ball about the vertical. A message that is not newer than the last one
-        (``interval`` ≤ 0) is ignored.
+        (``interval`` ≤ 0) is ignored. Over a gap (:data:`wbmpc.estimation.ball_gap.GAP`) only the wheels count: nothing is
+        integrated, and position, heading, lean and velocity are known as little as that module states.
 
         Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
         finite("ball filter", interval=interval, turning=turning)
@@ -195,6 +197,9 @@ class BallFilter:
             self.state.wheel, self._read, self._first = w.copy(), w.copy(), False
             self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
         if interval <= 0.0:
+            return self.state
+        if interval > GAP:
+            self._bridge(interval, w)
             return self.state
         self._turning += (1.0 - np.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         try:
@@ -208,6 +213,28 @@ class BallFilter:
         self.rate = self._inertial.last[0] - self.state.gyro_bias
         self._look_for_stalled(w, turned)
         return self.state
+
+    def _bridge(self, h: float, wheel: Array) -> None:
+        """Go on after a gap: the readings that follow say the rest."""
+        x, g, p = self.state, self.geometry, self.covariance
+        shift, yaw = bridged(np.exp(-x.scale) * g.turn, g.radius, x.rotation, wheel - x.wheel)
+        about = lie.euler_zyx_to_rotation(yaw, 0.0, 0.0)
+        position, turning, velocity = spreads(h, shift, yaw)
+        self.state = BallState(
+            x.position + shift, shift / h, about @ x.rotation, x.gyro_bias, x.accel_bias, wheel.copy(), x.scale
+        )
+        known = p[P, P].copy()
+        heading = float(self.state.rotation[2] @ p[A, A] @ self.state.rotation[2])
+        for part in (P, V, A, slice(16, None)):  # what was known together is not any more
+            p[part, :], p[:, part] = 0.0, 0.0
+        up = self.state.rotation[2]
+        p[P, P] = known + np.diag([position**2, position**2, self.noise.floor**2])
+        p[V, V] = velocity**2 * np.eye(3)
+        p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
+        p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
+        self._inertial.forget()
+        self._turning, self.faults, self._read = 0.0, (), wheel.copy()
+        self._turned[:] = 0.0
 
     def _weighed(self, h: float, wheel: Array, message: Array) -> _Explained:
         """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.

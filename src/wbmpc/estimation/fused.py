@@ -11,6 +11,7 @@ docs/derivations.md, section "Swerve base".
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,15 @@ AHEAD = 0.1
 PIECE = 0.05
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
 SMOOTHING = 0.05
+#: An interval longer than this [s] is a gap: a mean of the gyro over it is none, and the wheels show only where it ended.
+GAP = 0.1
+#: Standard deviation of where a base is after a gap: this share of the wheels' way, and by this [m/s] whatever they show.
+GAP_SHARE, GAP_SPEED = 0.1, 0.02
+#: Wheels that moved farther [m], and faster [m/s], than any base does: their encoders count anew, and the base stood by
+#: :data:`LEAP_STD` [m, and over the wheels' distance rad].
+LEAP, LEAP_SPEED, LEAP_STD = 0.5, 20.0, 0.1
+#: A gap over which the clock was no clock counts as one of this length [s].
+UNKNOWN_GAP = 1.0
 
 
 class FusedOdometry:
@@ -149,6 +159,25 @@ class FusedOdometry:
         self._past.clear()
         self._last = None
 
+    def bridge(self, t: float) -> None:
+        """The clock jumped: the next message, of time ``t`` [s] or later, ends a gap whose length nobody knows; it counts as one
+        of :data:`UNKNOWN_GAP`. Raises :class:`InputError` for a time that is not finite."""
+        finite("odometry", t=t)
+        if self._last is not None:
+            self._state = replace(self._state, t=t - UNKNOWN_GAP)
+            self._past.clear()
+
+    @property
+    def time(self) -> float:
+        """Of the last message [s]; minus infinity before the first."""
+        return self._state.t
+
+    def move_clock(self, by: float) -> None:
+        """The clock's zero moves: what was at time t [s] was at t + ``by``. Raises :class:`InputError` for no finite number."""
+        finite("odometry", by=by)
+        self._state = replace(self._state, t=self._state.t + by)
+        self._past = deque((replace(state, t=state.t + by), step) for state, step in self._past)
+
     # ------------------------------------------------------------------ wheels and gyro
     def update(
         self,
@@ -165,8 +194,9 @@ class FusedOdometry:
         ``weights`` (n): little for wheels that are known to slip, of two or more above 0.
 
         ``brake`` (n): which hinges turn freely by now (1 = open; left out: none is taken to). A leg that gives way shows where its
-        wheel goes, and so the zeros. The first message only starts. Raises :class:`InputError` for numbers that are not finite or
-        time that goes back.
+        wheel goes, and so the zeros. The first message only starts. After a gap (:data:`GAP`) the gyro does not count: the wheels'
+        way over it moves the pose, the covariance grows (:data:`GAP_SHARE`, :data:`GAP_SPEED`), and global poses from before
+        its end no longer count. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
         now = self._reader.checked(leg, steer, wheel)
         if not np.isfinite(t) or t < self._state.t or (gyro is not None and not np.isfinite(gyro)):
@@ -178,14 +208,43 @@ class FusedOdometry:
         if self._last is None:
             self._state = self._started(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            step = self._step(h, self._last, now, gyro, self._open & is_open, weighed)
-            self._past.append((self._state, step))
-            self._state = advanced(self._state, step, self.noise)
-            self.twist = step.twist / h
+            self._advance(h, self._last, now, gyro, self._open & is_open, weighed)
             while self._past and self._past[0][0].t < t - self._keep:
                 self._past.popleft()
         self._last, self._open = now, is_open
         return self.pose
+
+    def _advance(
+        self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
+    ) -> None:
+        way = float(np.max(np.abs(now[2] - before[2]))) * self.geometry.wheel_radius
+        leap = way > LEAP and way > LEAP_SPEED * h
+        gap = h > GAP or leap
+        if leap:
+            before = now
+        step = (
+            self._bridged(h, before, now, LEAP_STD if leap else 0.0)
+            if gap
+            else self._step(h, before, now, gyro, is_open, weights)
+        )
+        self._past.append((self._state, step))
+        self._state = advanced(self._state, step, self.noise)
+        self.twist = step.twist / h
+        if gap:
+            self._past.clear()
+
+    def _bridged(self, h: float, before: Sample, now: Sample, least: float) -> Step:
+        """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``least`` [m]."""
+        n, c = self._n, self._state.mean[WHEELS:].copy()
+        correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
+        moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
+        turned = np.abs(now[1] - before[1])  # steering that turned meanwhile: the way's direction is as uncertain
+        apart = float(np.max((GAP_SHARE + turned) * np.abs(moved.rolled))) + GAP_SPEED * h + least
+        axes = self.geometry.steer_axes(now[0])
+        arm = float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
+        covariance = np.diag([apart, apart, apart / arm]) ** 2
+        self._by_wheels = np.zeros((3, 2 * n))
+        return Step(h, moved.twist, self._by_wheels, c, covariance, 0.0, np.nan)
 
     def _checked_weights(self, given: ArrayLike) -> Array:
         """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""

@@ -12,6 +12,7 @@ from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, not_negative, numbers, positive, positive_time, scales
 from wbmpc.errors import InputError
 from wbmpc.estimation.ball import BallFilter, BallGeometry, BallNoise
+from wbmpc.estimation.ball_gap import GAP
 from wbmpc.estimation.fused import AHEAD
 from wbmpc.model import RobotModel
 from wbmpc.model.ball import BallBase
@@ -75,6 +76,9 @@ class JointTracker:
         """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
         positive_time("joint tracker", interval)
         reading = numbers("joint tracker", "reading", reading, self.angle.size)
+        if interval > GAP:
+            self._restart(reading)
+            return
         h, s = interval, self._density**2
         aa = self._aa + 2.0 * h * self._ar + h * h * self._rr + s * h**3 / 3.0
         ar, rr = self._ar + h * self._rr + s * h * h / 2.0, self._rr + s * h
@@ -97,6 +101,14 @@ class JointTracker:
         gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
         self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
         self._aa, self._ar, self._rr = (1.0 - gain) * aa, (1.0 - gain) * ar, rr - gain_rate * ar
+
+    def _restart(self, reading: Array) -> None:
+        """After a gap joints are where they are read, and nobody knows how fast."""
+        one = np.ones_like(self.angle)
+        self.angle, self.rate, self.reading, self._raw = reading.copy(), 0.0 * one, reading.copy(), reading.copy()
+        self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, one
+        self.jumped, self.surprised = np.zeros(one.shape, dtype=bool), np.ones(one.shape, dtype=bool)
+        self._uncounted, self._step = 0.0 * one, 0.0 * one
 
 
 class RezeroEstimator:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -84,11 +85,13 @@ class Scene:
 
 
 class SceneReader:
-    """Reads a world of MuJoCo: its :class:`Scene`, and at any time poses, joints and contact forces."""
+    """Reads a world of MuJoCo: its :class:`Scene`, and at any time poses, joints and contact forces. ``names``: what bodies are
+    called, if otherwise than in the model; ``robot`` is one of these."""
 
-    def __init__(self, model: mujoco.MjModel, robot: str) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: str, names: Mapping[str, str] | None = None) -> None:
         self.model = model
-        self._names = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+        own = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+        self._names = [(names or {}).get(name, name) for name in own]
         self.scene = Scene(robot, self._bodies(), self._shapes())
         self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
         self.parents = [self._names.index(b.parent) - 1 for b in self.scene.bodies]  # -1: the world

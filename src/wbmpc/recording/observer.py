@@ -1,8 +1,8 @@
 """What can be seen of a running loop: what recordings and views have in common.
 
-Frames (REP 105): ``map`` is the simulated world with z = 0 on the floor, ``odom`` the frame of the controller's estimate, in
-which references and plans are; ``map`` → ``odom`` is the drift. Where the controller has no estimate of the base the two
-are one. Poses (7) are position [m] and quaternion.
+Frames (REP 105; names: :mod:`wbmpc.robots.frames`): ``map`` is the simulated world with z = 0 on the floor, ``odom`` the frame
+of the controller's estimate, in which references and plans are; ``map`` → ``odom`` is the drift. Where the controller has no
+estimate of the base the two are one. Poses (7) are position [m] and quaternion.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from wbmpc import lie
 from wbmpc.loop import Running
 from wbmpc.mpc import Plans
 from wbmpc.plant.scene import SceneReader
+from wbmpc.robots.frames import BASE, frame_names
 
 Array = np.ndarray
 #: Points of a plan that is shown or written.
@@ -39,7 +40,9 @@ class Observer:
     def __init__(self, running: Running) -> None:
         description = running.plant.description
         self.running = running
-        self.reader = SceneReader(running.plant.model, description.base.body)
+        model = running.plant.model
+        names = frame_names(description.base.body, [model.body(i).name for i in range(1, model.nbody)])
+        self.reader = SceneReader(model, BASE, names)
         self.scene = self.reader.scene
         self.lift = np.array([0.0, 0.0, getattr(description.base, "ball_radius", 0.0)])
 

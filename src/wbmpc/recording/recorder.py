@@ -21,11 +21,11 @@ from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
 from wbmpc.recording.writer import McapFile, stamp
+from wbmpc.robots.frames import MAP, ODOM, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 
 #: Rates [Hz] at which states, links and plans are written (at most the controller's).
 STATES, LINKS, PLANS = 100.0, 50.0, 10.0
-MAP, ODOM = "map", "odom"
 #: A second loop of the same run follows this long [s] after the first in the file.
 PAUSE = 1.0
 
@@ -188,6 +188,8 @@ class Recorder:
     def _static_links(self) -> None:
         bodies = self._observer.see().bodies
         fixed = [self._link(bodies, i) for i, body in enumerate(self._observer.scene.bodies) if not body.moves]
+        points = fixed_frames(self.running.plant.description)
+        fixed += [self._transform(point.parent, point.name, point.pose) for point in points]
         self._put("/tf_static", "tf2_msgs/TFMessage", {"transforms": fixed}, latched=True)
 
     def _links(self, moment: Moment) -> None:

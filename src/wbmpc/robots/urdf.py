@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.robots.description import RobotDescription, load_spec
+from wbmpc.robots.frames import BASE, ODOM, fixed_frames, frame_names
 
 _JOINTS = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
@@ -18,32 +19,75 @@ _JOINTS = {
 _SMALL = 1e-12
 
 
-def to_urdf(description: RobotDescription) -> str:
+def to_urdf(description: RobotDescription, base: str = BASE, world: str = ODOM) -> str:
     """The robot's own URDF if it has one, else its bodies, joints and primitive shapes written as URDF.
 
-    Links have the names and frames of MuJoCo's bodies; a tool that is a site becomes a link of its own. URDF knows no ball
-    joint: it becomes a floating one. Meshes and ellipsoids are left out.
+    Links have the frames of MuJoCo's bodies and the names of :func:`wbmpc.robots.frames.frame_names`; the root is the base, which
+    hangs on ``world`` by what ``/tf`` says. Named points (tool, mount, inertial unit) become links of their own. URDF knows no ball
+    joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF
+    what is above the base is left out, and links whose names are taken are renamed.
     """
     if description.model.suffix.lower() == ".urdf":
-        return description.model.read_text()
-    spec = load_spec(description)
-    model = spec.compile()
+        return _own(description, base, world)
+    model = load_spec(description).compile()
     root = Xml.Element("robot", name=description.name)
-    base = model.body(description.base.body).id
-    inside = {base}
+    body = model.body(description.base.body).id
+    inside = {body}
     for i in range(1, model.nbody):
-        if i != base and int(model.body_parentid[i]) in inside:
+        if i != body and int(model.body_parentid[i]) in inside:
             inside.add(i)
             _joints(root, description, model, i)
     for i in sorted(inside):
         _link(root, model, i)
-    if any(s.name == description.arm.tool for s in spec.sites):
-        site = model.site(description.arm.tool)
-        Xml.SubElement(root, "link", name=description.arm.tool)
-        parent = model.body(int(site.bodyid[0])).name
-        _joint(root, f"{description.arm.tool}_fixed", "fixed", parent, description.arm.tool, site.pos, site.quat)
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    _rename(root, frame_names(description.base.body, bodies, base, world))
+    links = {link.get("name") for link in root.iter("link")}
+    for frame in fixed_frames(description, base, world):
+        if frame.parent in links:
+            Xml.SubElement(root, "link", name=frame.name)
+            _joint(root, f"{frame.name}_fixed", "fixed", frame.parent, frame.name, frame.pose[:3], frame.pose[3:])
+    return _written(root)
+
+
+def _written(root: Xml.Element) -> str:
     Xml.indent(root)
     return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _own(description: RobotDescription, base: str, world: str) -> str:
+    """The robot's own URDF from its base on; untouched if that changes nothing."""
+    text = description.model.read_text()
+    root = Xml.fromstring(text)
+    inside, joints = {description.base.body}, root.findall("joint")
+    ends = [(_end(j, "parent"), _end(j, "child")) for j in joints]
+    while below := {child for parent, child in ends if parent in inside} - inside:
+        inside |= below
+    outside = [link for link in root.findall("link") if link.get("name") not in inside]
+    names = frame_names(description.base.body, sorted(inside), base, world)
+    if not outside and all(body == name for body, name in names.items()):
+        return text
+    for element in outside:
+        root.remove(element)
+    for joint, (parent, _) in zip(joints, ends, strict=True):
+        if parent not in inside:
+            root.remove(joint)
+    _rename(root, names)
+    return _written(root)
+
+
+def _end(joint: Xml.Element, tag: str) -> str:
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
+
+
+def _rename(root: Xml.Element, names: dict[str, str]) -> None:
+    """Links, and the joints and others (Gazebo's, MoveIt's) that name them."""
+    for link in root.findall("link"):
+        link.set("name", names.get(link.get("name", ""), link.get("name", "")))
+    for element in root.iter():
+        for key in ("link", "reference"):
+            if element.get(key) in names:
+                element.set(key, names[str(element.get(key))])
 
 
 def _text(values: np.ndarray) -> str:

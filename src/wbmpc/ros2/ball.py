@@ -77,6 +77,18 @@ class BusBallAgent(RezeroAgent):
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
 
+    def follow(self, message: BallMessage) -> None:
+        """A message while nobody commands the drives moves the estimator only."""
+        assert self.estimator is not None
+        if self._sampled is not None and message.time - self._sampled <= 1e-6:
+            return
+        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
+        self._sampled = message.time
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            state = self.estimator.correct(*fix)
+        self.measured = self.seen = RezeroMeasurement(message.now, state, max(message.now - message.time, 0.0))
+
     def parameters(self) -> dict[str, Array]:
         """An announced moment counts as the generalised forces that it is for the robot as it stands now."""
         force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
@@ -221,13 +233,19 @@ class BallPilot:
         return {"wheel": command.torque[:n], "arm": command.torque[n:]}
 
     # ------------------------------------------------------------------ states
-    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> BallMessage:
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> BallMessage:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
         assert imu is not None
         return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
 
     def stand(self, m: BallMessage) -> None:
-        """Somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is."""
+        """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
+        run the estimator goes on, wherever the robot rolls or falls."""
+        if self.agent.seen is not None:
+            self.agent.follow(m)
+            return
         before, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
             self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])

@@ -19,6 +19,7 @@ from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds, sentence_of
 from wbmpc.ros2.goals import Task
+from wbmpc.ros2.health import Health
 from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
 from wbmpc.ros2.legs import Legs
@@ -92,6 +93,7 @@ class ControlNode:
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
+        self.health = Health(self)
         self.teller = Teller(node, self)
         node.offer(parameters_of(self.pilot, settings))
 
@@ -118,6 +120,7 @@ class ControlNode:
         self.pilot.inspect()
         self._move_legs()
         self._lead()
+        self.health.look()
         self.teller.tell()
         if self.state != self._said:
             self._said = self.state
@@ -238,11 +241,13 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _stand(self) -> None:
-        """Follow the sensors while nobody commands the drives."""
-        if self.waits_for():
+        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
+        if unheard or (self.pilot.needs_imu and not self.body.has_imu):
             return
-        with suppress(SafeStop, InputError):
-            self.pilot.stand(self.body.read())
+        for measurement in self.body.unread():
+            with suppress(SafeStop, InputError):
+                self.pilot.stand(measurement)
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
@@ -321,7 +326,10 @@ class ControlNode:
             pilot.swing(legs.angles)
             assert self._task is not None
             self._put(self._task, pilot.references(self._task, x))
-        legs.watch(pilot.brakes, t, leg)
+        if legs.watch(pilot.brakes, t, leg):
+            pilot.legs = legs.angles
+            assert self._task is not None
+            self._put(self._task, pilot.references(self._task, x))
 
     def _lead(self) -> None:
         """Trajectories to those who follow them, and the wrench to who counts with it."""
@@ -346,6 +354,7 @@ class ControlNode:
         self.gate.forget()
         self._put(task, references)
         pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
+        self._stand()  # what the sensors said meanwhile
         watchdog = settings.safety.watchdog
         times = RealTime(
             settings.rates.control,
@@ -441,5 +450,6 @@ class ControlNode:
         """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
         orders = self.legs.refused if self.legs is not None else ""
         said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
         said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}

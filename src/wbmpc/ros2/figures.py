@@ -18,7 +18,7 @@ def figures(controller: ControlNode) -> dict[str, Any]:
         return values
     r = c.runner.report()
     return {
-        **values,
+        **values, **c.health.figures(),
         "commands sent": c.body.sent,
         "began at [s]": f"{c.stamp_of(0.0):.4f}",
         "task": c.task,

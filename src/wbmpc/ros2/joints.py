@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -104,10 +106,33 @@ class JointReader:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Gyro (3) [rad/s] and accelerometer (3) [m/s²] in axes of the base."""
+    """Gyro (3) [rad/s] and accelerometer (3) [m/s²] in axes of the base.
+
+    Of several readings these are their means; ``turning`` (3) [rad/s] is the mean rate from the reading before them to the
+    last one, by trapezoids, None where readings are missing in between."""
 
     gyro: np.ndarray
     accel: np.ndarray
+    turning: np.ndarray | None = None
+
+
+def mean_of(readings: Sequence[Inertial]) -> Inertial:
+    """Means of one or more readings."""
+    if len(readings) == 1:
+        return readings[0]
+    return Inertial(*(np.mean([getattr(i, n) for i in readings], axis=0) for n in ("gyro", "accel")))
+
+
+def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: float) -> np.ndarray | None:
+    """Mean (3) [rad/s] of rates from the first of ``times`` [s] to the last, by trapezoids; None if one of the intervals is longer
+    than ``longest`` [s]. Times that do not rise (of a unit without a clock) count as evenly spaced."""
+    steps = np.diff(times)
+    if steps.size == 0 or steps.max() > longest:
+        return None
+    if steps.min() <= 0.0:
+        steps = np.ones(steps.size)
+    middles = np.array([0.5 * (a + b) for a, b in pairwise(rates)])
+    return np.asarray(steps @ middles / steps.sum())
 
 
 def read_imu(message: Any) -> Inertial:

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.control import BrakeControl
 from wbmpc.control.brakes import refuse_floating, refuse_floating_way
@@ -30,11 +31,15 @@ SET_LEGS = "wbmpc_msgs/srv/SetLegs"
 Now = tuple[Array, Array]
 #: A leg is where it should be within this [rad].
 THERE = 0.01
+#: A leg that comes no nearer by this [rad] within so long [s] will not arrive: wheels turn first for a second or two, and a guard
+#: may hold it now and then.
+NEARER, PATIENCE = 0.002, 4.0
 
 
 class Legs:
     """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
-    ``refused``: why the last bad order was not taken, empty when one has been taken since.
+    ``refused``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on
+    their way, empty from the next order on.
 
     ``ready()``: why no order can be taken; ``now()``: how brakes and legs are. :meth:`apply` and :meth:`watch` belong to the
     node's own thread.
@@ -52,7 +57,10 @@ class Legs:
         self.names = robot.state.groups["leg"]
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
-        self.refused = ""
+        self.refused = self.short = ""
+        self._nearest, self._since = np.zeros(
+            (2, len(self.names))
+        )  # of legs on their way: distance [rad], since when [s]
         self._order: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
@@ -194,6 +202,7 @@ class Legs:
         before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
+        self._nearest[:], self._since[:], self.short = np.inf, t, ""
         brakes.forget(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
@@ -206,18 +215,45 @@ class Legs:
         self.angles = np.where(stays, leg, self.angles)
         return True
 
-    def watch(self, brakes: BrakeControl, t: float, leg: Array) -> None:
-        """Close the brakes of legs that have arrived."""
+    def watch(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
+        """Close the brakes of legs that have arrived, and of those that come no nearer; whether there were some of these, which
+        stay where they are."""
         if self.angles is None or not self.moving.any():
-            return
+            return False
         there = self.moving & (np.abs(leg - self.angles) < THERE)
         if there.any():
-            brake = brakes.commanded(t).copy()
-            brake[there] = 0.0
-            brakes.forget(t)
-            brakes.set(t, brake)
-            self.moving &= ~there
-            _LOG.info("%s arrived: brakes closed", ", ".join(n for n, a in zip(self.names, there, strict=True) if a))
+            self._close(brakes, t, there)
+            _LOG.info("%s arrived: brakes closed", self._named(there))
+        stuck = self._stuck(brakes, t, leg)
+        if not stuck.any():
+            return False
+        self._close(brakes, t, stuck)
+        places = zip(self.names, leg, self.angles, stuck, strict=True)
+        said = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]
+        self.short = f"{', '.join(said)}: no nearer for {PATIENCE:g} s, brakes closed"
+        _LOG.warning("%s", self.short)
+        self.angles = np.where(stuck, leg, self.angles)
+        return True
+
+    def _stuck(self, brakes: BrakeControl, t: float, leg: Array) -> NDArray[np.bool_]:
+        """Legs (n) on their way that come no nearer, but for those whose brakes do not answer: these are waited for."""
+        assert self.angles is not None
+        away = np.abs(leg - self.angles)
+        goes_on = ~self.moving | (away < self._nearest - NEARER) | (t < self._since)
+        goes_on[[fault.leg for fault in brakes.doubted(t)]] = True
+        self._nearest = np.where(goes_on, away, self._nearest)
+        self._since = np.where(goes_on, t, self._since)
+        return np.asarray(t - self._since > PATIENCE)
+
+    def _close(self, brakes: BrakeControl, t: float, which: NDArray[np.bool_]) -> None:
+        brake = brakes.commanded(t).copy()
+        brake[which] = 0.0
+        brakes.forget(t)
+        brakes.set(t, brake)
+        self.moving &= ~which
+
+    def _named(self, which: NDArray[np.bool_]) -> str:
+        return ", ".join(n for n, chosen in zip(self.names, which, strict=True) if chosen)
 
     def stop(self) -> None:
         """The robot has stopped: brakes are closed, nobody is on the way."""

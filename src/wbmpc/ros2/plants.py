@@ -16,8 +16,8 @@ from wbmpc.ros2.convert import seconds, upright
 from wbmpc.ros2.settings import GROUPS, RosSettings, settings_of
 
 Array = np.ndarray
-#: Of the position loop of a simulated joint_trajectory_controller [1/s].
-_GAIN = 10.0
+#: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
+_GAIN, AT_REST = 10.0, float(np.finfo(np.float32).eps)
 
 
 @dataclass(frozen=True)
@@ -56,25 +56,29 @@ class _Side:
         self.last: Reading | None = None
 
     def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> Led:
-        """A JointTrajectory of ``joints``, checked. Raises :class:`InputError`."""
+        """A JointTrajectory of ``joints``, checked by the rules of ros2_control's joint_trajectory_controller as it is configured
+        when nothing is said: all joints once, times that rise, an end that is not over yet and at rest. Raises
+        :class:`InputError`."""
         names = list(message.joint_names)
         if sorted(names) != sorted(joints):
             raise InputError(f"trajectory: the joints {', '.join(joints)} are needed, got {', '.join(names)}")
         order = [names.index(n) for n in joints]
-        start = seconds(message.header.stamp) or now
-        times = start + np.array([seconds(p.time_from_start) for p in message.points])
-        positions = np.array([np.asarray(p.positions, float) for p in message.points]).reshape(times.size, -1)
-        given = np.array([np.asarray(p.velocities, float) for p in message.points]).reshape(times.size, -1)
-        velocities = given if given.shape == positions.shape else np.zeros_like(positions)
-        good = (
-            times.size
-            and positions.shape[1] == len(order)
-            and np.isfinite(positions).all()
-            and np.isfinite(velocities).all()
-        )
-        if not good or np.any(np.diff(times) <= 0.0):
-            raise InputError("trajectory: points with rising times and finite positions of all joints are needed")
-        return Led(places, times, positions[:, order], velocities[:, order])
+        if not message.points:
+            raise InputError("trajectory: it has no points")
+        after = np.array([seconds(p.time_from_start) for p in message.points])
+        positions = _rows("positions", [p.positions for p in message.points], len(order))
+        speeds = [p.velocities for p in message.points]
+        velocities = _rows("velocities", speeds, len(order)) if any(map(len, speeds)) else np.zeros_like(positions)
+        if after[0] < 0.0 or np.any(np.diff(after) <= 0.0):
+            raise InputError(f"trajectory: times from its start must rise from 0 on, got {after.tolist()} s")
+        start = seconds(message.header.stamp)
+        if start and start + after[-1] < now:
+            raise InputError(f"trajectory: it ended {now - start - after[-1]:.3f} s ago")
+        if np.any(np.abs(velocities[-1]) > AT_REST):
+            raise InputError(
+                f"trajectory: its last point must be at rest, got velocities {velocities[-1].tolist()} rad/s"
+            )
+        return Led(places, (start or now) + after, positions[:, order], velocities[:, order])
 
     def track(self, groups: dict[str, Array], now: float) -> None:
         """Speeds of the drives that follow a trajectory, in place."""
@@ -83,6 +87,16 @@ class _Side:
             assert self.last is not None
             for (group, i), p, v in zip(led.places, position, velocity, strict=True):
                 groups[group][i] = v + _GAIN * (p - self.last.joints[group][i])
+
+
+def _rows(what: str, given: list[Any], joints: int) -> Array:
+    """One row of finite numbers for each point, or :class:`InputError`."""
+    if any(len(row) != joints for row in given):
+        raise InputError(f"trajectory: every point needs {joints} {what}, got {[len(row) for row in given]}")
+    rows = np.array([np.asarray(row, float) for row in given])
+    if not np.isfinite(rows).all():
+        raise InputError(f"trajectory: {what} must be finite")
+    return rows
 
 
 class SwerveSide(_Side):

@@ -5,6 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,7 @@ from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.pilot import Groups, Pilot
 from wbmpc.ros2.sending import Sender, senders
 from wbmpc.ros2.settings import RosSettings
@@ -28,6 +31,11 @@ ZEROS = 1.0
 _TOGETHER = 1e-6
 #: How fast the difference of two machines' clocks may grow [s/s].
 _CLOCK_DRIFT = 1e-4
+#: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
+#: its turning by much.
+_HELD = 0.02
+#: While nobody commands the robot, one measurement in so many seconds is enough; so many messages wait for that at most.
+_STANDING, _WAITING = 0.01, 4000
 
 
 class BusRobot:
@@ -47,6 +55,10 @@ class BusRobot:
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
+        self._before: tuple[float, np.ndarray] | None = (
+            None  # the last inertial message that was read: its stamp, its gyro
+        )
+        self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self._lock = threading.Lock()
@@ -75,6 +87,7 @@ class BusRobot:
             grown = 0.0 if before is None else _CLOCK_DRIFT * max(arrival - before[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             self._joints = sample, arrival
+            self._waiting.append(self._joints)
         self._good("joints")
 
     def _take_imu(self, message: Any) -> None:
@@ -91,7 +104,7 @@ class BusRobot:
                 return
             self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
             self._fresh.append((at, taken))
-            del self._fresh[:-100]
+            del self._fresh[:-_WAITING]
 
     @property
     def fault(self) -> str:
@@ -154,12 +167,29 @@ class BusRobot:
         if joints is None:
             raise SafeStop(f"no joint states on {self.settings.topics.joint_states}")
         sample, arrival = joints
+        self._waiting.clear()
         imu = self._averaged(sample.stamp)
         if imu is not None and self._armed:
             silent = self._silent_imu()
             if silent > self.settings.safety.watchdog:
                 raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
-        return self.pilot.measurement(self.clock.now(), self._when(sample, arrival) - self.clock.origin, sample, imu)
+        return self._measurement(sample, arrival, imu)
+
+    def unread(self) -> Iterator[Any]:
+        """Measurements of the joint states that came since the last ones that were read, oldest first: whoever stands follows what
+        others do with the robot. They are thinned out; nothing that the inertial unit said is lost by that."""
+        last = -np.inf
+        for left in range(len(self._waiting) - 1, -1, -1):
+            sample, arrival = self._waiting.popleft()
+            at = self._when(sample, arrival)
+            if left and 0.0 <= at - last < _STANDING:
+                continue
+            last = at
+            yield self._measurement(sample, arrival, self._averaged(sample.stamp))
+
+    def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
+        origin = self.clock.origin
+        return self.pilot.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
 
     def _when(self, sample: JointSample, arrival: float) -> float:
         """When joint states were read, on the clock behind the runner's."""
@@ -178,18 +208,28 @@ class BusRobot:
             if self._read is not None and self._read[0] == stamp:
                 return self._read[1]
             if not self._fresh:
-                return self._inertial[0] if self._inertial is not None else None
+                return self._newest()
             later = [k for k, (at, _) in enumerate(self._fresh) if at > stamp + _TOGETHER]
-            same_clock = abs(self._fresh[-1][0] - stamp) < self.settings.safety.watchdog
+            near = min(abs(self._fresh[k][0] - stamp) for k in (0, -1)) < self.settings.safety.watchdog
+            same_clock = near or (bool(later) and later[0] > 0)
             end = later[0] if later and same_clock else len(self._fresh)
-            due, self._fresh = [i for _, i in self._fresh[:end]], self._fresh[end:]
+            due, self._fresh = self._fresh[:end], self._fresh[end:]
             if not due:
-                return self._inertial[0] if self._inertial is not None else None
-            mean = due[0]
-            if len(due) > 1:
-                mean = Inertial(*(np.mean([getattr(i, n) for i in due], axis=0) for n in ("gyro", "accel")))
-            self._read = stamp, mean
-            return mean
+                return self._newest()
+            before = [self._before] if self._before is not None else []
+            seen = [*before, *((at, i.gyro) for at, i in due)]
+            times, rates = zip(*seen, strict=True)
+            turning = mean_rate(times, rates, self.settings.safety.watchdog)
+            self._before = seen[-1]
+            self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
+            return self._read[1]
+
+    def _newest(self) -> Inertial | None:
+        """The last message again where none came for joint states; an old one says nothing of the turning."""
+        if self._inertial is None:
+            return None
+        taken = self._inertial[0]
+        return replace(taken, turning=taken.gyro if self._silent_imu() <= _HELD else None)
 
     def _silent_imu(self) -> float:
         assert self._inertial is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,8 +13,12 @@ from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.settings import GROUPS, Controller, RosSettings
 
 Place = tuple[str, int]
-#: How far trajectories look ahead [s]: if the node dies, the robot is at rest after that. A stop takes the other one [s].
+#: How far trajectories look ahead [s] before they brake: if the node dies, the robot is at rest after that. A stop takes the other
+#: one [s].
 AHEAD, STOP = 0.5, 0.2
+#: Braking at the end of a trajectory: with this share of the acceleration limits (of joints without one: rad/s²), within a time
+#: from the first to the second [s].
+BRAKING, BRAKES_WITH, BRAKES_WITHIN = 0.8, 2.0, (0.05, 2.0)
 
 
 class Sender:
@@ -55,30 +59,45 @@ class TrajectorySender:
         self._places = [robot.state["arm"].start + arm.index(n) for n in controller.joints]
         rates = robot.input["arm"].start
         self._rates = [rates + arm.index(n) for n in controller.joints]
+        limits = robot.limits
+        most = limits.input_change[self._rates]
+        self._brakes_with = BRAKING * np.where(np.isfinite(most), most, BRAKES_WITH / BRAKING)
+        self._range = limits.state_lower[self._places], limits.state_upper[self._places]
         self.period, self.due = 1.0 / settings.rates.trajectory, -np.inf
 
     def send(self, policy: Policy, t: float, now: float) -> None:
-        """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds."""
+        """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds, then a
+        ramp to rest: without a successor the arm stands, and a joint_trajectory_controller takes no other ends."""
         self.due = t + self.period
         times = policy.times[(policy.times > t + 1e-3) & (policy.times < t + AHEAD)]
+        if not times.size:
+            return
+        positions = [policy.state(float(s))[self._places] for s in times]
+        rates = [policy.feedforward(float(s))[self._rates] for s in times]
+        end, position = self._at_rest(positions[-1], rates[-1])
+        self._publish(
+            now, [*(times - t), float(times[-1]) - t + end], [*positions, position], [*rates, 0.0 * rates[-1]]
+        )
+
+    def _at_rest(self, position: np.ndarray, rate: np.ndarray) -> tuple[float, np.ndarray]:
+        """How long [s] braking from ``rate`` (n) [rad/s] takes, and where (n) [rad] it ends: all joints brake evenly for one time,
+        and none leaves its range (sooner than that it brakes harder)."""
+        takes = float(np.clip(np.max(np.abs(rate) / self._brakes_with), *BRAKES_WITHIN))
+        low, high = np.minimum(self._range[0], position), np.maximum(self._range[1], position)
+        return takes, np.clip(position + 0.5 * takes * rate, low, high)
+
+    def _publish(
+        self, now: float, times: Sequence[float], positions: Sequence[np.ndarray], rates: Sequence[np.ndarray]
+    ) -> None:
         points = [
-            {
-                "positions": policy.state(float(s))[self._places], "velocities": policy.feedforward(float(s))[self._rates],
-                "time_from_start": stamp(float(s) - t),
-            }
-            for s in times
-        ]  # fmt: skip
-        if points:
-            self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
+            {"positions": p, "velocities": v, "time_from_start": stamp(float(s))}
+            for s, p, v in zip(times, positions, rates, strict=True)
+        ]
+        self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
 
     def hold(self, x: np.ndarray, now: float) -> None:
         """Stay at a state (nx)."""
-        point = {
-            "positions": x[self._places],
-            "velocities": np.zeros(len(self._places)),
-            "time_from_start": stamp(STOP),
-        }
-        self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": [point]})
+        self._publish(now, [STOP], [x[self._places]], [np.zeros(len(self._places))])
 
 
 class Trajectories:

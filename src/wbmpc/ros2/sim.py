@@ -16,9 +16,10 @@ from wbmpc.model import RobotModel
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.scene import SceneReader
 from wbmpc.rate_limit import RateLimit
+from wbmpc.robots.frames import FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
-from wbmpc.ros2.convert import header, pose, stamp, vector
+from wbmpc.ros2.convert import header, pose, quaternion, stamp, vector
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.sending import places_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
@@ -35,6 +36,7 @@ AGAIN_LED = 0.2
 BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
 LATE = 0.05
+IMU = "imu"
 TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
 
 
@@ -92,11 +94,9 @@ class SimNode:
         self._hand = self.node.publisher(TRUTH_HAND, "geometry_msgs/msg/PoseStamped")
         self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.name), {}  # type: ignore[var-annotated]
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
-        mount = {"translation": vector(self.side.imu_at)}
-        imu = {"header": header(self.now(), frames.base), "child_frame_id": "imu", "transform": mount}
-        fixed.publish({"transforms": [imu]})
+        fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
-        described.publish({"data": to_urdf(self.robot.description)})
+        described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
             wanted = [places[j] for j in controller.joints]
             take = lambda message, n=name, w=wanted: self._take(n, w, message)
@@ -106,6 +106,15 @@ class SimNode:
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
+
+    def _imu_frame(self) -> dict[str, Any]:
+        """As the URDF has it, or where the simulated one is: for those who run no robot_state_publisher."""
+        frames = self.settings.frames
+        points = fixed_frames(self.robot.description, frames.base, frames.world)
+        at = np.concatenate([self.side.imu_at, [1.0, 0.0, 0.0, 0.0]])
+        imu = next((p for p in points if p.name == IMU), FixedFrame(IMU, frames.base, at))
+        transform = {"translation": vector(imu.pose[:3]), "rotation": quaternion(imu.pose[3:])}
+        return {"header": header(self.now(), imu.parent), "child_frame_id": imu.name, "transform": transform}
 
     def _take(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         values = np.asarray(message.data, float)
@@ -164,8 +173,16 @@ class SimNode:
             if self.plant.diverged:
                 return "the simulation diverged"
             if self.plant.fell:
-                return f"the robot fell at {self.time:.2f} s"
+                return f"the robot fell at {self.time:.2f} s{self._cause()}"
         return "ended"
+
+    def _cause(self) -> str:
+        """What is known of why the robot fell: commands that did not come, or physics that was too slow for its controller."""
+        late = [n for n, heard in self._heard.items() if self.time - heard > COMMAND_TIMEOUT]
+        if late:
+            heard = max(self._heard[late[0]], 0.0)
+            return f" because no commands came on {self._controllers[late[0]].topic} after {heard:.2f} s"
+        return f"; the physics was too slow {self.behind} times" if self.behind else ""
 
     def _advance(self) -> None:
         command = self._command()
@@ -230,7 +247,7 @@ class SimNode:
         reading, at = self.side.read(), self.now()
         sampled = at - reading.age
         imu = {
-            "header": header(sampled, "imu"), "orientation_covariance": [-1.0] + [0.0] * 8,
+            "header": header(sampled, IMU), "orientation_covariance": [-1.0] + [0.0] * 8,
             "angular_velocity": vector(reading.gyro), "linear_acceleration": vector(reading.accel),
         }  # fmt: skip
         self._imu.publish(imu)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -38,6 +40,15 @@ SWING, STRAIGHT = 0.3, 0.03
 _UNKNOWN = 1e6
 
 
+@dataclass(frozen=True)
+class BusMeasurement(SwerveMeasurement):
+    """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that time; ``origin``
+    [s]: where on the bus's clock the zero of ``time`` is."""
+
+    turning: float | None = None
+    origin: float = 0.0
+
+
 class BusAgent(SwerveAgent):
     """A swerve robot's agent that other threads may ask for what it saw last."""
 
@@ -51,6 +62,8 @@ class BusAgent(SwerveAgent):
         super().__init__(*given, **named)
         self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
         self.to_hold: deque[Array] = deque(maxlen=1)  # the newest for the planner
+        self._origin: float | None = None  # of the last measurement
+        self._alone = threading.Lock()  # a tick may still run while the node's thread takes over
 
     def hold(self, until: Array) -> None:
         """Kept for the node's own thread, to which commanded brakes belong."""
@@ -62,11 +75,31 @@ class BusAgent(SwerveAgent):
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
-        super().measure(measurement)
-        fix = self.fix() if self.fix is not None else None
-        if fix is not None:
-            self._correct(*fix)
-        self.seen = measurement, self.odometry.pose
+        with self._alone:
+            self._follow_clock(measurement)
+            super().measure(measurement)
+            fix = self.fix() if self.fix is not None else None
+            if fix is not None:
+                self._correct(*fix)
+            self.seen = measurement, self.odometry.pose
+
+    def _follow_clock(self, measurement: SwerveMeasurement) -> None:
+        """The runner's clock starts anew with each run, and the estimate goes on."""
+        origin = getattr(measurement, "origin", 0.0)
+        if self._origin is not None and origin != self._origin:
+            self.odometry.move_clock(self._origin - origin)
+        self._origin = origin
+        if measurement.time < self.odometry.time:  # the bus's own time went back
+            self.odometry.bridge(measurement.time)
+
+    def _mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+        """As the inertial unit's messages between the two say."""
+        return getattr(now, "turning", None)
+
+    def carry_on(self, other: BusAgent) -> None:
+        """Go on with what another agent has estimated."""
+        self.seen, self.odometry = other.seen, other.odometry
+        self._placed, self._origin, self._alone = other._placed, other._origin, other._alone
 
     def _correct(self, t: float, pose: Array, covariance: Array) -> None:
         """A pose without a covariance is exact; the first one says where the robot is."""
@@ -160,20 +193,24 @@ class SwervePilot:
         return {g: getattr(command, g) for g in GROUPS}
 
     # ------------------------------------------------------------------ states
-    def measurement(self, now: float, at: float, sample: JointSample, imu: Inertial | None) -> SwerveMeasurement:
-        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> BusMeasurement:
+        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
         self._has_imu = imu is not None
         if imu is None:
-            return SwerveMeasurement(at, **sample.groups)  # type: ignore[arg-type]
-        return SwerveMeasurement(at, **sample.groups, gyro=imu.gyro, accel=imu.accel)  # type: ignore[arg-type]
+            return BusMeasurement(at, **sample.groups, origin=origin)  # type: ignore[arg-type]
+        turning = None if imu.turning is None else float(imu.turning[2])
+        return BusMeasurement(
+            at, **sample.groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin  # type: ignore[arg-type]
+        )  # fmt: skip
 
     def stand(self, m: SwerveMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while nobody commands them."""
         agent = self.agent
         agent.use_gyro = self.settings.use_gyro and self._has_imu
         agent.fix = self.fix
-        if agent.measured is None or m.time > agent.measured.time:
-            agent.measure(m)
+        agent.measure(m)
 
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
@@ -187,9 +224,7 @@ class SwervePilot:
         """A new run: the odometry goes on, the runner's clock starts at 0."""
         old, self.brakes, self.legs = self.agent, self._new_brakes(), None
         self.agent = self._new_agent(old.odometry.pose)
-        self.agent.seen, self.agent.odometry = old.seen, old.odometry
-        self.agent.odometry.restart_clock()
-        self.agent._placed = old._placed
+        self.agent.carry_on(old)
         self.mpc.reset(x)
 
     def swing(self, legs: Array) -> None:

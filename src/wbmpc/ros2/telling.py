@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.mpc import Policy
+from wbmpc.robots import RobotDescription
+from wbmpc.robots.frames import frame_names
 from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
 from wbmpc.ros2.figures import figures
 from wbmpc.ros2.markers import Footprint
+from wbmpc.ros2.settings import RosSettings
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
@@ -39,6 +43,7 @@ class Teller:
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
         self.footprint = Footprint(controller.robot, controller.settings.frames.world, controller.breathe)
+        self._ball = _ball_frame(controller.robot.description, controller.settings)
         rates = controller.settings.rates
         self._due = {
             "odom": [0.0, 1.0 / rates.odom],
@@ -52,7 +57,7 @@ class Teller:
         """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
-        said = c.state, *c.refused().values(), *c.pilot.faults
+        said = c.state, *c.refused().values(), *c.pilot.faults, c.health.late, c.health.fell
         if said != self._said and now - self._told > SOON:
             self._said, self._due["say"][0] = said, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
@@ -83,10 +88,11 @@ class Teller:
                 "covariance": e.twist_covariance.ravel(),
             },
         })  # fmt: skip
-        transform = {"translation": vector(e.position), "rotation": quaternion(e.orientation)}
-        self._send("tf", {
-            "transforms": [{"header": header(now, frames.world), "child_frame_id": frames.base, "transform": transform}]
-        })  # fmt: skip
+        transforms = [_transform(now, frames.world, frames.base, e.position, e.orientation)]
+        if self._ball:  # a URDF's floating joint: nobody else has its frame. How a sphere has turned is not estimated
+            upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
+            transforms.append(_transform(now, frames.base, self._ball, np.zeros(3), upright_again))
+        self._send("tf", {"transforms": transforms})
         self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
 
     def _hand(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,13 +130,26 @@ class Teller:
         c = self.controller
         self._told = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
-        level = ERROR if stopped or c.ill else WELL if c.running else WARNING
-        if level == WELL and c.refused():
+        level = ERROR if stopped or c.ill or c.health.fell else WELL if c.running else WARNING
+        if level == WELL and (c.refused() or c.health.late):
             level = WARNING
-        message = "; ".join([c.state, *(why for why in c.refused().values() if why not in c.state)])
+        reasons = [why for why in c.refused().values() if why not in c.state]
+        message = "; ".join(filter(None, [c.health.fell, c.state, c.health.late, *reasons]))
         entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, figures(c))]
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
         found = c.pilot.faults
         entries += [status(WARNING, f"{c.settings.node}: {c.pilot.watches}", "; ".join(found), "", {})] if found else []
         self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})
+
+
+def _transform(now: float, parent: str, child: str, position: np.ndarray, orientation: np.ndarray) -> dict[str, Any]:
+    transform = {"translation": vector(position), "rotation": quaternion(orientation)}
+    return {"header": header(now, parent), "child_frame_id": child, "transform": transform}
+
+
+def _ball_frame(description: RobotDescription, settings: RosSettings) -> str:
+    """The frame of a ball robot's ball, whose origin is the base's; empty without one."""
+    ball = getattr(description.base, "ball", "")
+    frames = settings.frames
+    return frame_names(description.base.body, [ball], frames.base, frames.world)[ball] if ball else ""

@@ -1,0 +1,101 @@
+"""Whether the controller keeps up with time, and whether its robot still stands; what is wrong is said in words."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wbmpc.ros2.clock import BusClock
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
+
+_LOG = logging.getLogger("wbmpc")
+#: Figures are those of the last so many seconds.
+WINDOW = 2.0
+#: A controller is late that runs at less than this share of real time, or of whose ticks more than this share are late.
+SLOW, OFTEN = 0.95, 0.05
+#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it.
+FALLEN = 0.7
+
+
+class Health:
+    """Of a controller's node; :meth:`look` is called now and then by its own thread.
+
+    ``factor``: real-time factor, by how much the runner's time went on in one second of the wall's (NaN before it is known); with
+    simulated time that of the simulator. ``late_ticks``: ticks of the last :data:`WINDOW` that were skipped, or whose command left
+    late (:class:`wbmpc.mpc.figures.Punctuality`). ``late`` and ``fell``: what is wrong, empty if nothing is.
+    """
+
+    def __init__(self, controller: ControlNode) -> None:
+        self.controller = controller
+        self.factor, self.late_ticks, self.late, self.fell = np.nan, 0, "", ""
+        self._began: tuple[Any, float, float, int] | None = None
+
+    def look(self) -> None:
+        """Judge anew."""
+        self._look_at_time()
+        self._look_at_lean()
+
+    def _look_at_time(self) -> None:
+        c = self.controller
+        runner, now = c.runner, time.perf_counter()
+        if runner is None or not c.running or runner.plans.current is None:
+            self._began, self.late = None, ""
+            return
+        ticks = int(runner.own["ticks"]) * c.period
+        late = int(runner.own["misses"]) + runner.punctuality.late
+        if self._began is None or self._began[0] is not runner:
+            self._began = runner, now, ticks, late
+            return
+        passed = now - self._began[1]
+        if passed < WINDOW:
+            return
+        self.factor, self.late_ticks = (ticks - self._began[2]) / passed, late - self._began[3]
+        self._began = runner, now, ticks, late
+        self._judge(passed)
+
+    def _judge(self, passed: float) -> None:
+        """A simulator's time may be slow as it likes: it is the wall's that a robot does not wait for."""
+        expected = passed / self.controller.period
+        behind = self.factor < SLOW or self.late_ticks > OFTEN * expected
+        if isinstance(self.controller.clock, BusClock) or not behind:
+            self.late = ""
+            return
+        said = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
+        if not self.late:
+            _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, said)
+        self.late = f"the controller is late: real-time factor {self.factor:.2f}, {said}"
+
+    def _look_at_lean(self) -> None:
+        """Only who balances falls, and only who has been balanced."""
+        c = self.controller
+        seen = c.pilot.snapshot() if c.pilot.keeps and c.runner is not None else None
+        if seen is None:
+            self.fell = ""
+            return
+        lean = math.acos(math.cos(seen[1][3]) * math.cos(seen[1][4]))  # x, y, yaw, pitch, roll
+        if lean <= FALLEN:
+            self.fell = ""
+        elif not self.fell:
+            self.fell = f"the robot fell, it leans by {math.degrees(lean):.0f} degrees, because {self._cause()}"
+            _LOG.error("%s", self.fell)
+
+    def _cause(self) -> str:
+        """What is known to have gone wrong before it fell, the first cause first."""
+        c = self.controller
+        assert c.runner is not None
+        if c.runner.stopped:
+            return c.runner.state
+        known = [c.runner.kept, c.body.fault, self.late, *c.pilot.faults]
+        return "; ".join(filter(None, known)) or "the torques that it has could not catch it: no fault was found"
+
+    def figures(self) -> dict[str, str]:
+        """For diagnostics."""
+        said = {"late": self.late, "fell": self.fell}
+        known = {"real-time factor": f"{self.factor:.3f}", "late ticks": str(self.late_ticks)}
+        return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in said.items() if v}}

@@ -1,0 +1,108 @@
+"""What the node says about being late and about a fall. Truth: clocks and counters that the test sets; MuJoCo's robot that fell."""
+
+from __future__ import annotations
+
+import logging
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, private
+
+from wbmpc.model import load_robot
+from wbmpc.mpc import WallClock
+from wbmpc.ros2 import Network
+from wbmpc.ros2 import health as module
+from wbmpc.ros2.health import Health
+
+pytestmark = needs_dds
+if not MISSING:
+    from simulated import Simulated
+
+
+def controller(**changes: Any) -> Any:
+    """What Health looks at, as a test wants it."""
+    runner = SimpleNamespace(
+        plans=SimpleNamespace(current=object()), own={"ticks": 0, "misses": 0}, kept="", stopped=False,
+        punctuality=SimpleNamespace(late=0), state="running",
+    )  # fmt: skip
+    pilot = SimpleNamespace(keeps=False, faults=[], snapshot=lambda: None)
+    given = {"clock": WallClock(), "runner": runner, "running": True, "period": 0.0025, "pilot": pilot}
+    return SimpleNamespace(**{**given, "body": SimpleNamespace(fault=""), **changes})
+
+
+def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """By hand: 800 ticks of 2.5 ms in 2 s are real time; 400 are half of it; 80 late ones of 800 are too many."""
+    caplog.set_level(logging.WARNING, "wbmpc")
+    now = [100.0]
+    monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
+    c = controller()
+    h, own = Health(c), c.runner.own
+    h.look()
+    assert h.figures() == {}
+
+    def passes(ticks: int, skipped: int, late: int) -> dict[str, str]:
+        now[0] += 2.0
+        own["ticks"] += ticks
+        own["misses"] += skipped
+        c.runner.punctuality.late += late
+        h.look()
+        return h.figures()
+
+    assert passes(800, 0, 3) == {"real-time factor": "1.000", "late ticks": "3"}
+    slow = passes(400, 400, 0)
+    assert (slow["real-time factor"], slow["late ticks"]) == ("0.500", "400")
+    says = "the controller is late: real-time factor 0.50, 400 of 800 ticks were late in the last 2.0 s"
+    assert slow["late"] == h.late == says and caplog.text.count(says) == 1
+    assert "80 of 800 ticks were late" in passes(800, 0, 80)["late"]
+    assert "late" not in passes(800, 0, 0)
+    c.running = False
+    h.look()
+    assert not h.late
+
+
+@pytest.mark.parametrize(
+    ("changes", "because"),
+    [
+        (
+            {"stopped": True, "state": "stopped at 3.000 s: no joint states"},
+            "because stopped at 3.000 s: no joint states",
+        ),
+        ({"kept": "the MPC raised ValueError"}, "because the MPC raised ValueError; a wheel slips"),
+        ({}, "because a wheel slips"),
+    ],
+)
+def test_the_cause_of_a_fall(changes: dict[str, Any], because: str) -> None:
+    c = controller()
+    vars(c.runner).update(changes)
+    c.pilot.keeps, c.pilot.faults = True, ["a wheel slips"]
+    leans = [0.3]
+    c.pilot.snapshot = lambda: (0.0, np.array([1.0, 2.0, 0.5, 0.0, leans[0]]))
+    h = Health(c)
+    h.look()
+    assert not h.fell
+    leans[0] = 0.8
+    h.look()
+    assert h.fell == f"the robot fell, it leans by 46 degrees, {because}"
+    leans[0] = 0.1  # put up again
+    h.look()
+    assert not h.fell
+
+
+def test_a_ball_robot_that_is_stopped_says_why_it_fell() -> None:
+    """Its MuJoCo twin has fallen; the estimate goes on after the stop, and diagnostics name the cause."""
+    s = Simulated(load_robot("rezero"), Network.of(private()))
+    try:
+        s.ready()
+        s.hand()
+        assert s.until(lambda: s.control.state.startswith("running:")), s.control.state
+        s.run(0.2)
+        s.control.runner.halt("the battery is empty")
+        says = "degrees, because stopped at "
+        assert s.until(lambda: s.control.health.fell and any(says in m for m in s.messages(2))), s.control.state
+        assert "the battery is empty" in s.control.health.fell and s.truth().tilt > 0.6
+        assert s.until(lambda: s.why)
+        assert s.why.startswith("the robot fell at ")
+    finally:
+        s.close()

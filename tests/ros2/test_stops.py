@@ -1,0 +1,152 @@
+"""The odometry through stops while the base turns. Truth: the stand-in's wheels, which roll without slip, summed up in every
+period; whoever stops our robot goes on turning it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import MISSING, needs_dds, wait_until
+
+from wbmpc.estimation import WheelOdometry
+
+pytestmark = needs_dds
+if not MISSING:
+    from standin import PERIOD, ROBOT
+
+
+class Turned:
+    """A stand-in with an inertial unit that turns as the bus asks it to, or as ``other`` does. ``imu_heard``, ``joints_heard``:
+    which of its sensors are; ``broken``: the next joint states are."""
+
+    def __init__(self, p: Any) -> None:
+        self.p, self.imu_heard, self.joints_heard, self.other = p, True, True, False
+        self.truth = WheelOdometry(ROBOT.base.geometry)
+        self._imu = p.standin.node.publisher("/imu", "sensor_msgs/msg/Imu")
+        self._speeds = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+        self.broken = False
+        p.standin.change = self.change
+        take = p.standin._take
+        p.standin._take = lambda group, message: None if self.other else take(group, message)
+
+    def change(self, message: dict[str, Any]) -> dict[str, Any] | None:
+        """The inertial unit speaks before the joint states."""
+        joints = self.p.standin.joints
+        self.truth.update(joints["leg"], joints["steer"], joints["wheel"])
+        if self.imu_heard:
+            rate = self.truth.increment[2] / PERIOD
+            self._imu.publish({"header": message["header"], "angular_velocity": {"z": rate}})
+        if self.broken:
+            self.broken = False
+            return {**message, "position": message["position"] * np.nan}
+        return message if self.joints_heard else None
+
+    def turn(self) -> None:
+        """Until the base turns at 0.6 rad/s."""
+        p, self.other = self.p, False
+        assert p.until(lambda: self._speeds._writer.get_matched_subscriptions() and not p.control._rival)
+        self._speeds.publish({})
+        p.run(0.3)
+
+        def turns() -> bool:
+            self._speeds.publish({"angular": {"z": 0.6}})
+            return bool(self.truth.increment[2] > 0.55 * PERIOD)
+
+        assert p.until(turns), (p.control.state, p.control.inbox.refused)
+
+    def stopped(self, seconds: float) -> None:
+        """The controller stops, and another one turns the base for some time."""
+        p = self.p
+        assert p.until(lambda: p.control.runner.stopped), p.control.state
+        self.other = True
+        p.standin.commands["steer"] = np.zeros(4)
+        self.drive(0.6, seconds)
+        self.drive(0.0, 0.3)
+
+    def drive(self, turn: float, seconds: float) -> None:
+        """Wheels as they point, at the speed of a turn [rad/s]."""
+        self.p.standin.commands["wheel"] = self._turning * turn
+        self.p.run(seconds)
+
+    def keep(self) -> None:
+        """How the wheels turn for 1 rad/s, as they do now."""
+        self._turning = self.p.standin.commands["wheel"] * PERIOD / self.truth.increment[2]
+
+    def error(self) -> np.ndarray:
+        """Of the odometry: x, y, yaw."""
+        p = self.p
+        state = lambda: p.control.pilot.snapshot()[1][ROBOT.state["wheel"]]
+        now = lambda: np.abs(state() - p.standin.joints["wheel"]).max() < 1e-6
+        assert wait_until(lambda: p.run(PERIOD) or now(), 20.0), p.control.state
+        return np.abs(p.control.pilot.agent.odometry.pose - self.truth.pose)
+
+
+def second_publisher(t: Turned) -> Callable[[], None]:
+    node = t.p.node
+    publishers = node.publishers
+    node.publishers = lambda topic: [SimpleNamespace(own=False)] if "commands" in topic else publishers(topic)
+    return lambda: setattr(node, "publishers", publishers)
+
+
+def stale_joints(t: Turned) -> Callable[[], None]:
+    t.joints_heard = False
+    return lambda: setattr(t, "joints_heard", True)
+
+
+def silent_imu(t: Turned) -> Callable[[], None]:
+    t.imu_heard = False
+    return lambda: setattr(t, "imu_heard", True)
+
+
+def broken_message(t: Turned) -> Callable[[], None]:
+    t.broken = True
+    return lambda: None
+
+
+def plan_too_old(t: Turned) -> Callable[[], None]:
+    t.p.control.runner.halt("the policy is 0.6 s old, the limit is 0.5 s")
+    return lambda: None
+
+
+def clock_ahead(t: Turned) -> Callable[[], None]:
+    t.p.standin.time += 3.0
+    return lambda: None
+
+
+def clock_back(t: Turned) -> Callable[[], None]:
+    t.p.standin.time -= 0.5
+    t.p.standin.answers = 0.01
+    return lambda: setattr(t.p.standin, "answers", 5.0)
+
+
+CAUSES = [second_publisher, stale_joints, silent_imu, broken_message, plan_too_old, clock_ahead, clock_back]
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_odometry_goes_on_through_stops(pair: Callable[..., Any], cause: Any) -> None:
+    """Two stops, the second one longer: wrong by less than 5 mrad and 5 mm after each. What nobody heard of joints or inertial unit
+    begins while steering still turns: twice that."""
+    most = 1e-2 if cause in (stale_joints, silent_imu) else 5e-3
+    t = Turned(pair())
+    t.p.ready()
+    for seconds in (0.2, 2.0):
+        t.turn()
+        t.keep()
+        end = cause(t)
+        t.stopped(seconds)
+        end()
+        assert t.error().max() < most, (t.error(), seconds)
+
+
+def test_odometry_goes_on_through_a_stop_of_10_s(pair: Callable[..., Any]) -> None:
+    t = Turned(pair())
+    t.p.ready()
+    t.turn()
+    t.keep()
+    end = second_publisher(t)
+    t.stopped(10.0)
+    end()
+    assert t.truth.pose[2] > 6.0 and t.error().max() < 5e-3, t.error()
