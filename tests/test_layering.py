@@ -28,7 +28,7 @@ ONLY_IN = {
     "mcap": {"recording"},
     "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"model", "mpc", "kernel", "solver", "loop", "view", "ros2", "cli"},
+    "threading": {"logs", "model", "mpc", "kernel", "solver", "loop", "view", "ros2", "cli"},
     "multiprocessing": {"mpc", "benchmark", "view", "experiments"},
     "cyclonedds": {"ros2"},
     "rosbags": {"ros2"},

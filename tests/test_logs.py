@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from wbmpc.logs import RateLimit
+from wbmpc.logs import MOST_CAUSES, RateLimitFilter
 
 
 class Lines(logging.Handler):
@@ -16,7 +16,7 @@ class Lines(logging.Handler):
         self.texts.append(self.format(record))
 
 
-def logger(limit: RateLimit) -> tuple[logging.Logger, list[str]]:
+def logger(limit: RateLimitFilter) -> tuple[logging.Logger, list[str]]:
     log, lines = logging.Logger("test"), Lines()
     log.addHandler(lines)
     log.addFilter(limit)
@@ -26,7 +26,7 @@ def logger(limit: RateLimit) -> tuple[logging.Logger, list[str]]:
 def test_a_flood_of_one_cause_is_one_line_in_each_interval() -> None:
     """1 000 records in 10 s at one line in 5 s: at 0 s, 5 s; the second says how many were left out."""
     now = [0.0]
-    log, lines = logger(RateLimit(5.0, lambda: now[0]))
+    log, lines = logger(RateLimitFilter(5.0, lambda: now[0]))
     for k in range(1000):
         now[0] = 0.01 * k
         log.warning("frame %d is malformed", k)
@@ -34,35 +34,35 @@ def test_a_flood_of_one_cause_is_one_line_in_each_interval() -> None:
 
 
 def test_causes_do_not_silence_each_other() -> None:
-    log, lines = logger(RateLimit(5.0, lambda: 0.0))
+    log, lines = logger(RateLimitFilter(5.0, lambda: 0.0))
     for _ in range(3):
         log.warning("malformed %s", "a")
         log.error("malformed %s", "a")
         log.warning("refused")
     assert lines == ["malformed a", "malformed a", "refused"]
-    limit = RateLimit(5.0, lambda: 0.0)
-    assert [limit.admit(c) for c in ("one", "one", "two", "one")] == [0, None, 0, None]
+    limit = RateLimitFilter(5.0, lambda: 0.0)
+    assert [limit.limit.left_out(c) for c in ("one", "one", "two", "one")] == [0, None, 0, None]
 
 
 def test_what_was_left_out_is_said_once() -> None:
     now = [0.0]
-    limit = RateLimit(2.0, lambda: now[0])
+    limit = RateLimitFilter(2.0, lambda: now[0])
     found = []
     for now[0] in (0.0, 1.0, 1.5, 2.0, 2.5, 4.5, 10.0):
-        found.append(limit.admit("cause"))
+        found.append(limit.limit.left_out("cause"))
     assert found == [0, None, None, 2, None, 1, 0]
 
 
 def test_many_causes_do_not_fill_the_memory() -> None:
-    limit = RateLimit(5.0, lambda: 0.0)
+    limit = RateLimitFilter(5.0, lambda: 0.0)
     for k in range(10_000):
-        assert limit.admit(k) == 0
-    assert len(limit._causes) <= 256
+        assert limit.limit.left_out(k) == 0
+    assert len(limit.limit._seen) <= MOST_CAUSES
 
 
 def test_brief_lines_name_the_exception_without_its_traceback() -> None:
     for brief in (True, False):
-        log, lines = logger(RateLimit(5.0, lambda: 0.0, brief=brief))
+        log, lines = logger(RateLimitFilter(5.0, lambda: 0.0, brief=brief))
         try:
             raise ValueError("no number")
         except ValueError:

@@ -1,48 +1,77 @@
-"""Log records of one cause, limited in their rate: a flood of bad input must not become a flood of lines."""
+"""Log lines of one cause, limited in their rate: a flood of bad input must not become a flood of lines."""
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 
-#: Causes that are remembered; of more the one that was heard longest ago is forgotten.
-_CAUSES = 256
+#: Causes that are known at a time; of more the oldest is forgotten.
+MOST_CAUSES = 1000
 
 
-class RateLimit(logging.Filter):
-    """Lets one record of each cause pass per ``interval`` [s] of ``clock``, with the number of those left out since the last.
+@dataclass
+class _Seen:
+    """``since`` [s]: when the period began; lines in it; lines that were left out since the last one that was written."""
 
-    A filter for a logger or a handler; the cause of a record is its level, its message before the arguments are filled in and
-    the type of its exception. For a cause of one's own see :meth:`admit`. ``brief``: exceptions are named without tracebacks.
+    since: float
+    written: int = 0
+    left_out: int = 0
+
+
+class RateLimit:
+    """At most ``lines`` of one cause within ``period`` [s] of ``clock()``; the next line of the cause that is written says how
+    many were left out before it. Thread-safe."""
+
+    def __init__(self, lines: int = 5, period: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.lines, self.period, self.clock = lines, period, clock
+        self._seen: dict[Hashable, _Seen] = {}
+        self._lock = threading.Lock()
+
+    def left_out(self, cause: Hashable) -> int | None:
+        """Count a line of a cause. How many of it were left out before, if this one may be written, else None."""
+        now = self.clock()
+        with self._lock:
+            seen = self._seen.pop(cause, None) or _Seen(now)
+            self._seen[cause] = seen  # the newest is the last
+            if len(self._seen) > MOST_CAUSES:
+                del self._seen[next(iter(self._seen))]
+            if now - seen.since >= self.period:
+                seen.since, seen.written = now, 0
+            if seen.written >= self.lines:
+                seen.left_out += 1
+                return None
+            seen.written += 1
+            left_out, seen.left_out = seen.left_out, 0
+            return left_out
+
+    def log(self, logger: logging.Logger, level: int, cause: Hashable, message: str) -> None:
+        """Write a line, unless there were too many of its cause."""
+        left_out = self.left_out(cause)
+        if left_out is not None:
+            more = f" ({left_out} more of this kind were left out)" if left_out else ""
+            logger.log(level, "%s%s", message, more, stacklevel=2)
+
+
+class RateLimitFilter(logging.Filter):
+    """A filter for a logger or a handler that lets one record of each cause pass per ``interval`` [s] of ``clock``.
+
+    The cause of a record is its logger, its level, its message before the arguments are filled in and the type of its exception.
+    ``brief``: exceptions are named without tracebacks.
     """
 
     def __init__(
         self, interval: float = 5.0, clock: Callable[[], float] = time.monotonic, *, brief: bool = False
     ) -> None:
         super().__init__()
-        self.interval, self.clock, self.brief = interval, clock, brief
-        self._causes: OrderedDict[Hashable, list[float]] = (
-            OrderedDict()
-        )  # cause: when one passed, how many did not since
-
-    def admit(self, cause: Hashable) -> int | None:
-        """Whether something of this cause may be logged now: None if not, else how many were left out since the last one."""
-        now, seen = self.clock(), self._causes.get(cause)
-        if seen is not None and now < seen[0] + self.interval:
-            seen[1] += 1
-            return None
-        self._causes[cause] = [now, 0]
-        self._causes.move_to_end(cause)
-        if len(self._causes) > _CAUSES:
-            self._causes.popitem(last=False)
-        return 0 if seen is None else int(seen[1])
+        self.limit, self.brief = RateLimit(1, interval, clock), brief
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether a record passes; the one that does says how many like it did not."""
         error = record.exc_info[1] if record.exc_info else None
-        left_out = self.admit((record.name, record.levelno, str(record.msg), type(error)))
+        left_out = self.limit.left_out((record.name, record.levelno, str(record.msg), type(error)))
         if left_out is None:
             return False
         text = record.getMessage()

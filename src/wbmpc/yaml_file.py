@@ -141,7 +141,9 @@ class _Reader:
             sign = "-" if text.startswith("-") else ""
             self._fail(event, path, f"'{text}' may be read as an octal number; write {sign}{digits}, or quote a text")
         if _SEXAGESIMAL.fullmatch(text):
-            self._fail(event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text")
+            self._fail(
+                event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text"
+            )
         if kind in ("int", "float") and len(text) > MOST_DIGITS:
             self._fail(event, path, f"a number of {len(text)} characters; at most {MOST_DIGITS} are read")
         value = _plain(kind, text)

@@ -29,7 +29,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.rate_limit import RateLimit
+from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
 from wbmpc.ros2.carrier import idl_types, shared_carrier
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write

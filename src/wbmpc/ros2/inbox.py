@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.rate_limit import RateLimit
+from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path

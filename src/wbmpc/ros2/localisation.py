@@ -11,8 +11,8 @@ import numpy as np
 
 from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.mpc.safety import SafeStop
-from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
 from wbmpc.ros2.settings import RosSettings

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.mpc import WallClock
 from wbmpc.mpc.safety import SafeStop
-from wbmpc.rate_limit import RateLimit
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import seconds

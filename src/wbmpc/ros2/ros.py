@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rosidl_runtime_py.utilities import get_message, get_service
 
-from wbmpc.rate_limit import RateLimit
+from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
 from wbmpc.ros2.convert import sentence_of
 from wbmpc.ros2.mismatch import Mismatches, Ours

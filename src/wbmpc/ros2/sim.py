@@ -12,10 +12,10 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.model import RobotModel
 from wbmpc.plant.perturbation import Perturbation
 from wbmpc.plant.scene import SceneReader
-from wbmpc.rate_limit import RateLimit
 from wbmpc.robots.frames import FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos

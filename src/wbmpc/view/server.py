@@ -16,7 +16,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Response
 
 from wbmpc.errors import InputError
-from wbmpc.logs import RateLimit
+from wbmpc.logs import RateLimitFilter
 from wbmpc.view.access import Access
 from wbmpc.view.frames import LARGEST, checked
 
@@ -42,7 +42,7 @@ class Guard:
         # not one of the registered loggers: their filters would add up over several servers
         self.log = logging.Logger("wbmpc.view")
         self.log.parent = logging.getLogger("wbmpc")
-        self.log.addFilter(RateLimit(brief=True))
+        self.log.addFilter(RateLimitFilter(brief=True))
 
     # ------------------------------------------------------------------ requests
     def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:

@@ -64,7 +64,7 @@ class Steering:
     def __init__(self, running: Running, lift: Array, reject: Callable[[str], None] = lambda reason: None) -> None:
         self.running, self.mpc, self._lift, self._reject = running, running.mpc, lift, reject
         self._done = {name: 0 for name in ORDERS if name.endswith("s") and name != "weights"}
-        self._limit = RateLimit()
+        self._limit = RateLimit(1, 5.0)
         self._weights = self._seen_weights = np.ones(MOST_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
@@ -134,7 +134,7 @@ class Steering:
         try:
             act()
         except InputError as error:
-            left_out = self._limit.admit(str(error).partition(":")[0])
+            left_out = self._limit.left_out(str(error).partition(":")[0])
             if left_out is not None:
                 _LOG.warning("view: %s%s", error, f" ({left_out} more like this)" if left_out else "")
             self._reject(str(error))

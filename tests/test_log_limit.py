@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from wbmpc.rate_limit import MOST_CAUSES, RateLimit
+from wbmpc.logs import MOST_CAUSES, RateLimit
 
 LOG = logging.getLogger("wbmpc")
 
