@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "checks", "configuration", "lie", "trajectory", "robots", "model", "stability", "ocp", "kernel", "solver", "zoo",
-    "mpc", "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
+    "errors", "checks", "rate_limit", "configuration", "lie", "trajectory", "robots", "model", "stability", "ocp", "kernel",
+    "solver", "zoo", "mpc", "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
     "compare", "reproduce", "benchmark", "ros2", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
@@ -27,7 +27,7 @@ ONLY_IN = {
     "mcap": {"recording"},
     "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"model", "mpc", "kernel", "loop", "view", "ros2", "cli"},
+    "threading": {"rate_limit", "model", "mpc", "kernel", "loop", "view", "ros2", "cli"},
     "multiprocessing": {"mpc", "benchmark", "view", "experiments"},
     "cyclonedds": {"ros2"},
     "rosbags": {"ros2"},
