@@ -100,8 +100,13 @@ def robots(rng: random.Random, folder: Path) -> Case:
     text = (DATA / f"{name}.yaml").read_text()
     data = yaml.safe_load(text)
     data["model"] = str(DATA / data["model"])
-    place, key = rng.choice([(data, k) for k in data] + [(data[s], k) for s in ("base", "arm", "limits") for k in data[s]])
-    kind, expected = rng.choice(("as it is", "radius", "never", "twice", "missing", "unknown", "soup", "number")), INVALID
+    place, key = rng.choice(
+        [(data, k) for k in data] + [(data[s], k) for s in ("base", "arm", "limits") for k in data[s]]
+    )
+    kind, expected = (
+        rng.choice(("as it is", "radius", "never", "twice", "missing", "unknown", "soup", "number")),
+        INVALID,
+    )
     out = ""
     if kind == "as it is":
         expected = VALID
@@ -148,7 +153,7 @@ _HUGE: tuple[tuple[str, str], ...] = (
     ("world", '<replicate count="100000" offset="0 0 1"><body><geom size="1"/></body></replicate>'),
     ("inside", '<replicate count="999"><replicate count="999"><geom size="1"/></replicate></replicate>'),
     ("world", "<body>" * 5000 + "</body>" * 5000), ("world", "<body/>" * 3000), ("world", '<geom size="1"/>' * 4000),
-    ("world", '<include file="arm.xml"/>'), ("world", '<geom size="-1"/>'), ("world", "<body"), ("world", "<x y='1'/>"),
+    ("world", '<include file="arm.xml"/>'), ("inside", '<geom size="-1"/>'), ("world", "<body"), ("world", "<x y='1'/>"),
     ("top", '<asset><texture name="x" type="2d" builtin="flat" width="90000" height="90000"/></asset>'),
     ("top", '<asset><hfield name="h" nrow="90000" ncol="90000" size="1 1 1 1"/></asset>'),
     ("top", '<asset><mesh name="h" builtin="supersphere" params="9000 1 1"/></asset>'),
@@ -170,7 +175,10 @@ def models(rng: random.Random, folder: Path) -> Case:
     elif kind == "huge":
         parts["world"] = "".join(f'<link name="l{k}"/>' for k in range(3000))
     elif kind == "attribute":
-        parts[rng.choice(("far", "size"))], expected = rng.choice(("nan", "inf", "1e400", "", "a", "0x1", "-1", "1 2", "1e-320")), OPEN
+        parts[rng.choice(("far", "size"))], expected = (
+            rng.choice(("nan", "inf", "1e400", "", "a", "0x1", "-1", "1 2", "1e-320")),
+            OPEN,
+        )
     text = (_URDF if urdf else _ARM).format(**parts)
     if kind == "entities":
         text = _BOMB + text
@@ -203,7 +211,9 @@ def _recording() -> bytes:
         path = Path(folder) / "run.mcap"
         file = McapFile(path)
         file.metadata("run", {"experiment": "toy", "seed": 7, "started": "then", "settings": '{"a": 1}'})
-        file.attach("scene.json", {"robot": "b", "bodies": [{"name": "b", "parent": "world", "moves": True}], "shapes": []})
+        file.attach(
+            "scene.json", {"robot": "b", "bodies": [{"name": "b", "parent": "world", "moves": True}], "shapes": []}
+        )
         for k in range(20):
             header = {"stamp": stamp(0.01 * k), "frame_id": "map"}
             pose = np.array([k, 0, 0, 0, 0, 0, 1.0])
@@ -320,12 +330,16 @@ def runs(rng: random.Random, folder: Path) -> Case:
     elif kind == "rows":
         arrays["hand"] = rng.choice((np.zeros((n + 1, 3)), np.zeros((n, 3, 3)), np.float64(1.0)))
     elif kind == "type":
-        arrays[rng.choice(("hand", "hand.time"))] = rng.choice((np.array(["a"] * n), np.full(n, 1j), np.zeros(n, "M8[s]")))
+        arrays[rng.choice(("hand", "hand.time"))] = rng.choice(
+            (np.array(["a"] * n), np.full(n, 1j), np.zeros(n, "M8[s]"))
+        )
     elif kind == "metric":
         metrics["metrics"] = rng.choice(([], 5, {"error": 5}, {"error": {"value": "x", "unit": "m"}}, {"error": {"value": 1}},
                                          {"error": {"value": [1], "unit": "m"}}, {"error": {"unit": "m"}}))  # fmt: skip
     elif kind == "json":
-        text = rng.choice(("", "[]", "5", "{", "[" * 100000, '{"a":' * 5000, '{"metrics": {"a": {"value": NaN, "unit": ""}}}', "null"))
+        text = rng.choice(
+            ("", "[]", "5", "{", "[" * 100000, '{"a":' * 5000, '{"metrics": {"a": {"value": NaN, "unit": ""}}}', "null")
+        )
     for name in ("a", "b"):
         (folder / name).mkdir(exist_ok=True)
         (folder / name / "metrics.json").write_text(text if kind == "json" else json.dumps(metrics))
@@ -338,7 +352,9 @@ def runs(rng: random.Random, folder: Path) -> Case:
     if kind not in ("metric", "json") and rng.random() < 0.5:  # these have no channels of wheels
         return Case(f"calibrate: {kind}", INVALID, ["calibrate", str(folder / "b")])
     paths = [str(folder / "a"), str(folder / "b")]
-    return Case(f"compare: {kind}: {text[:40]}", expected, ["compare", *paths, "--out", str(folder / "page.html"), "--force"])
+    return Case(
+        f"compare: {kind}: {text[:40]}", expected, ["compare", *paths, "--out", str(folder / "page.html"), "--force"]
+    )
 
 
 # ---------------------------------------------------------------------- calibrations and buses
@@ -359,7 +375,10 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
         n: {"steer_zero": 0.001, "wheel_radius": 0.1, "steer_zero_std": 1e-3, "wheel_radius_std": 1e-3} for n in names
     }
     data: dict[str, Any] = {"modules": rows}
-    kind, expected = rng.choice(("as it is", "never", "twice", "missing", "unknown", "value", "correlation", "soup")), INVALID
+    kind, expected = (
+        rng.choice(("as it is", "never", "twice", "missing", "unknown", "value", "correlation", "soup")),
+        INVALID,
+    )
     more, name = "", rng.choice(names)
     if kind == "as it is":
         expected = VALID
@@ -380,7 +399,11 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
     path = folder / "calibration.yaml"
     Dumper = type("Dumper", (yaml.SafeDumper,), {"ignore_aliases": lambda *_: True})
     path.write_text(yaml.dump(data, Dumper=Dumper) + more, "utf-8", "surrogatepass")
-    return Case(f"calibration: {kind}: {more[:50]!r}", expected, call=lambda: WheelCalibration.load(path, robot.base.geometry, names))
+    return Case(
+        f"calibration: {kind}: {more[:50]!r}",
+        expected,
+        call=lambda: WheelCalibration.load(path, robot.base.geometry, names),
+    )
 
 
 def buses(rng: random.Random, folder: Path) -> Case:

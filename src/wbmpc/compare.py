@@ -84,7 +84,12 @@ def _recorded(path: Path) -> Run:
     metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
     for name, metric in metrics.items():
         check_metric(f"{where}: metric '{name}'", metric)
-    figures = {"experiment": about.get("experiment"), "seed": int(seed) if seed.strip("-") else None, "settings": settings, "metrics": metrics}
+    figures = {
+        "experiment": about.get("experiment"),
+        "seed": int(seed) if seed.strip("-") else None,
+        "settings": settings,
+        "metrics": metrics,
+    }
     note = f"did not complete: {result['reason']}" if result.get("reason") else ""
     if not metrics:
         note = f"left no metrics; its recording ends at {recording.duration:.2f} s"

@@ -15,7 +15,17 @@ from wbmpc.json_file import load_json
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
 LARGEST_LOG = 4 * 1024**3
-_DAMAGED = (ValueError, OSError, EOFError, LookupError, AttributeError, TypeError, MemoryError, RecursionError, SyntaxError)
+_DAMAGED = (
+    ValueError,
+    OSError,
+    EOFError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    MemoryError,
+    RecursionError,
+    SyntaxError,
+)
 _BROKEN_ARCHIVE = (*_DAMAGED, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
@@ -27,7 +37,11 @@ def read_metrics(path: Path) -> dict[str, Any]:
     data = load_json(path)
     if not isinstance(data, dict):
         raise InputError(f"{path}: an object is needed, with the key 'metrics'")
-    for key, kind, name in (("experiment", str, "a text"), ("reason", str, "a text"), ("completed", bool, "true or false")):
+    for key, kind, name in (
+        ("experiment", str, "a text"),
+        ("reason", str, "a text"),
+        ("completed", bool, "true or false"),
+    ):
         if data.get(key) is not None and not isinstance(data[key], kind):
             raise InputError(f"{path}: key '{key}': {name} is needed, got {data[key]!r:.60}")
     for key in ("metrics", "settings"):
@@ -69,7 +83,9 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
     except InputError:
         raise
     except _BROKEN_ARCHIVE as error:
-        raise InputError(f"{path}: this is not the log of a run (log.npz), or not whole: {error or type(error).__name__}") from error
+        raise InputError(
+            f"{path}: this is not the log of a run (log.npz), or not whole: {error or type(error).__name__}"
+        ) from error
     for name, values in channels.items():
         _check_channel(path, name, values, channels)
     return channels

@@ -121,7 +121,7 @@ class _Reader:
         self._loader.get_event()
         return out
 
-    def _check(self, event: yaml.Event, path: tuple[str, ...]) -> None:
+    def _check(self, event: Any, path: tuple[str, ...]) -> None:
         if isinstance(event, yaml.AliasEvent):
             self._fail(event, path, f"an alias (*{event.anchor}) is not allowed; write the value once more")
         if event.anchor is not None:
@@ -141,7 +141,9 @@ class _Reader:
             sign = "-" if text.startswith("-") else ""
             self._fail(event, path, f"'{text}' may be read as an octal number; write {sign}{digits}, or quote a text")
         if _SEXAGESIMAL.fullmatch(text):
-            self._fail(event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text")
+            self._fail(
+                event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text"
+            )
         if kind in ("int", "float") and len(text) > MOST_DIGITS:
             self._fail(event, path, f"a number of {len(text)} characters; at most {MOST_DIGITS} are read")
         value = _plain(kind, text)

@@ -96,12 +96,22 @@ def _check(scene: Scene) -> None:
     known = set(_KINDS.values())
     for shape in scene.shapes:
         if shape.kind not in known or shape.body not in (*names, "world"):
-            raise TypeError(f"a shape of kind {shape.kind!r:.40} on body {shape.body!r:.40}; valid: {', '.join(sorted(known))}")
+            raise TypeError(
+                f"a shape of kind {shape.kind!r:.40} on body {shape.body!r:.40}; valid: {', '.join(sorted(known))}"
+            )
         for field, count in (("size", 3), ("pose", 7), ("colour", 4), ("vertices", None), ("faces", None)):
             values = getattr(shape, field)
-            if not isinstance(values, tuple) or not all(_is_number(v) for v in values) or count not in (None, len(values)):
+            if (
+                not isinstance(values, tuple)
+                or not all(_is_number(v) for v in values)
+                or count not in (None, len(values))
+            ):
                 raise TypeError(f"'{field}' of a shape needs {count or 'several'} numbers, got {values!r:.80}")
-        if len(shape.vertices) % 3 or len(shape.faces) % 3 or any(not 0 <= 3 * f < len(shape.vertices) for f in shape.faces):
+        if (
+            len(shape.vertices) % 3
+            or len(shape.faces) % 3
+            or any(not 0 <= 3 * f < len(shape.vertices) for f in shape.faces)
+        ):
             raise TypeError(f"the mesh of body {shape.body!r:.40} has faces without vertices")
 
 

@@ -19,15 +19,23 @@ from wbmpc.errors import InputError
 LARGEST, MOST_ELEMENTS, MOST_BODIES, DEEPEST, MOST_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 64_000_000
 #: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
 MOST_BESIDE = 1_000
-_OF_WORLD, _LISTS = ("geom", "light", "camera"), ("sensor", "actuator", "keyframe", "contact", "tuple", "equality", "tendon")
+_OF_WORLD, _LISTS = (
+    ("geom", "light", "camera"),
+    ("sensor", "actuator", "keyframe", "contact", "tuple", "equality", "tendon"),
+)
 #: Elements that make several of what is inside, with the numbers whose product says how many.
 _REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
 #: Attributes whose product is the size of an image or a field.
 _AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
+_USED = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 #: Attributes whose every number is a count of what is made, and its largest value.
 _COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture", "width"): 2048.0} | {
     ("size", name): 10_000.0
-    for name in ("nkey", "nuserdata", *(f"nuser_{k}" for k in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")))
+    for name in (
+        "nkey",
+        "nuserdata",
+        *(f"nuser_{k}" for k in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")),
+    )
 }
 _BODIES = ("body", "link", "composite", "flexcomp")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
