@@ -53,13 +53,18 @@ def registry() -> dict[str, Experiment]:
 # ---------------------------------------------------------------------- YAML
 #: Values that no key takes, whatever it is.
 NEVER = (
-    "010", "-017", "1:30", "12:30:45", "!!python/object:os.system x", "!!int 3", "&a 1", "*a", "[" * 200, "{a: " * 100, "[1",
-    "{a: 1, a: 2}", "{<<: {a: 1}}", '"\\ud800"', '"\\0"', '"\\UFFFFFFFF"', "9" * 5000, "1e999", "- [", "%YAML 1.1.1", "a: b: c",
-    "0x_", "\t- 1", "@x", "`x`", "|\n\x01", "!<tag:x> 1", "{? [1] : 2}", "'",
+    "010", "-017", "1:30", "12:30:45", "!!python/object:os.system x", "!!int 3", "&a 1", "*a",
+    "[" * 200, "{a: " * 100, "[1",
+    "{a: 1, a: 2}", "{<<: {a: 1}}", '"\\ud800"', '"\\0"', '"\\UFFFFFFFF"', "9" * 5000, "1e999", "- [",
+    "%YAML 1.1.1", "a: b: c",
+    "0x_", "\t- 1", "@x", "`x`", "|\n\x01",
+    "!<tag:x> 1", "{? [1] : 2}", "'",
 )  # fmt: skip
 _TOKENS = (
-    "1", "-1", "0", "0.5", "1e3", "-.inf", ".nan", "true", "no", "null", "~", "a", "swerve-ur10", "[", "]", "{", "}", ",", ":", ": ",
-    "- ", "\n", " ", "'", '"', "#", "&", "*", "!", "|", ">", "%", "?", "010", "1:30", "_", "+", "0x1", "\u00e9", "\u202e", "2020-01-01",
+    "1", "-1", "0", "0.5", "1e3", "-.inf", ".nan", "true", "no", "null", "~", "a", "swerve-ur10", "[", "]", "{",
+    "}", ",", ":", ": ",
+    "- ", "\n", " ", "'", '"', "#", "&", "*", "!", "|", ">", "%", "?", "010", "1:30", "_", "+", "0x1", "\u00e9",
+    "\u202e", "2020-01-01",
 )  # fmt: skip
 
 
@@ -153,7 +158,8 @@ _HUGE: tuple[tuple[str, str], ...] = (
     ("world", '<replicate count="100000" offset="0 0 1"><body><geom size="1"/></body></replicate>'),
     ("inside", '<replicate count="999"><replicate count="999"><geom size="1"/></replicate></replicate>'),
     ("world", "<body>" * 5000 + "</body>" * 5000), ("world", "<body/>" * 3000), ("world", '<geom size="1"/>' * 4000),
-    ("world", '<include file="arm.xml"/>'), ("inside", '<geom size="-1"/>'), ("world", "<body"), ("world", "<x y='1'/>"),
+    ("world", '<include file="arm.xml"/>'), ("inside", '<geom size="-1"/>'), ("world", "<body"), ("world",
+    "<x y='1'/>"),
     ("top", '<asset><texture name="x" type="2d" builtin="flat" width="90000" height="90000"/></asset>'),
     ("top", '<asset><hfield name="h" nrow="90000" ncol="90000" size="1 1 1 1"/></asset>'),
     ("top", '<asset><mesh name="h" builtin="supersphere" params="9000 1 1"/></asset>'),
@@ -244,7 +250,8 @@ def recordings(rng: random.Random, folder: Path) -> Case:
         data = data.replace(b"zstd", rng.choice((b"lz4\0", b"zst\xff", b"\xff\xff\xff\xff")), 1)
     path = folder / "run.mcap"
     path.write_bytes(data)
-    todo = rng.choice((["log", "info", str(path)], ["log", "export", str(path), "--out", str(folder / "export"), "--force"],
+    todo = rng.choice((["log", "info", str(path)], ["log",
+    "export", str(path), "--out", str(folder / "export"), "--force"],
                        ["compare", str(path), str(path), "--out", str(folder / "page.html"), "--force"]))  # fmt: skip
     # without topics there is nothing to compare; info alone takes every recording
     return Case(f"{' '.join(todo[:2])}: {kind}", expected if todo[1] == "info" or expected == INVALID else OPEN, todo)
@@ -334,7 +341,8 @@ def runs(rng: random.Random, folder: Path) -> Case:
             (np.array(["a"] * n), np.full(n, 1j), np.zeros(n, "M8[s]"))
         )
     elif kind == "metric":
-        metrics["metrics"] = rng.choice(([], 5, {"error": 5}, {"error": {"value": "x", "unit": "m"}}, {"error": {"value": 1}},
+        metrics["metrics"] = rng.choice(([], 5, {"error": 5}, {"error": {"value": "x",
+        "unit": "m"}}, {"error": {"value": 1}},
                                          {"error": {"value": [1], "unit": "m"}}, {"error": {"unit": "m"}}))  # fmt: skip
     elif kind == "json":
         text = rng.choice(
@@ -434,7 +442,8 @@ def buses(rng: random.Random, folder: Path) -> Case:
 
 #: By kind: how many of a hundred cases, and what makes one.
 KINDS: dict[str, tuple[int, Callable[[random.Random, Path], Case]]] = {
-    "settings": (32, settings), "robots": (10, robots), "models": (12, models), "recordings": (8, recordings), "messages": (16, messages),
+    "settings": (32, settings), "robots": (10, robots), "models": (12, models),
+    "recordings": (8, recordings), "messages": (16, messages),
     "scenes": (5, scenes), "runs": (4, runs), "calibrations": (6, calibrations), "buses": (7, buses),
 }  # fmt: skip
 

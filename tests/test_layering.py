@@ -17,7 +17,8 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "checks", "yaml_file", "json_file",
     "configuration", "lie", "trajectory", "robots", "model", "stability", "ocp", "kernel", "solver", "zoo",
-    "mpc", "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report", "run_files", "compare", "reproduce", "benchmark", "ros2", "cli", "__main__",
+    "mpc", "estimation", "plant", "control", "loop", "log", "result", "recording", "experiments", "view", "report",
+    "run_files", "compare", "reproduce", "benchmark", "ros2", "cli", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
