@@ -146,7 +146,8 @@ def _load_robot(path: Path) -> None:
 
 _ARM = """<mujoco model="arm">{top}
  <worldbody><body name="b"><geom size="0.1"/>
-  <body name="t" pos="0 0 {far}"><joint name="j" axis="0 0 1" range="-60 60"/><geom type="box" size="{size} 0.1 0.1"/>{inside}</body>
+  <body name="t" pos="0 0 {far}"><joint name="j" axis="0 0 1" range="-60 60"/>
+  <geom type="box" size="{size} 0.1 0.1"/>{inside}</body>
  </body>{world}</worldbody>{end}</mujoco>"""
 _URDF = """<robot name="arm"><link name="b"/><link name="t"><inertial><mass value="{size}"/><origin xyz="0 0 {far}"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>{world}

@@ -163,7 +163,8 @@ def test_the_balls_radius_is_that_of_its_sphere(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- runs and messages
-ODD = ["", "[]", "[" * 100_000, '{"a":' * 5000, '{"metrics": []}', '{"metrics": {"a": 5}}', '{"metrics": {"a": {"value": "x", "unit": ""}}}',
+ODD = ["", "[]", "[" * 100_000, '{"a":' * 5000, '{"metrics": []}',
+       '{"metrics": {"a": 5}}', '{"metrics": {"a": {"value": "x", "unit": ""}}}',
        '{"metrics": {"a": {"value": NaN, "unit": ""}}}', '{"settings": 5}']  # fmt: skip
 
 

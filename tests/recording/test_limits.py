@@ -7,8 +7,11 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from command_line import shell
+from wbmpc.cli.directories import size_of
+from wbmpc.errors import InputError
 from wbmpc.recording.reader import read
 from wbmpc.recording.writer import McapFile
 
@@ -38,10 +41,11 @@ def test_a_recording_rotates_and_both_parts_stand_by_themselves(tmp_path: Path) 
     np.testing.assert_array_equal(newest, rows[-len(newest) :])
 
 
-def test_a_limit_is_a_size(tmp_path: Path) -> None:
+def test_a_limit_is_a_size() -> None:
+    assert size_of("--record-limit", "1.5GB") == 1_500_000_000
     for text in ("much", "5", "10B", "-1MB", "nanGB"):
-        done = _run("run", "fake", "--record-limit", text, folder=tmp_path)
-        assert done.returncode == 2 and f"--record-limit: '{text}'" in done.stderr
+        with pytest.raises(InputError, match=rf"--record-limit: '{text}'"):
+            size_of("--record-limit", text)
 
 
 def test_a_full_disk_is_named_and_the_figures_are_elsewhere(tmp_path: Path) -> None:
