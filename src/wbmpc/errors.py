@@ -26,6 +26,10 @@ class EndedByUser(RunAborted):
     """The user ended a run: with Ctrl-C, or in a view. Nothing more of it follows. The command line exits with 130."""
 
 
+class NotWritten(RunAborted):
+    """Files of a run could not be written: the message names them, and where its figures are instead. Exits with 1."""
+
+
 class FallForeseen(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 

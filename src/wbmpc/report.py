@@ -6,6 +6,7 @@ import html
 import json
 import math
 import platform
+import tempfile
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -15,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from wbmpc import __version__
+from wbmpc.errors import NotWritten
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 
 #: Name of the recording in a run's directory.
 RECORDING = "run.mcap"
 #: All files of a run.
-RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING)
+RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING, "run-1.mcap")
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MOST_POINTS = 1500
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
@@ -156,7 +158,8 @@ def outcome(result: RunResult) -> dict[str, Any]:
 def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     """Write all files of a run into ``directory`` (made if missing); returns their paths by kind.
 
-    metrics.json comes last and as a whole: where it is, all that it names is there.
+    metrics.json comes last and as a whole: where it is, all that it names is there. Raises :class:`NotWritten` naming a file that
+    cannot be written; metrics.json is then in a directory for temporary files, or the message says what would be in it.
     """
     directory.mkdir(parents=True, exist_ok=True)
     files = {
@@ -175,12 +178,31 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         "faults": result.faults,
         "versions": versions(),
     }
-    result.log.save(Path(files["log"]))
-    Path(files["report"]).write_text(page(result))
-    part = directory / "metrics.json.part"
-    part.write_text(json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n")
-    part.replace(files["metrics"])
+    text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
+    target, part = Path(files["log"]), directory / "metrics.json.part"
+    try:
+        result.log.save(target)
+        target = Path(files["report"])
+        target.write_text(page(result))
+        target = Path(files["metrics"])
+        part.write_text(text)
+        part.replace(target)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        target.unlink(missing_ok=True)
+        raise NotWritten(f"{target}: cannot be written ({error.strerror}); {_elsewhere(result, text)}") from error
     return files
+
+
+def _elsewhere(result: RunResult, text: str) -> str:
+    """Put the figures where there may be room; says where they are, or what they are."""
+    try:
+        path = Path(tempfile.mkdtemp(prefix=f"wbmpc-{result.experiment}-")) / "metrics.json"
+        path.write_text(text)
+        return f"the figures of the run are in {path}"
+    except OSError:
+        figures = {name: _plain(m.value) for name, m in result.metrics.items()}
+        return f"the figures of the run are {json.dumps(figures)}"
 
 
 # ---------------------------------------------------------------------- the page

@@ -121,7 +121,7 @@ class _Reader:
         self._loader.get_event()
         return out
 
-    def _check(self, event: yaml.Event, path: tuple[str, ...]) -> None:
+    def _check(self, event: Any, path: tuple[str, ...]) -> None:
         if isinstance(event, yaml.AliasEvent):
             self._fail(event, path, f"an alias (*{event.anchor}) is not allowed; write the value once more")
         if event.anchor is not None:

@@ -18,7 +18,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
-from wbmpc.cli.directories import run_directory
+from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
@@ -39,8 +39,13 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.terminal import table as plain_table
+<<<<<<< HEAD
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknown_name
+=======
+from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
+from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
+>>>>>>> origin/hostile-files
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -134,6 +139,7 @@ def _execute(
     out: Path | None,
     show: bool,
     view: View | None = None,
+    record_limit: str = RECORD_LIMIT,
 ) -> tuple[RunResult, dict[str, str]]:
     """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
@@ -141,10 +147,10 @@ def _execute(
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.find(name)
-    settings = configure(experiment.config_type, assignments, name)
+    settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
     try:
         while True:
-            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view)
+            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
             if view is None or not view.wants_reset:
                 return result, files
             view.anew()
@@ -162,6 +168,7 @@ def _attempt(
     out: Path | None,
     show: bool,
     view: View | None,
+    limit: int,
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.loop import Watch, interrupt_noted
     from wbmpc.recording.recorder import Recorder
@@ -172,7 +179,7 @@ def _attempt(
     with run_directory(out, name, seed) as directory:
         _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
         _LOG.info("settings: %s", json.dumps(plain))
-        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain))
+        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), limit)
         # the view first: if it cannot open, nothing has been written
         watchers = (recorder,) if view is None else (view, recorder)
         try:
@@ -188,6 +195,8 @@ def _attempt(
                     result.idealisations = [*result.idealisations, STEERED]
                 recorder.close(outcome(result))
                 files = write_run(result, directory)
+                if recorder.failure:
+                    raise NotWritten(f"{recorder.failure}; the run's other files are in {directory}")
             if pressed():
                 raise KeyboardInterrupt
         finally:
@@ -288,11 +297,19 @@ def run(
     show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
     host: Host = LOCAL,
     port: Port = 8080,
+<<<<<<< HEAD
     no_token: NoToken = False,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
     _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
+=======
+    record_limit: RecordLimit = RECORD_LIMIT,
+) -> None:
+    """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
+    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
+    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
+>>>>>>> origin/hostile-files
 
 
 @app.command()

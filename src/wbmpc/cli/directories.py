@@ -7,6 +7,7 @@ a run. A file that the user names is refused when it is there, unless ``--force`
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -18,6 +19,30 @@ import typer
 from wbmpc.errors import InputError
 
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
+
+#: Bytes of a run's recording, with a unit.
+RECORD_LIMIT = "2GB"
+RecordLimit = Annotated[
+    str,
+    typer.Option(
+        metavar="SIZE",
+        help="Largest recording on the disk, as 500MB or 2GB; the oldest half makes room for the newest.",
+    ),
+]
+_UNITS = {"B": 1, "KB": 1_000, "MB": 1_000_000, "GB": 1_000_000_000, "TB": 1_000_000_000_000}
+#: A smaller recording would be all about its own beginning.
+LEAST_RECORD = 1_000_000
+
+
+def size_of(option: str, text: str) -> int:
+    """Bytes of a size such as ``500MB``. Raises :class:`InputError` naming the option."""
+    found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?)\s*([kKMGT]?B)", text.strip())
+    size = float(found[1]) * _UNITS[found[2].upper()] if found else 0.0
+    if size < LEAST_RECORD:
+        raise InputError(
+            f"{option}: '{text}': a size from 1MB on is needed, as 500MB or 2GB; valid units: {', '.join(_UNITS)}"
+        )
+    return int(size)
 
 
 def new_file(option: str, given: Path | None, default: Path, force: bool) -> Path:

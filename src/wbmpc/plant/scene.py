@@ -77,11 +77,47 @@ class Scene:
 
     @classmethod
     def of_plain(cls, data: dict[str, Any]) -> Scene:
-        """The inverse of :meth:`plain`."""
+        """The inverse of :meth:`plain`. Raises KeyError or TypeError for what it cannot have made."""
         shapes: list[dict[str, Any]] = [
             {k: tuple(v) if isinstance(v, list) else v for k, v in s.items()} for s in data["shapes"]
         ]
-        return cls(data["robot"], tuple(Body(**b) for b in data["bodies"]), tuple(Shape(**s) for s in shapes))
+        scene = cls(data["robot"], tuple(Body(**b) for b in data["bodies"]), tuple(Shape(**s) for s in shapes))
+        _check(scene)
+        return scene
+
+
+def _check(scene: Scene) -> None:
+    """Raise TypeError naming what of a scene from a file is of another kind than a drawing needs."""
+    names = [body.name for body in scene.bodies]
+    for body in scene.bodies:
+        if not (isinstance(body.name, str) and isinstance(body.parent, str) and isinstance(body.moves, bool)):
+            raise TypeError(f"a body needs a name, a parent and whether it moves, got {body!r:.80}")
+    if scene.robot not in names:
+        raise TypeError(f"there is no body of the robot's name {scene.robot!r:.40}")
+    known = set(_KINDS.values())
+    for shape in scene.shapes:
+        if shape.kind not in known or shape.body not in (*names, "world"):
+            raise TypeError(
+                f"a shape of kind {shape.kind!r:.40} on body {shape.body!r:.40}; valid: {', '.join(sorted(known))}"
+            )
+        for field, count in (("size", 3), ("pose", 7), ("colour", 4), ("vertices", None), ("faces", None)):
+            values = getattr(shape, field)
+            if (
+                not isinstance(values, tuple)
+                or not all(_is_number(v) for v in values)
+                or count not in (None, len(values))
+            ):
+                raise TypeError(f"'{field}' of a shape needs {count or 'several'} numbers, got {values!r:.80}")
+        if (
+            len(shape.vertices) % 3
+            or len(shape.faces) % 3
+            or any(not 0 <= 3 * f < len(shape.vertices) for f in shape.faces)
+        ):
+            raise TypeError(f"the mesh of body {shape.body!r:.40} has faces without vertices")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 class SceneReader:

@@ -6,7 +6,9 @@ said is under ``/measured``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,10 +22,15 @@ from wbmpc.plant.scene import Scene
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
+<<<<<<< HEAD
 from wbmpc.recording.writer import McapFile, stamp
 from wbmpc.robots.frames import MAP, ODOM, fixed_frames
+=======
+from wbmpc.recording.writer import LIMIT, McapFile, stamp
+>>>>>>> origin/hostile-files
 from wbmpc.robots.urdf import to_urdf
 
+_LOG = logging.getLogger(__name__)
 #: Rates [Hz] at which states, links and plans are written (at most the controller's).
 STATES, LINKS, PLANS = 100.0, 50.0, 10.0
 #: A second loop of the same run follows this long [s] after the first in the file.
@@ -37,12 +44,14 @@ NOWHERE, _ROS_ORDER = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([0, 1, 2, 4, 5
 class Recorder:
     """A :class:`~wbmpc.loop.Watcher` that writes ``path``. The file comes into being when the loop begins.
 
-    ``about``: tables of texts by name, written as metadata (what ran, settings, versions).
+    ``about``: tables of texts by name, written as metadata (what ran, settings, versions). ``limit``: see :class:`McapFile`.
+    Where the file cannot be written any more (a full disk) recording ends, ``failure`` says why, and the run goes on.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]]) -> None:
-        self.path, self.about = path, about
+    def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]], limit: int = LIMIT) -> None:
+        self.path, self.about, self.limit = path, about, limit
         self.file: McapFile | None = None
+        self.failure = ""
         self._start = self._last = 0.0
         self._templates: dict[Any, Template] = {}
         self._scene: Scene | None = None
@@ -50,6 +59,25 @@ class Recorder:
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
         """Open the file and write all that holds for the whole run."""
+        with self._noted():
+            self._begin(running)
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """What the system says of the file, kept: a recording is not worth a run."""
+        try:
+            yield
+        except OSError as error:
+            self.failure = f"{self.path}: cannot be written ({error.strerror}); recording ended at {self._last:.2f} s"
+            _LOG.error("%s; the run goes on", self.failure)
+            with suppress(OSError):  # what is buffered cannot be written either
+                if self.file is not None:
+                    self.file.close()
+            self.file = None
+
+    def _begin(self, running: Running) -> None:
+        if self.failure:
+            return
         self.running, self._solves, self._mode = running, 0, ""
         self._odometry: tuple[float, Array] | None = None
         self._observer = Observer(running)
@@ -64,7 +92,7 @@ class Recorder:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
             return
-        self.file = McapFile(self.path)
+        self.file = McapFile(self.path, self.limit)
         for name, table in self.about.items():
             self.file.metadata(name, table)
         self._scene, self._scenes = None, 0
@@ -86,6 +114,11 @@ class Recorder:
 
     def tick(self, t: float, command: Any, plans: Plans) -> None:
         """Write what is due at time t [s]."""
+        if not self.failure:
+            with self._noted():
+                self._tick(t, command, plans)
+
+    def _tick(self, t: float, command: Any, plans: Plans) -> None:
         self._last = self._start + t
         tick = round(t / self.running.timing.period)
         self._solver()
@@ -103,14 +136,17 @@ class Recorder:
 
     def end(self, ending: Ending) -> None:
         """Note how the loop ended; more loops may follow."""
-        self._put("/mode", "std_msgs/String", {"data": f"ended: {ending.reason or 'completed'}"}, latched=True)
+        if not self.failure:
+            with self._noted():
+                self._put("/mode", "std_msgs/String", {"data": f"ended: {ending.reason or 'completed'}"}, latched=True)
 
     def close(self, result: Mapping[str, Any]) -> None:
         """Complete the file; ``result``: what came out, as metadata."""
-        if self.file is not None:
-            self.file.metadata("result", result)
-            self.file.close()
-            self.file = None
+        with self._noted():
+            if self.file is not None:
+                self.file.metadata("result", result)
+                self.file.close()
+                self.file = None
 
     # ------------------------------------------------------------------ parts
     def _put(self, topic: str, kind: str, message: Message, latched: bool = False) -> None:

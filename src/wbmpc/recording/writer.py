@@ -15,6 +15,8 @@ from wbmpc.recording.messages import Message, encode, full_name, schema
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
+#: Bytes that a run's recording may have on the disk, unless somebody says otherwise: two and a half hours of the swerve robot.
+LIMIT = 2_000_000_000
 #: Quality of service for topics whose last message latecomers get, and for the others (rosbag2's form).
 _QOS = """- history: keep_last
   depth: {depth}
@@ -33,15 +35,38 @@ class McapFile:
 
     The library's writer hands a chunk to the file when it is full, and it goes to the system at once: a program that is
     killed leaves every whole chunk behind.
+
+    ``limit``: bytes on the disk, about. With half of them the file is closed and becomes ``run-1.mcap``, in place of one that was
+    there, and a new one begins; both are whole recordings, and the newest half of the limit is always there.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file = path.open("wb")
+    def __init__(self, path: Path, limit: int = LIMIT) -> None:
+        self.path, self._half = path, limit // 2
+        #: What holds for the whole run, which every new file begins with: by name, by attachment, by latched topic.
+        self._about: dict[str, dict[str, str]] = {}
+        self._attached: dict[str, tuple[float, bytes]] = {}
+        self._latched: dict[str, tuple[str, bytes]] = {}
+        self._open()
+
+    def _open(self) -> None:
+        self._file = self.path.open("wb")
         self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+
+    def _rotate(self, t: float) -> None:
+        """Make this file the one before, in place of another, and go on in a new one that stands by itself."""
+        self._writer.add_metadata("rotated", {"until": f"{t:.9f}"})
+        self.close()
+        self.path.replace(before(self.path))
+        self._open()
+        for name, table in self._about.items():
+            self._writer.add_metadata(name, table)
+        for name, (at, data) in self._attached.items():
+            self._writer.add_attachment(0, nanoseconds(at), name, "application/json", data)
+        for topic, (kind, data) in self._latched.items():
+            self._append(topic, kind, t, data, True)
 
     def put(self, topic: str, kind: str, t: float, message: Message, *, latched: bool = False) -> None:
         """Append a message of type ``kind`` (``geometry_msgs/Pose``) at time ``t`` [s]."""
@@ -49,6 +74,15 @@ class McapFile:
 
     def put_bytes(self, topic: str, kind: str, t: float, data: bytes, *, latched: bool = False) -> None:
         """The same of a message that is encoded already."""
+        if latched:
+            self._latched[topic] = (kind, data)
+        if self._file.tell() > self._half:
+            self._rotate(t)
+            if latched:  # the new file has begun with it
+                return
+        self._append(topic, kind, t, data, latched)
+
+    def _append(self, topic: str, kind: str, t: float, data: bytes, latched: bool) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._channel(topic, kind, latched)
@@ -67,18 +101,27 @@ class McapFile:
 
     def metadata(self, name: str, values: Mapping[str, Any]) -> None:
         """A named table of texts."""
-        self._writer.add_metadata(name, {k: str(v) for k, v in values.items()})
+        self._about[name] = {k: str(v) for k, v in values.items()}
+        self._writer.add_metadata(name, self._about[name])
         self._file.flush()
 
     def attach(self, name: str, value: Any, t: float = 0.0) -> None:
         """A JSON file inside the file, as it is from time ``t`` [s] on."""
-        self._writer.add_attachment(0, nanoseconds(t), name, "application/json", json.dumps(value).encode())
+        self._attached[name] = (t, json.dumps(value).encode())
+        self._writer.add_attachment(0, nanoseconds(t), name, "application/json", self._attached[name][1])
         self._file.flush()
 
     def close(self) -> None:
         """Write index and end."""
-        self._writer.finish()
-        self._file.close()
+        try:
+            self._writer.finish()
+        finally:
+            self._file.close()
+
+
+def before(path: Path) -> Path:
+    """The part of a recording before the newest one: ``run-1.mcap`` of ``run.mcap``."""
+    return path.with_name(f"{path.stem}-1{path.suffix}")
 
 
 def nanoseconds(t: float) -> int:

@@ -36,7 +36,9 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
         _compare(description, key, f"wheel '{joint}'", given, drawn)
     ball = getattr(base, "ball", None)
     if ball is not None and not urdf:
-        _compare(description, "base.ball_radius", f"ball '{ball}'", base.ball_radius, _of_ball(model, ball))
+        _compare(
+            description, "base.ball_radius", f"ball '{ball}'", getattr(base, "ball_radius", 0.0), _of_ball(model, ball)
+        )
 
 
 def _compare(description: RobotDescription, key: str, what: str, given: float, drawn: float | None) -> None:

@@ -1,0 +1,230 @@
+"""Files and values that somebody else made: one message with file and key and exit code 2, never a traceback or a hang.
+
+Truth: the YAML 1.2 specification (no octal without 0o, no sexagesimal numbers, keys are unique), the generators of the fuzz
+command, which know what they break, and the shapes in the robots' own files.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from fake_experiment import REGISTRY, FakeSettings
+from own_bases import write_base
+from wbmpc.cli import main
+from wbmpc.configuration import configure
+from wbmpc.errors import InputError
+from wbmpc.estimation import WheelCalibration
+from wbmpc.model import load_robot
+from wbmpc.recording.messages import decode, encode
+from wbmpc.robots import load_description
+from wbmpc.yaml_file import load_yaml, parse_yaml
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+BAD_YAML = [
+    ("a:\n  b: 010", r"line 2, key 'a.b': '010' may be read as an octal number; write 10"),
+    ("a: [1, 1:30]", r"line 1, key 'a.1': '1:30' may be read as a number to the base of 60"),
+    ("a: 1\nb: 2\na: 3", r"line 3, key 'a': is there twice"),
+    ("a: &x 1\nb: *x", r"line 1, key 'a': an anchor"),
+    ("a: *x", r"line 1, key 'a': an alias"),
+    ("a: !!python/name:os.system x", r"line 1, key 'a': a tag"),
+    ("a: " + "[" * 100, r"nested deeper than 32 levels"),
+    ("<<: {a: 1}", r"merging"),
+    ("a: 1\n---\nb: 1", r"second document"),
+    ('a: "\\UFFFFFFFF"', r"not valid YAML"),
+    ('a: "\\ud800"', r"cannot be printed"),
+    ("a: 0x_", r"not valid YAML"),
+    ("a: " + "9" * 5000, r"a number of 5000 characters"),
+    ("a: 1e999", r"too large"),
+    ("? [1]\n: 2", r"is no key"),
+    ("#" * 300_000, r"at most 262144 are read"),
+]
+
+
+@pytest.mark.parametrize(("text", "says"), BAD_YAML, ids=range(len(BAD_YAML)))
+def test_what_yaml_readers_take_differently_is_an_error_with_file_line_and_key(
+    text: str, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as error:
+        load_yaml(path)
+    assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
+
+
+def test_numbers_and_texts_are_those_of_yaml() -> None:
+    text = "a: 1e-3\nb: 0x1F\nc: '010'\nd: 2020-01-01\ne: 1_000\nf: -.5\ng: yes\nh: ~\ni: [0, 0.5]\n"
+    expected = {
+        "a": 1e-3,
+        "b": 31,
+        "c": "010",
+        "d": "2020-01-01",
+        "e": 1000,
+        "f": -0.5,
+        "g": True,
+        "h": None,
+        "i": [0, 0.5],
+    }
+    assert parse_yaml(text, "text") == expected
+
+
+@pytest.mark.parametrize(
+    "value", ["010", "1:30", "&a 1", "{a: 1, a: 2}", "[" * 5000, '"\\UFFFFFFFF"', "0x_", "9" * 5000]
+)
+def test_values_of_settings_go_by_the_same_rules(value: str) -> None:
+    with pytest.raises(InputError, match=r"^fake: --set mpc.rate="):
+        configure(FakeSettings, [f"mpc.rate={value}"], "fake")
+
+
+def test_calibrations_do(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_text("modules: {}\nmodules: {}\n")
+    robot = load_robot("swerve-ur10")
+    with pytest.raises(InputError, match=r"calibration.yaml: line 2, key 'modules': is there twice"):
+        WheelCalibration.load(path, robot.base.geometry, list(robot.state.groups["steer"]))
+
+
+# ---------------------------------------------------------------------- robots
+ARM = """<mujoco>{top}<worldbody><body name="b"><geom size="0.1"/>
+<body name="t" pos="0 0 1"><joint name="j" range="-60 60"/><geom size="0.1"/>{inside}</body></body>{world}</worldbody></mujoco>"""
+HUGE = [
+    ({"world": '<replicate count="100000"><body><geom size="1"/></body></replicate>'}, "more than"),
+    ({"inside": '<replicate count="999"><replicate count="999"><geom size="1"/></replicate></replicate>'}, "more than"),
+    ({"world": "<body>" * 5000 + "</body>" * 5000}, "nested deeper"),
+    ({"world": '<include file="arm.xml"/>'}, "leads back to itself"),
+    ({"top": '<asset><texture name="x" type="2d" builtin="flat" width="90000" height="90000"/></asset>'}, "texture"),
+    ({"top": '<size nuser_body="2000000000"/>'}, "nuser_body"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("parts", "says"), HUGE, ids=range(len(HUGE)))
+def test_a_robot_file_that_asks_for_too_much_is_an_error_before_it_is_compiled(
+    parts: dict[str, str], says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(**{"top": "", "inside": "", "world": "", **parts}))
+    with pytest.raises(InputError, match=rf"arm\.xml: line \d+: .*{says}"):
+        load_description(_arm(tmp_path, "arm.xml"))
+
+
+@pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])
+def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(
+        '<!DOCTYPE x [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="&b;"><link name="b"/></robot>'
+    )
+    with pytest.raises(InputError, match="DOCTYPE"):
+        load_description(_arm(tmp_path, name))
+
+
+def test_a_comment_of_dashes_is_none(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(top="<!-- a -- b -->", inside="", world=""))
+    load_description(_arm(tmp_path, "arm.xml"))
+
+
+def _arm(folder: Path, model: str) -> Path:
+    path = folder / "arm.yaml"
+    path.write_text(f"name: arm\nmodel: {model}\nbase: {{type: fixed, body: b}}\narm: {{joints: [j], tool: t}}\n")
+    return path
+
+
+@pytest.mark.parametrize(("radius", "fits"), [(0.08, True), (0.083, True), (0.077, True), (0.085, False), (5.0, False)])
+def test_the_wheels_radius_is_that_of_their_shapes(radius: float, fits: bool, tmp_path: Path) -> None:
+    """The base's wheels are drawn with 0.08 m."""
+    path = write_base(tmp_path, 3, False)
+    path.write_text(path.read_text().replace("wheel_radius: 0.08", f"wheel_radius: {radius}"))
+    if fits:
+        load_description(path)
+        return
+    with pytest.raises(InputError, match=rf"key 'base.wheel_radius': {radius:g} m, but .* has a radius of 0.08 m"):
+        load_description(path)
+
+
+def test_without_round_shapes_nothing_can_be_said_of_the_radius(tmp_path: Path) -> None:
+    path = write_base(tmp_path, 3, False)
+    shapes = tmp_path / "base.xml"
+    shapes.write_text(
+        shapes.read_text().replace('type="ellipsoid" size="0.08 0.02 0.08"', 'type="box" size="0.01 0.02 0.01"')
+    )
+    path.write_text(path.read_text().replace("wheel_radius: 0.08", "wheel_radius: 0.2"))
+    load_description(path)
+
+
+def test_the_balls_radius_is_that_of_its_sphere(tmp_path: Path) -> None:
+    data = yaml.safe_load(Path(load_description("rezero").source).read_text())
+    data["model"], data["base"]["ball_radius"] = str(load_description("rezero").model), 5.0
+    (tmp_path / "ball.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=r"key 'base.ball_radius': 5 m"):
+        load_description(tmp_path / "ball.yaml")
+
+
+# ---------------------------------------------------------------------- runs and messages
+ODD = ["", "[]", "[" * 100_000, '{"a":' * 5000, '{"metrics": []}',
+       '{"metrics": {"a": 5}}', '{"metrics": {"a": {"value": "x", "unit": ""}}}',
+       '{"metrics": {"a": {"value": NaN, "unit": ""}}}', '{"settings": 5}']  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ODD, ids=range(len(ODD)))
+def test_odd_metrics_are_an_error(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        Path(name).mkdir()
+        np.savez(Path(name, "log.npz"), **{"hand": np.zeros(3), "hand.time": np.arange(3.0)})
+        Path(name, "metrics.json").write_text(json.dumps({"metrics": {}, "settings": {}}))
+    Path("b/metrics.json").write_text(text)
+    assert main(["compare", "a", "b"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("wbmpc: b/metrics.json: ") and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.9])
+def test_a_log_that_was_cut_is_an_error(
+    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        Path(name).mkdir()
+        np.savez(Path(name, "log.npz"), **{"hand": np.zeros(300), "hand.time": np.arange(300.0)})
+        Path(name, "metrics.json").write_text(json.dumps({"metrics": {}, "settings": {}}))
+    data = Path("b/log.npz").read_bytes()
+    Path("b/log.npz").write_bytes(data[: int(share * len(data))])
+    for command in (["compare", "a", "b"], ["calibrate", "b"]):
+        assert main(command) == 2
+        assert "b/log.npz: this is not the log of a run" in capsys.readouterr().err
+
+
+def test_a_message_that_was_cut_or_goes_on_is_none() -> None:
+    data = encode("std_msgs/String", {"data": "a longer text"})
+    assert decode("std_msgs/String", data) == {"data": "a longer text"}
+    for wrong in (data[:-4], data + bytes(16), data[:8]):
+        with pytest.raises(InputError, match=r"bytes are no std_msgs/String"):
+            decode("std_msgs/String", wrong)
+
+
+# ---------------------------------------------------------------------- everything
+def test_generated_cases_are_accepted_or_refused_as_their_generators_know(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The short form of ``python benchmarks/fuzz.py``, in this process."""
+    import fuzz
+    import fuzz_cases
+
+    monkeypatch.chdir(tmp_path)
+    experiments, tallies = fuzz_cases.registry(), {}
+    for kind, (share, _) in fuzz_cases.KINDS.items():
+        tally = tallies[kind] = fuzz.Tally()
+        for number in range(3 * share):
+            case = fuzz_cases.make(kind, 17, number, tmp_path)
+            fuzz._count(tally, f"{kind} {number}", *fuzz.outcome(case, experiments), case.what, case.expected, 0.0)
+    assert [line for t in tallies.values() for line in t.bad] == []
+    assert all(t.rejected for t in tallies.values()) and sum(t.accepted for t in tallies.values()) > 50
+
+
+def test_an_experiment_that_is_not_there_is_exit_code_two() -> None:
+    assert main(["run", "fake", "--set", "mpc.rate=010"], REGISTRY) == 2
