@@ -39,13 +39,8 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.terminal import table as plain_table
-<<<<<<< HEAD
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
-from wbmpc.errors import EndedByUser, InputError, RunAborted, WbmpcError, unknown_name
-=======
-from wbmpc.cli.views import LOCAL, Host, Port, open_view, render, replay, view
 from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
->>>>>>> origin/hostile-files
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -297,19 +292,12 @@ def run(
     show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
     host: Host = LOCAL,
     port: Port = 8080,
-<<<<<<< HEAD
     no_token: NoToken = False,
-) -> None:
-    """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
-    shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown)], as_json)
-=======
     record_limit: RecordLimit = RECORD_LIMIT,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
-    shown = open_view(f"{name}, seed {seed}", host, port) if show else None
+    shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
     _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
->>>>>>> origin/hostile-files
 
 
 @app.command()

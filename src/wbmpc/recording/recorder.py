@@ -22,12 +22,8 @@ from wbmpc.plant.scene import Scene
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
-<<<<<<< HEAD
-from wbmpc.recording.writer import McapFile, stamp
-from wbmpc.robots.frames import MAP, ODOM, fixed_frames
-=======
 from wbmpc.recording.writer import LIMIT, McapFile, stamp
->>>>>>> origin/hostile-files
+from wbmpc.robots.frames import MAP, ODOM, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 
 _LOG = logging.getLogger(__name__)
