@@ -16,6 +16,7 @@ import yaml
 
 from fake_experiment import REGISTRY, FakeSettings
 from own_bases import write_base
+from wbmpc import experiments
 from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
@@ -44,6 +45,8 @@ BAD_YAML = [
     ("a: 1e999", r"too large"),
     ("? [1]\n: 2", r"is no key"),
     ("#" * 300_000, r"at most 262144 are read"),
+    ("a: [" + "1," * 100_000 + "1]", r"line 1, key 'a.[0-9]+': more than 8000 keys and values"),
+    ("\n".join(f"k{k}: 1" for k in range(20_000)), r"more than 8000 keys and values"),
 ]
 
 
@@ -80,6 +83,29 @@ def test_numbers_and_texts_are_those_of_yaml() -> None:
 def test_values_of_settings_go_by_the_same_rules(value: str) -> None:
     with pytest.raises(InputError, match=r"^fake: --set mpc.rate="):
         configure(FakeSettings, [f"mpc.rate={value}"], "fake")
+
+
+def test_a_value_without_a_key_is_named_by_its_setting_alone() -> None:
+    with pytest.raises(InputError, match=r"^fake: --set mpc.rate=010: '010' may be read as an octal number"):
+        configure(FakeSettings, ["mpc.rate=010"], "fake")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "joint_offset=1e12",
+        "com=1e12",
+        "drive_lag=1e12",
+        "gyro_noise=1e12",
+        "friction=1e12",
+        "encoder_counts=1000000000000000",
+    ],
+)
+def test_a_plant_is_a_machine_of_this_world(value: str) -> None:
+    """Spreads and noise beyond every machine end in numbers that are not finite in the middle of a run."""
+    model = experiments.REGISTRY["swerve-track"].config_type
+    with pytest.raises(InputError, match=rf"swerve-track: --set plant.{value.partition('=')[0]}="):
+        configure(model, [f"plant.{value}"], "swerve-track")
 
 
 def test_calibrations_do(tmp_path: Path) -> None:
@@ -162,10 +188,61 @@ def test_the_balls_radius_is_that_of_its_sphere(tmp_path: Path) -> None:
         load_description(tmp_path / "ball.yaml")
 
 
+def changed(tmp_path: Path, name: str, key: str, value: object) -> Path:
+    """A built-in robot's file with another value of a dotted key."""
+    source = load_description(name)
+    data = yaml.safe_load(Path(source.source).read_text())
+    data["model"] = str(source.model)
+    *parents, last = key.split(".")
+    place = data
+    for parent in parents:
+        place = place.setdefault(parent, {})
+    place[last] = value
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data))
+    return tmp_path / "robot.yaml"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("arm.tool", "wheel_LF"), ("arm.tool", "world"), ("arm.tool", "body"), ("arm.tool", "mount"), ("base.body", "world"),
+        ("base.wheel_radius", True), ("limits.base_linear", True), ("home.elbow_joint", False),
+        ("limits.velocity.elbow_joint", 1e-300), ("limits.effort.elbow_joint", 1e300), ("limits.base_angular", 1e300),
+        ("limits.position.elbow_joint", [-1e300, 1e300]),
+    ],
+)  # fmt: skip
+def test_what_no_robot_can_be_is_an_error_with_its_key(key: str, value: object, tmp_path: Path) -> None:
+    """A tool that the arm does not move, a base that is the world, numbers that are true or false, limits of no machine."""
+    with pytest.raises(InputError, match=rf"robot.yaml: key '{key}"):
+        load_description(changed(tmp_path, "swerve-ur10", key, value))
+
+
+def test_a_tool_before_the_last_joint_and_a_payload_are_fine(tmp_path: Path) -> None:
+    assert load_description(changed(tmp_path, "swerve-ur10", "arm.tool", "forearm_link")).arm.tool == "forearm_link"
+    assert load_description(changed(tmp_path, "rezero", "base.payload", True)).base.payload  # type: ignore[union-attr]
+
+
+def test_a_model_that_cannot_be_read_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one whose permissions do not allow it, which a superuser's tests cannot make."""
+    path = changed(tmp_path, "swerve-ur10", "model", "arm.xml")
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    read = Path.read_bytes
+
+    def denied(self: Path) -> bytes:
+        if self.name == "arm.xml":
+            raise PermissionError(13, "Permission denied", str(self))
+        return read(self)
+
+    monkeypatch.setattr(Path, "read_bytes", denied)
+    with pytest.raises(InputError, match=r"arm.xml: cannot be read \(Permission denied\)"):
+        load_description(path)
+
+
 # ---------------------------------------------------------------------- runs and messages
 ODD = ["", "[]", "[" * 100_000, '{"a":' * 5000, '{"metrics": []}',
        '{"metrics": {"a": 5}}', '{"metrics": {"a": {"value": "x", "unit": ""}}}',
-       '{"metrics": {"a": {"value": NaN, "unit": ""}}}', '{"settings": 5}']  # fmt: skip
+       '{"metrics": {"a": {"value": NaN, "unit": ""}}}', '{"settings": 5}', '{"metrics": {"a": {"value": 1e999, "unit": ""}}}',
+       '{"metrics": {}, "settings": {}, "metrics": {}}']  # fmt: skip
 
 
 @pytest.mark.parametrize("text", ODD, ids=range(len(ODD)))
@@ -205,6 +282,18 @@ def test_a_message_that_was_cut_or_goes_on_is_none() -> None:
     for wrong in (data[:-4], data + bytes(16), data[:8]):
         with pytest.raises(InputError, match=r"bytes are no std_msgs/String"):
             decode("std_msgs/String", wrong)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("std_msgs/String", {"data": 5}), ("std_msgs/String", {"data": "\ud800"}), ("std_msgs/Float64MultiArray", {"data": 5}),
+        ("sensor_msgs/JointState", {"position": ["a"]}), ("sensor_msgs/JointState", {"name": 7}), ("geometry_msgs/Pose", "here"),
+    ],
+)  # fmt: skip
+def test_a_message_of_other_values_is_an_error_with_its_field(kind: str, message: object) -> None:
+    with pytest.raises(InputError, match=r"^message: .* cannot be "):
+        encode(kind, message, missing={})  # type: ignore[arg-type]
 
 
 # ---------------------------------------------------------------------- everything

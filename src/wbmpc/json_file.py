@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,12 @@ def load_json(path: Path) -> Any:
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """What a JSON text says; ``where``: what messages begin with. Raises :class:`InputError`, for NaN and infinity too."""
+    """What a JSON text says; ``where``: what messages begin with.
+
+    Raises :class:`InputError`, also for NaN, infinity, numbers that are too large and keys that are there twice.
+    """
     try:
-        value = json.loads(text, parse_constant=_no_number)
+        value = json.loads(text, parse_constant=_no_number, parse_float=_finite, object_pairs_hook=_once)
     except RecursionError as error:
         raise InputError(f"{where}: nested deeper than {DEEPEST} levels") from error
     except ValueError as error:
@@ -40,6 +44,22 @@ def parse_json(text: str | bytes, where: str) -> Any:
 
 def _no_number(text: str) -> None:
     raise ValueError(f"{text} is no number of JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"{text} is too large for a number")
+    return value
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"key '{twice[:80]}' is there twice")
+    return found
 
 
 def _inside(value: Any) -> list[Any]:

@@ -16,8 +16,8 @@ import yaml
 
 from wbmpc.errors import InputError
 
-#: Bytes of a text, levels of nesting, and digits of a whole number, at most.
-LARGEST, DEEPEST, MOST_DIGITS = 256 * 1024, 32, 300
+#: Bytes of a text, levels of nesting, keys and values, and digits of a whole number, at most.
+LARGEST, DEEPEST, MOST_VALUES, MOST_DIGITS = 256 * 1024, 32, 8_000, 300
 #: Numbers as in YAML 1.2, which takes 1e-3 without a point, too.
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _OCTAL = re.compile(r"[-+]?0[0-9_]+")
@@ -72,7 +72,7 @@ class _Reader:
     """Values straight from the parser's events, so that nothing grows of what is not allowed."""
 
     def __init__(self, text: str, where: str, lines: bool) -> None:
-        self._loader, self._where, self._lines = yaml.SafeLoader(text), where, lines
+        self._loader, self._where, self._lines, self._count = yaml.SafeLoader(text), where, lines, 0
 
     def document(self) -> Any:
         """The text's only document."""
@@ -122,6 +122,9 @@ class _Reader:
         return out
 
     def _check(self, event: Any, path: tuple[str, ...]) -> None:
+        self._count += 1
+        if self._count > MOST_VALUES:  # each takes the parser a fraction of a millisecond
+            self._fail(event, path[:3], f"more than {MOST_VALUES} keys and values; at most so many are read")
         if isinstance(event, yaml.AliasEvent):
             self._fail(event, path, f"an alias (*{event.anchor}) is not allowed; write the value once more")
         if event.anchor is not None:
@@ -155,7 +158,7 @@ class _Reader:
         key = ".".join(part[:80] for part in path)
         place = [f"line {event.start_mark.line + 1}"] if self._lines and event.start_mark is not None else []
         place += [f"key '{key}'"] if key else []
-        raise InputError(f"{self._where}: {', '.join(place)}: {text}")
+        raise InputError(": ".join(part for part in (self._where, ", ".join(place), text) if part))
 
 
 def _plain(kind: str, text: str) -> Any:

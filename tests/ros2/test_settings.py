@@ -54,6 +54,12 @@ controllers:
         ("topics: {joint_state: /x}", "unknown key 'topics.joint_state' (did you mean 'topics.joint_states'?)"),
         ("rate: 3", "unknown key 'rate'"),
         ("topics: {joint_states: ''}", "cannot be switched off"),
+        ("speeds: {base: 1e300}", "speeds.base=1e+300"),
+        ("speeds: {base: yes}", "true or false"),
+        ("cmd_vel: {base: 1e9}", "cmd_vel.base=1000000000.0"),
+        ("rates: {control: 1e-300}", "rates.control=1e-300"),
+        ("mpc: {horizon: 1e9}", "mpc.horizon=1000000000.0"),
+        ("mpc: {rate: yes}", "true or false"),
         (
             "topics: {goal_pose: /cmd_vel}",
             "key 'topics.cmd_vel': '/cmd_vel' is the topic of 'topics.goal_pose' already",

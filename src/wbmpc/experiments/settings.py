@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wbmpc.log import Log
 from wbmpc.loop import Ending
@@ -23,6 +23,17 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truths(cls, data: Any) -> Any:
+        """True and false (YAML: yes, on, no, off) are no numbers, though Python takes them for 1 and 0."""
+        for name, value in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(name)
+            kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+            if isinstance(value, bool) and field is not None and not {bool, Any} & set(kinds):
+                raise ValueError(f"{name}: a number or text is needed, not true or false")
+        return data
+
     def refuse_unread(self, where: str, *names: str) -> None:
         """Raise :class:`ValueError` for the first of the settings of these names that is not its default: nothing uses it
         ``where`` (such as "with legs=targets")."""
@@ -37,14 +48,14 @@ class MpcSettings(Settings):
     point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``start_anew``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
-    rate: float = Field(50.0, gt=0, le=10_000)
-    horizon: float = Field(10.0, gt=0)
+    rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
+    horizon: float = Field(10.0, gt=0, le=1000)
     intervals: int = Field(50, ge=1, le=1000)
-    first_interval: float = Field(0.017, ge=0)
+    first_interval: float = Field(0.017, ge=0, le=1000)
     delay: float = Field(0.010, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
-    barrier_mu: float = Field(3e-3, gt=0)
+    barrier_mu: float = Field(3e-3, gt=0, le=1e6)
     start_anew: bool = True
 
     def solver(self) -> SQP:
@@ -56,7 +67,7 @@ class MpcSettings(Settings):
 class ControlSettings(Settings):
     """``rate`` [Hz] of the tracking controller."""
 
-    rate: float = Field(400.0, gt=0, le=10_000)
+    rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
 
 
 class LocalisationSettings(Settings):
@@ -64,8 +75,8 @@ class LocalisationSettings(Settings):
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)
-    position: float = Field(0.005, gt=0)
-    yaw: float = Field(0.002, gt=0)
+    position: float = Field(0.005, gt=0, le=100)
+    yaw: float = Field(0.002, gt=0, le=3.2)
 
     def source(self, seed: int) -> Localisation:
         """The simulated source."""

@@ -164,6 +164,8 @@ class _Writer:
             return
         if value is None:
             value = [None] * field.array
+        if not hasattr(value, "__len__"):
+            raise InputError(f"message: {place} cannot be {value!r} (several values are needed)")
         if field.array == 0:
             self._value("uint32", len(value), place)
         elif len(value) != field.array:
@@ -180,14 +182,14 @@ class _Writer:
         if values[0] is None:
             values = np.zeros(len(values))
         code = _PRIMITIVES[kind]
-        array = np.asarray(values, f"<{code}" if code != "?" else "?")
+        array = _array(values, f"<{code}" if code != "?" else "?", place)
         if array.ndim != 1:
             raise InputError(f"message: {place} needs plain {kind} numbers, got shape {array.shape}")
         self._align(array.itemsize)
         self.out.extend(array.tobytes())
 
     def _numbers(self, values: Any, count: int, where: str) -> None:
-        array = np.asarray(values, "<f8")
+        array = _array(values, "<f8", where)
         if array.size != count:
             raise InputError(f"message: {where} needs {count} numbers, got {array.size}")
         self._align(8)
@@ -195,7 +197,10 @@ class _Writer:
 
     def _value(self, kind: str, value: Any, where: str) -> None:
         if kind == "string":
-            text = (value or "").encode() + b"\0"
+            try:
+                text = ("" if value is None else value).encode() + b"\0"
+            except (AttributeError, UnicodeEncodeError) as error:
+                raise InputError(f"message: {where} cannot be {value!r} (a text is needed)") from error
             self._align(4)
             self.out.extend(struct.pack("<I", len(text)) + text)
         elif kind in _PRIMITIVES:
@@ -210,6 +215,13 @@ class _Writer:
 
     def _align(self, size: int) -> None:
         self.out.extend(b"\0" * (-len(self.out) % size))
+
+
+def _array(values: Any, kind: str, where: str) -> np.ndarray:
+    try:
+        return np.asarray(values, kind)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"message: {where} cannot be {str(values)[:80]} ({error})") from error
 
 
 # ---------------------------------------------------------------------- from bytes

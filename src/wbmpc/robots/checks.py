@@ -67,6 +67,32 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         )
 
 
+def check_tool(description: RobotDescription, model: mujoco.MjModel) -> None:
+    """The arm moves its tool, and a base that moves is a body. Raises :class:`InputError` naming file and key."""
+    source, body = description.source, description.base.body
+    if description.base.type != "fixed" and model.body(body).id == 0:
+        raise InputError(f"{source}: key 'base.body': '{body}' does not move; the body of the robot's base is needed")
+    name = description.arm.tool
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    at = model.body(name).id if site < 0 else int(model.site_bodyid[site])
+    moving = {int(model.joint(j).bodyid[0]) for j in description.arm.joints}
+    while at and at not in moving:
+        at = int(model.body_parentid[at])
+    if not at:
+        raise InputError(
+            f"{source}: key 'arm.tool': '{name}' is not moved by the arm's joints; a frame that one of them moves is needed"
+        )
+
+
+def refuse_truths(value: object, source: object, key: str = "") -> None:
+    """Raise :class:`InputError` for true or false (YAML: yes, on, no, off) where a file needs a number or a name."""
+    if isinstance(value, bool) and key != "base.payload":
+        raise InputError(f"{source}: key '{key}': a number or text is needed, not true or false")
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for name, inner in inside:
+        refuse_truths(inner, source, f"{key}.{name}" if key else str(name))
+
+
 def refuse_reference(path: object, joint: str, reference: float) -> None:
     """A joint's value where its body is drawn (``ref`` of an MJCF) must be 0: planner, locks and calibrations count from there."""
     if reference:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots.checks import check_ball, check_joints, compiled
+from wbmpc.robots.checks import check_ball, check_joints, check_tool, compiled, refuse_truths
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.lock import lock
 from wbmpc.robots.mechanics import keep_mechanics, refuse_couplings, widen
@@ -21,6 +21,9 @@ from wbmpc.yaml_file import load_yaml
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
 LEAST_SPREAD = 0.05
+#: A limit of a machine, in SI units: what is smaller is a standstill, what is larger no limit.
+_Limit = Annotated[float, Field(gt=0, ge=1e-6, le=1e6)]
+_Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class _Model(BaseModel):
@@ -123,13 +126,13 @@ class LimitsDescription(_Model):
     ``spin_effort`` [N m]: what they may do to a ball about the vertical before it spins on the floor.
     """
 
-    velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
-    drive_velocity: dict[str, Annotated[float, Field(gt=0)]] = {}
-    acceleration: dict[str, Annotated[float, Field(gt=0)]] = {}
-    effort: dict[str, Annotated[float, Field(gt=0)]] = {}
-    position: dict[str, tuple[float, float]] = {}
-    base_linear: float = Field(default=1.0, gt=0)
-    base_angular: float = Field(default=1.0, gt=0)
+    velocity: dict[str, _Limit] = {}
+    drive_velocity: dict[str, _Limit] = {}
+    acceleration: dict[str, _Limit] = {}
+    effort: dict[str, _Limit] = {}
+    position: dict[str, tuple[_Place, _Place]] = {}
+    base_linear: _Limit = 1.0
+    base_angular: _Limit = 1.0
     wheel_effort: float = Field(default=np.inf, gt=0)
     spin_effort: float = Field(default=np.inf, gt=0)
 
@@ -214,6 +217,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     strange = [key for key in data if not isinstance(key, str)]
     if strange:
         raise unknown_name("key", str(strange[0]), _sibling_keys((strange[0],), ""), where=str(path))
+    refuse_truths(data, path)
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
         _refuse_contact(data["base"], path)
@@ -227,6 +231,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     _check_names(description, spec)
     model = compiled(spec, description.model)
     check_joints(description, model)
+    check_tool(description, model)
     check_ball(description, model)
     check_radii(description, model)
     return description

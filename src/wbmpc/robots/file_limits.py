@@ -66,10 +66,14 @@ class _Walk:
 
     def run(self) -> _Count:
         """What the file asks for, with all that it includes."""
-        if self._path.stat().st_size > LARGEST:
-            raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
+        try:
+            if self._path.stat().st_size > LARGEST:
+                raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
+            data = self._path.read_bytes()
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
         # MuJoCo's parser takes comments that XML does not (with -- inside)
-        text = _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), self._path.read_bytes())
+        text = _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), data)
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
         self._parser.StartDoctypeDeclHandler = self._doctype

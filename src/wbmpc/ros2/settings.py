@@ -112,27 +112,27 @@ class Frames(Settings):
 class Rates(Settings):
     """Rates [Hz] of the controller and of what it publishes about itself."""
 
-    control: float = Field(400.0, gt=0, le=2000)
-    odom: float = Field(50.0, gt=0, le=1000)
-    plan: float = Field(2.0, gt=0, le=100)
-    diagnostics: float = Field(1.0, gt=0, le=100)
-    trajectory: float = Field(20.0, gt=0, le=200)
+    control: float = Field(400.0, ge=1, le=2000)
+    odom: float = Field(50.0, ge=0.01, le=1000)
+    plan: float = Field(2.0, ge=0.01, le=100)
+    diagnostics: float = Field(1.0, ge=0.01, le=100)
+    trajectory: float = Field(20.0, ge=0.01, le=200)
 
 
 class Speeds(Settings):
     """How fast goals without times are approached: base [m/s], [rad/s], hand [m/s]."""
 
-    base: float = Field(0.4, gt=0, allow_inf_nan=False)
-    turn: float = Field(0.4, gt=0, allow_inf_nan=False)
-    hand: float = Field(0.2, gt=0, allow_inf_nan=False)
+    base: float = Field(0.4, ge=1e-3, le=20)
+    turn: float = Field(0.4, ge=1e-3, le=20)
+    hand: float = Field(0.2, ge=1e-3, le=20)
 
 
 class Fastest(Settings):
     """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (a ball robot:
     ``speeds``)."""
 
-    base: float | None = Field(None, gt=0, allow_inf_nan=False)
-    turn: float | None = Field(None, gt=0, allow_inf_nan=False)
+    base: float | None = Field(None, ge=1e-3, le=20)
+    turn: float | None = Field(None, ge=1e-3, le=20)
 
 
 class Exerted(Settings):
