@@ -110,9 +110,10 @@ def test_only_the_page_with_the_token_gets_in(served: tuple[Any, str]) -> None:
     assert get(base, Cookie=cookie)[0] == 200 and upgrade(base, Cookie=cookie.replace(token, token[::-1])) == 403
     assert upgrade(base, "http://evil.example", Cookie=cookie) == 403
     assert upgrade(url) == 101
+    assert get(base, f"/{'a' * 6000}?token={token}")[0] == 404 and get(base, f"/%00?token={token}")[0] == 404
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 143 and "Traceback" not in err
+    assert process.returncode == 143 and "Traceback" not in err and "a" * 100 not in err
     assert (
         len([line for line in err.splitlines() if "refused" in line]) <= 5 + 2
     )  # one of each cause, not one of each request

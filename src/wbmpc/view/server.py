@@ -59,7 +59,10 @@ class Guard:
                 text,
             )
         else:
-            response = serve(connection, request)
+            try:
+                response = serve(connection, request)
+            except (OSError, ValueError):  # no name of a file
+                response = Response(HTTPStatus.NOT_FOUND.value, "Not Found", Headers({"Content-Length": "0"}), b"")
         if response is not None:
             for name, value in _HEADERS.items():
                 response.headers[name] = value
