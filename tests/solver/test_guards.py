@@ -107,6 +107,31 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
     together(lambda: ways[what]() is None)  # free again, for any thread
 
 
+def test_nobody_changes_the_data_of_another_threads_solve() -> None:
+    """Weights, parameters, references and modes: a solution of half the old and half the new ones would count as converged."""
+    problem = cartpole(10)
+    solver = Solver(problem.ocp, SQP())
+    cost = next(t.name for t in problem.ocp.terms.values() if isinstance(t, wb.Cost) and t.at in ("path", "all"))
+    weight = problem.ocp.term(cost).weight  # type: ignore[union-attr]
+    ways: dict[str, Callable[[], object]] = {
+        "weight": lambda: solver.set_weight(cost, weight),
+        "parameters": lambda: solver.set_parameters(np.zeros(problem.ocp.dynamics.parameters.size)),
+        "schedule": lambda: solver.set_schedule(solver.schedule),
+        "forget": solver.forget,
+    }
+    for what, way in ways.items():
+
+        def refused(way: Callable[[], object] = way) -> None:
+            with pytest.raises(SolverBusy, match="in use by another thread"):
+                way()
+
+        with solver.exclusive:
+            together(refused)
+            way()  # its own thread may
+        together(way)
+        assert solver.solve(problem.x0).status is not Status.NOT_FINITE, what
+
+
 def test_entering_again_leaves_only_at_the_end_also_by_an_exception() -> None:
     lock = Exclusive("the solver")
     with pytest.raises(ValueError, match="inner"), lock, lock:

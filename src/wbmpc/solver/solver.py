@@ -157,23 +157,24 @@ class Solver:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
             )
-        before = self.references.get(name)
-        self.references[name] = reference
-        if self._tables is None:
-            return
-        if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
-            self._tables = None
-            return
-        from wbmpc.solver.receding import overwrite
+        with self.exclusive:
+            before = self.references.get(name)
+            self.references[name] = reference
+            if self._tables is None:
+                return
+            if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
+                self._tables = None
+                return
+            from wbmpc.solver.receding import overwrite
 
-        overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
+            overwrite(self._tables, [n for n in places if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """The modes over absolute time."""
         self.problem.mode_tables(schedule)
         self.problem.check_schedule(schedule)
-        self.schedule = schedule
-        self._tables = None
+        with self.exclusive:
+            self.schedule, self._tables = schedule, None
 
     def set_weight(self, name: str, weight: Weight, place: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
@@ -181,7 +182,9 @@ class Solver:
         costs = [k for k in self.problem.constant.slices if k != "parameters"]
         if key not in costs:
             raise unknown_name("weight", key, costs)
-        self.ws.w[self.problem.constant.slices[key]] = self.ocp.term(name).expand(weight)  # type: ignore[union-attr]
+        rows = self.ocp.term(name).expand(weight)  # type: ignore[union-attr]
+        with self.exclusive:
+            self.ws.w[self.problem.constant.slices[key]] = rows
 
     def set_parameters(self, values: Mapping[str, np.ndarray] | np.ndarray) -> None:
         """Set the model's parameters (constant over the horizon): by group, or the whole vector."""
@@ -189,7 +192,8 @@ class Solver:
         vector = self.ocp.dynamics.parameters.vector(values) if isinstance(values, Mapping) else np.asarray(values)
         if vector.shape != (part.stop - part.start,) or not np.isfinite(vector).all():
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
-        self.ws.w[part] = vector
+        with self.exclusive:
+            self.ws.w[part] = vector
 
     def guess(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Initial trajectories: x (nx,) or (N + 1, nx); u (nu,) or (N, nu), zero when left out.
@@ -204,11 +208,12 @@ class Solver:
 
     def forget(self) -> None:
         """Forget slacks and multipliers: the next solve starts them anew (a guess changes the trajectories alone)."""
-        self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
-        if self.settings.backend == "interpreted":
-            self.twin.forget()
-        else:
-            self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+        with self.exclusive:
+            self.ws.state[[LONGEST, CONTRADICTED, HELD_SHARE, HELD_FOR]] = 0.0
+            if self.settings.backend == "interpreted":
+                self.twin.forget()
+            else:
+                self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
 
     def tables(self):  # type: ignore[no-untyped-def]
         """References and modes as the compiled code reads them."""
