@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_ball, check_joints, check_tool, compiled, refuse_truths
@@ -21,8 +21,16 @@ from wbmpc.yaml_file import load_yaml
 DATA = Path(__file__).parent / "data"
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
 LEAST_SPREAD = 0.05
+
+
+def _moves(value: float) -> float:
+    if value < 1e-6:
+        raise ValueError("input should be 1e-06 or more")
+    return value
+
+
 #: A limit of a machine, in SI units: what is smaller is a standstill, what is larger no limit.
-_Limit = Annotated[float, Field(gt=0, ge=1e-6, le=1e6)]
+_Limit = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_moves)]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
