@@ -21,7 +21,7 @@ pytestmark = needs_dds
 if not MISSING:
     from simulated import Localisation, Simulated
 
-    from wbmpc.ros2.ball import POSTURES, bodies
+    from wbmpc.ros2.ball import POSTURES, BallMessage, BallPilot, bodies
     from wbmpc.ros2.goals import HandTrack, Planner
     from wbmpc.ros2.settings import BallSettings, Speeds
 
@@ -245,6 +245,29 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
     assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
     s.run(1.0)
     assert not s.why and s.truth().tilt < 0.25
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
+    """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
+    set the robot is where it was. In both cases it is upright, and at the message's time."""
+    pilot = BallPilot(ROBOT, BallSettings(use_sim_time=simulated), 1.0 / 400.0)
+    arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    x = ROBOT.home.copy()
+    x[:3] = 0.5, -0.2, 0.3
+    pilot.begin(x)
+    for t in (17.0, 17.0025):
+        pilot.agent.follow(BallMessage(t, t, wheel, arm, *still))
+    pilot.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
+    t, before = pilot.snapshot()
+    assert t == pytest.approx(17.005) and before[:3] == pytest.approx(x[:3], abs=1e-3)
+    for t in (1.0, 1.0025):
+        pilot.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
+        found = pilot.snapshot()
+        assert found[0] == pytest.approx(t)
+        np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
+        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else before[:3], atol=1e-9)
+        np.testing.assert_allclose(found[1], [*found[1][:3], *ROBOT.equilibrium(arm + 0.1)[0][3:]], atol=1e-9)
 
 
 def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(

@@ -142,6 +142,17 @@ def test_the_gate_allows_what_motion_and_spread_explain() -> None:
     assert gate.jumped(0.9, pose(99.0), exact, exact) == ""
 
 
+def test_the_gate_follows_a_clock_that_is_started_anew() -> None:
+    """A run begins at 0 s; the estimate from before it is of the old clock, at 2 s. By hand: the robot turns at 1 rad/s, so that an
+    exact pose of 0.5 s says 0.5 rad."""
+    gate, exact = Gate("/p", 0.1), np.zeros((3, 3))
+    gate.note(2.0, np.zeros(3))
+    for t in np.arange(0.0, 0.6, 0.01):
+        gate.note(float(t), np.array([0.0, 0.0, t]))
+    assert gate.jumped(0.5, np.array([0.0, 0.0, 0.5]), exact, exact) == ""
+    assert "jumped by 0.50 rad" in gate.jumped(0.5, np.zeros(3), exact, exact)
+
+
 def test_after_a_jump_the_next_pose_counts_whatever_was_known() -> None:
     """The filter refuses a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
     pilot, covariance = SwervePilot(ROBOT, RosSettings(), PERIOD), 1e-4 * np.eye(3)

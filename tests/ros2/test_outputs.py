@@ -32,6 +32,14 @@ ARM = ROBOT.input.groups["arm"]
 
 
 @pytest.fixture
+def watcher() -> Iterator[Any]:
+    """A node that hears both sides: none hears what it publishes itself."""
+    node = open_node("watcher", "dds", NETWORK)
+    yield node
+    node.close()
+
+
+@pytest.fixture
 def made() -> Iterator[Callable[..., Any]]:
     opened: list[Any] = []
 
@@ -95,7 +103,7 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
     assert np.abs(speed).max() > 0.02
 
 
-def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any]) -> None:
+def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any], watcher: Any) -> None:
     """The hand reaches its goal over a joint_trajectory_controller; footprint, odometry, description and sensors' frames."""
     controllers = {g: {"topic": f"/{g}/commands", "joints": ROBOT.input.groups[g]} for g in ("wheel", "steer")} | {
         "arm": {"topic": "/arm/joint_trajectory", "joints": ARM, "takes": "trajectory"}
@@ -107,9 +115,9 @@ def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any]) -> N
         "/contact/wheel_LF": "geometry_msgs/msg/WrenchStamped", "/arm/joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
     }  # fmt: skip
     for topic, kind in kinds.items():
-        s.other.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m))
+        watcher.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m))
     for topic, kind in {"/robot_description": "std_msgs/msg/String", "/tf_static": "tf2_msgs/msg/TFMessage"}.items():
-        s.other.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m), LATCHED)
+        watcher.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m), LATCHED)
     s.ready()
     goal = ROBOT.pose(ROBOT.home)[0] + [0.1, 0.0, 0.05]
     s.hand(dx=0.1, dz=0.05)

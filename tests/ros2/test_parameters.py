@@ -17,7 +17,11 @@ from wbmpc.ros2.parameters import Parameter, Parameters
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import ROBOT, Pair, drive
+    from standin import NETWORK, ROBOT, Pair, drive
+
+    from wbmpc.ros2 import open_node
+    from wbmpc.ros2.control import ControlNode
+    from wbmpc.ros2.settings import RosSettings
 
 
 HAND = "cost.hand.weight"
@@ -131,6 +135,27 @@ def test_log_lines_are_on_rosout_for_late_joiners_too(pair: Callable[..., Any]) 
     lines.clear()
     logging.getLogger("wbmpc").warning("after the end")
     assert not [h for h in logging.getLogger("wbmpc").handlers if type(h).__name__ == "Rosout"]
+
+
+def test_a_controller_that_cannot_be_made_leaves_no_handler_of_log_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was logged until then is on /rosout, and Python's own shutdown of logging finds nothing to send."""
+    node, listener = open_node("wbmpc", "dds", NETWORK), open_node("listener", "dds", NETWORK)
+    lines: list[Any] = []
+    listener.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
+
+    def fails(*given: Any) -> None:
+        logging.getLogger("wbmpc").warning("the last line")
+        raise InputError("cannot be made")
+
+    monkeypatch.setattr("wbmpc.ros2.control.pilot_of", fails)
+    try:
+        with pytest.raises(InputError, match="cannot be made"):
+            ControlNode(node, ROBOT, RosSettings())
+        assert not [h for h in logging.getLogger("wbmpc").handlers if type(h).__name__ == "Rosout"]
+        assert wait_until(lambda: any(m.msg == "the last line" for m in lines))
+    finally:
+        node.close()
+        listener.close()
 
 
 def test_every_input_is_an_endpoint_before_there_is_a_robot(pair: Callable[..., Any]) -> None:

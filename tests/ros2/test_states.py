@@ -76,6 +76,11 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
         imu(at, rate)
     joints(10.005)
     assert read() == 4.0
+    for at, rate in ((200.0, 7.0), (1.0, 2.0), (1.001, 4.0)):  # the simulator was started anew
+        imu(at, rate)
+    joints(1.0)  # its time went back: refused once
+    joints(1.001)
+    assert read() == 3.0
 
 
 def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ from wbmpc.ros2.settings import BallSettings
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
 HOLD_AFTER = 0.3
+#: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
+BACK = 0.02
 #: Postures are solved for (some 20 ms each) before and after at most so many changes of the hand's pose; on ways with more of
 #: them in so many poses.
 CHANGES, POSTURES = 12, 5
@@ -242,8 +244,11 @@ class BallPilot:
 
     def stand(self, m: BallMessage) -> None:
         """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
-        run the estimator goes on, wherever the robot rolls or falls."""
-        if self.agent.seen is not None:
+        run the estimator goes on, wherever the robot rolls or falls, until time goes back."""
+        seen = self.agent.seen
+        if seen is not None and m.time < seen.time - seen.age - BACK:
+            self._forget(seen.state)
+        elif seen is not None:
             self.agent.follow(m)
             return
         before, fix = self._standing, self.fix() if self.fix is not None else None
@@ -256,6 +261,13 @@ class BallPilot:
         x = self.robot.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
         self._standing = m.time, x
+
+    def _forget(self, x: Array) -> None:
+        """Nothing is known between times of two clocks: somebody holds the robot again. A simulator that was started anew has put
+        it where its odometry begins; who has a clock that was set is where state x (nx) says."""
+        simulated = self.settings.use_sim_time or self.settings.lockstep
+        self._place, self._standing = np.zeros(3) if simulated else x[:3].copy(), None
+        self.agent = self._new_agent(self.robot.home)
 
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""

@@ -64,13 +64,23 @@ class ControlNode:
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
         settings_of(robot)
         self.node, self.robot, self.settings = node, robot, settings
-        self.rosout = Rosout(node, settings.node, self.now, self.breathe)
         self.period = 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
             self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
         elif settings.use_sim_time:
             self.clock = BusClock()
+        self.runner: Runner | None = None
+        self.rosout = Rosout(node, settings.node, self.now, self.breathe)
+        try:
+            self._open()
+        except BaseException:
+            self.rosout.close()
+            raise
+
+    def _open(self) -> None:
+        """What the node is made of, and its endpoints."""
+        node, robot, settings = self.node, self.robot, self.settings
         self.pilot = pilot_of(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
@@ -83,7 +93,6 @@ class ControlNode:
         )
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.planning = Planning(self.pilot.references)
-        self.runner: Runner | None = None
         self._rival, self._said, self._held = "", "", ""
         self._task: Task | None = None
         self._looked_at_graph = -np.inf

@@ -26,6 +26,8 @@ POSE_AGE = 0.5
 _POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 #: Where the robot was is kept for as many ticks: a pose belongs to the time of its stamp.
 _REMEMBERED = 400
+#: Time that goes back by more than this [s] is a clock that was started anew, not rounding.
+_ROUNDING = 1e-6
 #: A pose may be off by this many standard deviations besides.
 _SPREAD = 3.0
 
@@ -121,7 +123,10 @@ class Gate:
         self._was.clear()
 
     def note(self, t: float, pose: Array) -> None:
-        """The robot's own estimate (x, y, yaw) at t [s]."""
+        """The robot's own estimate (x, y, yaw) at t [s]. Times before the last one are of a clock that was started anew: what was
+        before it is forgotten."""
+        if self._was and t < self._was[-1][0] - _ROUNDING:
+            self.forget()
         if not self._was or t > self._was[-1][0]:
             self._was.append((t, np.array(pose)))
 

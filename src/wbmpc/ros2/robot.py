@@ -29,6 +29,8 @@ _LOG = logging.getLogger("wbmpc")
 ZEROS = 1.0
 #: Two messages whose stamps differ by less than this [s] are of one moment.
 _TOGETHER = 1e-6
+#: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
+_BACK = 0.02
 #: How fast the difference of two machines' clocks may grow [s/s].
 _CLOCK_DRIFT = 1e-4
 #: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
@@ -99,6 +101,10 @@ class BusRobot:
         self._good("imu")
         with self._lock:
             again = bool(self._fresh_until == at > 0.0)  # a driver that hangs repeats itself
+            if (
+                at < self._fresh_until - _BACK
+            ):  # what waits is of another clock, and would wait until this one is as late
+                self._fresh.clear()
             self._fresh_until = at
             if again and self._inertial is not None and not isinstance(self.clock, BusClock):
                 return
