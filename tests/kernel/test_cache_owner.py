@@ -15,7 +15,6 @@ from toys import LinearQuadratic
 from wbmpc.benchmark.libraries import library_folder
 from wbmpc.benchmark.program import compiled_library, compiler
 from wbmpc.kernel import build_kernel, cache
-from wbmpc.kernel.ir import NUM
 from wbmpc.kernel.library import Library
 from wbmpc.ocp import Transcription
 
@@ -136,7 +135,7 @@ def test_kernels_and_translated_functions_are_compiled_in_memory(
 
     def driver() -> Library:
         library = Library("owner", rooms=("kernel",))
-        library.compiled(NUM, NUM)(_twice)
+        library.compiled(_twice)
         return library
 
     assert not build_kernel(problem).from_cache and build_kernel(problem).from_cache
@@ -151,7 +150,7 @@ def test_kernels_and_translated_functions_are_compiled_in_memory(
     assert len([r for r in caplog.records if r.levelno == logging.WARNING]) == 1
 
 
-def _twice(x):  # type: ignore[no-untyped-def]
+def _twice(x: float) -> float:
     return 2.0 * x
 
 
