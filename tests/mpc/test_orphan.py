@@ -18,7 +18,8 @@ PARENT = """
 import os, threading, time
 from functools import partial
 from realtime_toys import ToyAgent, ToyRobot, make_mpc, problem
-from wbmpc.mpc import RealTimeSettings, RealTimeRunner, Sizes, WallClock
+from wbmpc import RealTimeRunner, RealTimeSettings, WallClock
+from wbmpc.runtime.shared_memory import Sizes
 
 def main():
     clock = WallClock()

@@ -24,7 +24,7 @@ PATIENT = RealTimeSettings(max_observation_age=30.0, watchdog=30.0, patience=60.
 RUN = """
 import signal
 from realtime_toys import ToyAgent, ToyRobot, make_mpc
-from wbmpc.mpc import RealTimeSettings, RealTimeRunner, WallClock
+from wbmpc import RealTimeRunner, RealTimeSettings, WallClock
 
 class Told(ToyRobot):
     def write(self, command):

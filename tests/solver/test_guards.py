@@ -143,7 +143,7 @@ INTERRUPTED = """
 import os, random, signal, sys, threading, time
 import numpy as np
 from wbmpc.solver import SQP, Solver
-from wbmpc.zoo.small import cartpole
+from wbmpc.benchmark.test_problems.small import cartpole
 backend, what = sys.argv[1:]
 problem = cartpole(20)
 solver = Solver(problem.ocp, SQP(iterations=400, backend=backend))
