@@ -19,7 +19,7 @@ import wbmpc as wb
 from toys import LinearQuadratic
 from wbmpc.benchmark.test_problems.small import cartpole
 from wbmpc.errors import InputError, NotFinite, SolverBusy
-from wbmpc.solver import SLQ, SQP, Solver, Status
+from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
 from wbmpc.solver.guards import Exclusive, Interruptible
 
 
@@ -72,7 +72,7 @@ def test_a_solver_of_several_threads_never_returns_the_solution_of_another() -> 
     assert shared.solve(starts[0]).status is Status.CONVERGED  # and nobody has kept it
 
 
-@pytest.mark.parametrize("what", ["solve", "guess", "simulate", "run", "update", "advance", "reset"])
+@pytest.mark.parametrize("what", ["solve", "warm_start", "simulate", "run", "update", "advance", "reset"])
 def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what: str) -> None:
     """The guess of an MPC runs within its update: there another thread has its turn."""
     lq, _ = linear()
@@ -89,8 +89,8 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
     }
     refused: list[SolverBusy] = []
 
-    def from_another_thread(solver: Solver, t: float, x0: np.ndarray) -> None:
-        solver.warm_start(x0)  # its own thread may
+    def from_another_thread(t: float, x0: np.ndarray, trajectory: Trajectory) -> None:
+        mpc.solver.warm_start(x0)  # its own thread may
 
         def enter() -> None:
             with pytest.raises(SolverBusy) as caught:
@@ -111,13 +111,15 @@ def test_nobody_changes_the_data_of_another_threads_solve() -> None:
     """Weights, parameters, references and modes: a solution of half the old and half the new ones would count as converged."""
     problem = cartpole(10)
     solver = Solver(problem.ocp, SQP())
-    cost = next(t.name for t in problem.ocp.terms.values() if isinstance(t, wb.Cost) and t.at in ("path", "all"))
+    cost = next(
+        t.name for t in problem.ocp.terms.values() if isinstance(t, wb.Cost) and t.at in ("path", "path+terminal")
+    )
     weight = problem.ocp.term(cost).weight  # type: ignore[union-attr]
     ways: dict[str, Callable[[], object]] = {
         "weight": lambda: solver.set_weight(cost, weight),
         "parameters": lambda: solver.set_parameters(np.zeros(problem.ocp.dynamics.parameters.size)),
         "schedule": lambda: solver.set_schedule(solver.schedule),
-        "forget": solver.forget,
+        "reset": solver.reset,
     }
     for what, way in ways.items():
 
@@ -230,15 +232,15 @@ def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
     x, u = np.zeros((11, 4)), np.zeros((10, 1))
     x[7, 1] = u[9, 0] = bad
     for given, words in (
-        ((x,), ("guess of x", "x[1]", "x.angle", "node 7", str(bad))),
-        ((problem.x0, u), ("guess of u", "u[0]", "u.force", "node 9", str(bad))),
-        ((np.array([0.0, 0.0, bad, 0.0]),), ("guess of x", "x[2]", "x.cart_rate", str(bad))),
-        ((problem.x0, np.array([bad])), ("guess of u", "u[0]", str(bad))),
+        ((x,), ("warm start, x", "x[1]", "x.angle", "node 7", str(bad))),
+        ((problem.x0, u), ("warm start, u", "u[0]", "u.force", "node 9", str(bad))),
+        ((np.array([0.0, 0.0, bad, 0.0]),), ("warm start, x", "x[2]", "x.cart_rate", str(bad))),
+        ((problem.x0, np.array([bad])), ("warm start, u", "u[0]", str(bad))),
     ):
         with pytest.raises(NotFinite) as caught:
             solver.warm_start(*given)
         assert all(word in str(caught.value) for word in words), caught.value
-    with pytest.raises(InputError, match="guess of x: numbers are needed"):
+    with pytest.raises(InputError, match="warm start, x: numbers are needed"):
         solver.warm_start(["one", "two"])  # type: ignore[arg-type]
     assert (solver.ws.u == 1.0).all() and np.isfinite(solver.ws.x).all()  # as it was
     fine = Solver(problem.ocp, SLQ(step=0.05))
