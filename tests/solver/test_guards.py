@@ -245,4 +245,4 @@ def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
     assert (solver.ws.u == 1.0).all() and np.isfinite(solver.ws.x).all()  # as it was
     fine = Solver(problem.ocp, SLQ(step=0.05))
     with pytest.raises(NotFinite, match="node 7"):
-        fine.guess(x)
+        fine.warm_start(x)
