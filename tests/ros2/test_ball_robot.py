@@ -268,7 +268,9 @@ def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
         assert found[0] == pytest.approx(t)
         np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
         np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else before[:3], atol=1e-9)
-        np.testing.assert_allclose(found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9)
+        np.testing.assert_allclose(
+            found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
+        )
 
 
 def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from needs import MISSING, needs_dds
 
+from wbmpc.ros2.dds_writing import write
 from wbmpc.runtime.runner import RealTimeRunner
 
 pytestmark = needs_dds
@@ -42,6 +43,10 @@ def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pyt
             time.sleep(2e-5)
             if ticking:
                 frame = sys._current_frames()[ticking[0]]
+                # what another node of this process reads is written without the interpreter, or the two would wait for each other;
+                # a controller and a robot in processes of their own have no such topics
+                if frame.f_code is write.__code__:
+                    continue
                 where[f"{frame.f_code.co_filename}:{frame.f_lineno}"] += 1
 
     def share() -> float:

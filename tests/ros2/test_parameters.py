@@ -60,12 +60,12 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
     p.standin.node.subscribe("/parameter_events", kind, told.append, Qos(depth=100))
     drive(p)
     solver = p.control.pilot.mpc.solver
-    before = solver.ws.w.copy()
+    before = solver.constants.copy()
     results = ask(
         p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]
     ).results
     assert [(r.successful, r.reason) for r in results] == [(True, ""), (True, "")]
-    assert p.until(lambda: np.any(solver.ws.w != before))
+    assert p.until(lambda: np.any(solver.constants != before))
     wanted = SwerveCost()
     wanted = wanted.model_copy(
         update={
@@ -78,7 +78,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
         for place, weight in (("path", cost.weight), ("terminal", cost.terminal_weight)):
             if f"{place}.{cost.name}" in solver.problem.constant.slices:
                 assert weight is not None
-                part = solver.ws.w[solver.problem.constant.slices[f"{place}.{cost.name}"]]
+                part = solver.constants[solver.problem.constant.slices[f"{place}.{cost.name}"]]
                 np.testing.assert_allclose(part, cost.expand(weight), rtol=1e-15)
     assert ask(p, "get_parameters", "GetParameters", names=[HAND]).values[0].double_value == 500.0
     assert wait_until(
@@ -147,7 +147,7 @@ def test_a_controller_that_cannot_be_made_leaves_no_handler_of_log_lines(monkeyp
         logging.getLogger("wbmpc").warning("the last line")
         raise InputError("cannot be made")
 
-    monkeypatch.setattr("wbmpc.ros2.control.pilot_of", fails)
+    monkeypatch.setattr("wbmpc.ros2.control.base_type", fails)
     try:
         with pytest.raises(InputError, match="cannot be made"):
             ControlNode(node, ROBOT, RosSettings())

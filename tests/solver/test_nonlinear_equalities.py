@@ -95,10 +95,10 @@ def test_a_curved_wish(name: str, softness: float, backend: str) -> None:
         ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
         ocp.add(term)
         solvers.append(Solver(ocp, SQP(backend=backend)))  # type: ignore[arg-type]
-        solvers[-1].guess(np.zeros(2), np.array([0.5, 0.2]))
+        solvers[-1].warm_start(np.zeros(2), np.array([0.5, 0.2]))
     found = solvers[0].solve(np.zeros(2))
     assert found.status is Status.CONVERGED and found.iterations <= 60, found
-    solvers[1].guess(found.x + 1e-3, found.u + 1e-3)
+    solvers[1].warm_start(found.x + 1e-3, found.u + 1e-3)
     np.testing.assert_allclose(found.u, ipopt.solve(solvers[1], np.zeros(2))[1], atol=1e-5)
 
 

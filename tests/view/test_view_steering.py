@@ -253,7 +253,7 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     if steering.has_legs:
         bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
     orders = no_orders()
-    weights = running.mpc.solver.ws.w.copy()
+    weights = running.mpc.solver.constants.copy()
     for k, wrong in enumerate(bad):
         for key, value in wrong.items():
             orders[key][...] = value
@@ -261,4 +261,4 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
         steering.apply(0.1 * k + 0.05, orders, NOWHERE)  # said once, not at every tick
         assert len(rejected) == k + 1, wrong
     assert running.mpc.reference["hand"] is before
-    np.testing.assert_array_equal(running.mpc.solver.ws.w, weights)
+    np.testing.assert_array_equal(running.mpc.solver.constants, weights)

@@ -242,13 +242,13 @@ class MPC:
     def _moving(self) -> np.ndarray:
         """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
         solver, planes = self.solver, self._planes
-        nodes = solver.ws.p[:, : planes.by_node.shape[1]]
+        nodes = solver.node_parameters[:, : planes.by_node.shape[1]]
         ends = nodes[:-1].copy()
         for name, reference in solver.references.items():
             if reference.kind == "linear":
                 part = solver.problem.node.slices[f"reference.{name}"]
                 ends[:, part] = nodes[1:, part]
-        fixed = planes.offset + planes.by_constant @ solver.ws.w[: planes.by_constant.shape[1]]
+        fixed = planes.offset + planes.by_constant @ solver.constants[: planes.by_constant.shape[1]]
         return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
 
     @property
