@@ -16,7 +16,7 @@ import yaml
 
 from fake_experiment import REGISTRY, FakeSettings
 from own_bases import write_base
-from wbmpc import studies as experiments
+from wbmpc import registry as experiments
 from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError

@@ -167,8 +167,8 @@ def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: 
     (tmp_path / "r.yaml").write_text(text)
     assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
     assert capsys.readouterr().err == (
-        "wbmpc: 'r' has a base of type 'fixed', whose plug-in offers no controller for ROS 2 ('ros_settings'); a robot with a base "
-        "of another type is needed\n"
+        "wbmpc: 'r' has a base of type 'fixed', whose plug-in offers no controller for ROS 2 ('ros_settings'); valid: ball, "
+        "swerve\n"
     )
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"

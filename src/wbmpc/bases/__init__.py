@@ -13,6 +13,7 @@ from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 
+from wbmpc.bases import base
 from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name
 
@@ -57,3 +58,19 @@ def base_type(name: str) -> BaseType:
         if not hasattr(made, part):
             setattr(made, part, partial(getattr(BaseType, part), made))
     return made
+
+
+def _offering(part: str) -> list[str]:
+    """Names of the base types that define a part of the plug-in; those of packages that cannot be imported are left out."""
+    found = []
+    for name in available_base_types():
+        try:
+            plugin = type(base_type(name))
+        except InputError:
+            continue
+        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
+            found.append(name)
+    return found
+
+
+base.offering = _offering

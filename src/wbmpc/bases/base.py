@@ -8,7 +8,7 @@ the part and the base types that offer it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
@@ -287,9 +287,13 @@ PARTS = {
 }  # fmt: skip
 
 
+#: Gives the names of the base types that define a part: the table's own, which sets it (the table imports this module).
+offering: Callable[[str], list[str]] = lambda part: []
+
+
 def lacks(description: RobotDescription, part: str) -> NoReturn:
-    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in."""
+    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
     raise InputError(
-        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} ('{part}'); "
-        "a robot with a base of another type is needed"
+        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "
+        f"('{part}'); valid: {', '.join(offering(part)) or 'no base type that is installed'}"
     )
