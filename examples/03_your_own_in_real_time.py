@@ -75,10 +75,6 @@ class Controller:
 
 
 clock, model = wb.WallClock(), make_mpc()
-robot = Crane(clock, model)
-print(
-    wb.RealTimeRunner(
-        robot, Controller(model, 1 / 400), make_mpc(), wb.RealTimeSettings(control_rate=400.0), clock
-    ).run(4.0)
-)
+robot, settings = Crane(clock, model), wb.RealTimeSettings(control_rate=400.0)
+print(wb.RealTimeRunner(robot, Controller(model, 1 / 400), make_mpc(), settings, clock).run(4.0))
 print(f"load at {robot.x[0]:.3f} m, rope at {np.rad2deg(robot.x[1]):.2f} degrees")
