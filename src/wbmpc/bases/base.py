@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
-from wbmpc.configuration import reject_truths
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,11 +44,6 @@ class Section(BaseModel):
     """A mapping of a robot file: its keys are the fields, unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_truths(cls, data: Any) -> Any:
-        return reject_truths(cls, data)
 
 
 class InertialDescription(Section):

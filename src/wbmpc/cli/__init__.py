@@ -151,7 +151,7 @@ def _execute(
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.open(name)
-    name = experiment.name
+    name = experiment.name if name.endswith(".py") else name  # a file is known by the name of its experiment
     settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
     try:
         while True:

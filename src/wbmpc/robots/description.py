@@ -166,6 +166,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     strange = [key for key in data if not isinstance(key, str)]
     if strange:
         raise unknown_name("key", str(strange[0]), _keys(RobotDescription, ""), where=str(path))
+    _reject_truths(data, path, data)
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
     try:
@@ -207,6 +208,22 @@ def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
     given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
     text = fault["msg"].removeprefix("Value error, ")
     return f"key '{key}': {text[0].lower()}{text[1:]}{given}{more}"
+
+
+def _reject_truths(value: Any, where: Path, data: dict[str, Any], location: tuple[int | str, ...] = ()) -> None:
+    """Raise :class:`InputError` for true or false (YAML: yes, on, no, off) where a file needs a number or a name: Python takes them
+    for 1 and 0."""
+    if isinstance(value, bool):
+        try:
+            field = _section(location[:-1], data).model_fields.get(str(location[-1]))
+        except (KeyError, TypeError, InputError):  # beside keys that are not known either
+            field = None
+        if field is None or field.annotation is not bool:
+            key = ".".join(str(k) for k in location)
+            raise InputError(f"{where}: key '{key}': a number or text is needed, not true or false")
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for name, inner in inside:
+        _reject_truths(inner, where, data, (*location, name))
 
 
 def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[BaseModel]:
