@@ -385,6 +385,9 @@ def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> No
         rail.calibrator(robot)
     if plugin == "BareType":
         with pytest.raises(
-            InputError, match=lacking.format("simulated robot with a controller", "system", "ball, swerve")
+            InputError,
+            match=lacking.format(
+                "simulated robot with a controller", "system", "ball, differential, omnidirectional, swerve"
+            ),
         ):
             rail.system(robot, 1)
