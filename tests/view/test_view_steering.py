@@ -220,7 +220,7 @@ def test_weights_act_without_compiling() -> None:
     assert far[1] > 1.5 * far[0]
     again = soft.mpc.solver.constants.copy()
     steering = Steering(soft, np.zeros(3))
-    steering._weights = factors
+    steering._weights = steering._seen_weights = factors
     steering.apply(0.0, no_orders(), NOWHERE)
     assert not np.array_equal(soft.mpc.solver.constants, again)
     np.testing.assert_array_equal(soft.mpc.solver.constants, firm.mpc.solver.constants)
