@@ -129,7 +129,7 @@ def test_what_a_run_may_be_asked_for() -> None:
         lambda v=v: bounds.push(np.array(v[:3]), np.array(v[3]))
         for v in ((nan, 0, 0, 1), (1001, 0, 0, 1), (1, 0, 0, nan))
     ]
-    bad += [lambda v=v: bounds.factors(np.full(MOST_WEIGHTS, v)) for v in (nan, 0.0, -1.0, 1e3)]
+    bad += [lambda v=v: bounds.factors(np.full(MOST_WEIGHTS, v)) for v in (nan, 0.0, -1.0, 1e4)]
     bad += [lambda v=v: bounds.choice("configuration", np.array(v), 3) for v in (nan, -1.0, 0.5, 3.0, np.inf)]
     bad += [lambda v=v: bounds.within("speed", v, *bounds.SPEEDS) for v in (nan, 0.0, -1.0, np.inf)]
     for ask in bad:
