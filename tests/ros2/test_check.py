@@ -7,6 +7,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -193,9 +194,12 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
 def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, looker: Any) -> None:
     listen(robot)
     end = states(robot, 300.0)
-    nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
-    try:
-        ControlNode(nodes[0], ROBOT, SwerveRosSettings())
+    with ExitStack() as stack:
+        nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
+        for node in nodes:
+            stack.callback(node.close)
+        stack.callback(end.set)
+        stack.callback(ControlNode(nodes[0], ROBOT, SwerveRosSettings()).close)
         known(looker, commands(*GROUPS), commands(*GROUPS))
         f = found(looker)
         says = "1 listening; the controller 'wbmpc' is there"
@@ -204,10 +208,6 @@ def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, look
         assert wait_until(lambda: len(looker.publishers(commands("arm")[0])) == 2)
         two = "2 nodes called 'wbmpc' publish on it: they stop each other"
         assert found(looker)[commands("arm")[0]] == ("error", two)
-    finally:
-        end.set()
-        for node in nodes:
-            node.close()
 
 
 def test_a_ball_robot_needs_its_inertial_unit_and_an_arm_may_want_trajectories(robot: Any, looker: Any) -> None:
@@ -249,7 +249,7 @@ def test_the_nodes_say_as_much_as_is_wanted(
 ) -> None:
     for name, value in {**private(), "ROS_DOMAIN_ID": "51"}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(ControlNode, "spin", lambda self, ended: self.step())
+    monkeypatch.setattr(ControlNode, "spin", lambda self, ended: (self.step(), self.close()))
     sim = ["ros2", "sim", "swerve-ur10", "--backend", "dds", "--seconds", "0.1", "--use-sim-time", "--factor", "100"]
     for command, keys in (
         (sim, {"ended", "seconds", "behind", "seed"}),

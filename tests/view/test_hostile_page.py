@@ -107,7 +107,8 @@ def test_a_flood_of_malformed_messages_is_a_few_lines(running: tuple[Any, Client
     for _ in range(3000):
         client.send(b"\xc1")
         client.send("text")
-    assert client.alive and run_time(client) > before
+    # the answers to the flood come first, so the page's next time may be some seconds away
+    assert client.alive and any(run_time(client) > before for _ in range(60))
     client.set("End the run", True)
     _, err = process.communicate(timeout=60)
     assert "Traceback" not in err and len(err.splitlines()) < 15
