@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from effort import draws
 from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.errors import InputError
 from wbmpc.estimation.odometry_filter import OdometryNoise
@@ -50,7 +51,7 @@ def prior() -> WheelCalibration:
 def test_zeros_and_radii_are_found_within_their_covariance() -> None:
     """Over bases: errors over covariance are chi-square with 2n degrees, and much smaller than what was known before."""
     values, left = [], []
-    for seed in range(20):
+    for seed in range(draws(6, 20)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
         error = np.concatenate([found.steer_zero - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors])
@@ -115,7 +116,7 @@ def straight_on(seed: int, brake: float) -> tuple[Drawn, WheelRecord]:
 def test_open_legs_show_every_zero() -> None:
     """Closed brakes leave one combination as uncertain as it was; with open ones it is found, within its own std over bases."""
     apart, nothing = [], WheelCalibration.unknown(ring(4), 2e-3, 0.0, 0.0)
-    for seed in range(8):
+    for seed in range(draws(4, 8)):
         base, data = straight_on(seed, 1.0)
         found = calibrate(base.geometry, data, prior=nothing, noise=CALM)
         std = np.sqrt(HIDDEN @ found.covariance[:4, :4] @ HIDDEN)
@@ -130,7 +131,7 @@ def test_open_legs_show_every_zero() -> None:
 
 def test_calibrated_odometry_drifts_less() -> None:
     errors = {"before": [], "after": []}
-    for seed in range(5):
+    for seed in range(draws(2, 5)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
         again = drawn(seed, length=40.0)

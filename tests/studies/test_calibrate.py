@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from effort import thorough
 from toys import robot
 from wbmpc.bases.swerve.calibration_log import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -83,6 +84,7 @@ def test_brakes_take_turns_and_bases_without_them_drive_as_they_did() -> None:
         )
 
 
+@thorough
 def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
     drift = {}
     for how in ("none", str(calibration)):
@@ -93,6 +95,7 @@ def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
     assert drift[str(calibration)] < 0.6 * drift["none"]
 
 
+@thorough
 def test_a_run_with_global_poses_stays_where_it_should(calibration: Path) -> None:
     settings = SwerveTrackSettings(periods=1, rest=2.0, calibration=str(calibration), global_poses=True)
     result = REGISTRY["swerve-track"].run(settings, SEED, None)
