@@ -98,7 +98,7 @@ def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController
     arm = robot.home[robot.state["arm"]]
     robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
     agent = BallController(
-        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.drive_lag)
+        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
     agent.leaning = leaning_of(BALL, robot, arm)
     return agent

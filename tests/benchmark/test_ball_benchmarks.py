@@ -47,6 +47,6 @@ def at_its_limits(cost: RezeroCost) -> BallController:
 def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) -> None:
     """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
     leaning = make().leaning
-    assert leaning is not None and leaning.speed == RezeroSettings().pushed_speed
+    assert leaning is not None and leaning.speed == RezeroSettings().max_pushed_speed
     lean = leaning.shift(STRONG, 0.3) - leaning.centre(STRONG, 0.3)
     assert np.hypot(*lean) == pytest.approx((0.9 - share) * leaning.reach)

@@ -75,7 +75,7 @@ def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pyt
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
         leaning.check(2.0, pushed(force), x)
         leaning.check(2.25, pushed(force), x)
-    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
+    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(max_pushed_speed\); motors off"):
         leaning.check(2.31, pushed(50.0), x)
 
 

@@ -135,7 +135,7 @@ class Balancing:
 
     def __init__(self, seed: int, *faults: SensorFault, **changes: float) -> None:
         self.plant = BallPlant(
-            ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, drive_lag=0.01, **changes), seed
+            ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, actuator_time_constant=0.01, **changes), seed
         )
         self.plant.sensors.faults = faults
         self.estimator = BallEstimator(ROBOT, HOME)
@@ -263,7 +263,7 @@ def test_balance_tells_bias_from_lean() -> None:
 
 def test_standing_robot_uses_its_balance_once() -> None:
     """With a model that is exact and an accelerometer that was never calibrated the lean becomes right."""
-    exact = {"mass": 0.0, "inertia": 0.0, "com": 0.0, "joint_offset": 0.0}
+    exact = {"mass": 0.0, "inertia": 0.0, "com_offset": 0.0, "joint_offset": 0.0}
     wrong, right = (Balancing(4, accel_bias=0.4, **exact) for _ in range(2))
     noise = replace(BallNoise(), accel_bias=0.4 / np.sqrt(3.0), tilt=0.1)
     wrong.estimator = BallEstimator(ROBOT, HOME, noise, balance=1.0)

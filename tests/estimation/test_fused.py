@@ -68,7 +68,7 @@ def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # t
         zeros[:, i] = (at(1) - at(-1)) / 2e-6
         of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), before, now).twist
         factors[:, i] = (of(1) - of(-1)) / 2e-6
-    np.testing.assert_allclose(moved.by_steer_zero(), zeros, atol=1e-10)
+    np.testing.assert_allclose(moved.by_steer_offset(), zeros, atol=1e-10)
     np.testing.assert_allclose(moved.by_radius(), factors, atol=1e-10)
     assert np.abs(moved.twist).max() > 1e-3
 

@@ -40,8 +40,8 @@ from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.view.replay import Film
 
-FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
-BALL = ["--set", "forces=[20]", "--set", "settle=0.5", "--set", "pause=2"]
+FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "settle_time=1", "--set", "calibration=none"]
+BALL = ["--set", "forces=[20]", "--set", "settle_time=0.5", "--set", "pause=2"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -231,7 +231,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
 
 
 def test_recording_changes_nothing(track: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, speed=0.8, rest=1.0, calibration="none")
+    settings = SwerveTrackSettings(periods=1, speed=0.8, settle_time=1.0, calibration="none")
     alone = REGISTRY["swerve-track"].run(settings, 3, None)
     saved = json.loads((track / "metrics.json").read_text())["metrics"]
     assert {n: m.value for n, m in alone.metrics.items()} == {n: m["value"] for n, m in saved.items()}
@@ -245,7 +245,7 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
         "run",
         "swerve-track",
         "--set",
-        "rest=0",
+        "settle_time=0",
         "--set",
         "calibration=none",
         "--out",

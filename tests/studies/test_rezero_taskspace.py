@@ -67,7 +67,7 @@ def test_torques_of_the_rival_respect_the_limits() -> None:
 
 
 def test_both_controllers_take_the_steps() -> None:
-    settings = RezeroTaskspaceSettings(settle=1.0, hold=1.0)
+    settings = RezeroTaskspaceSettings(settle_time=1.0, hold_time=1.0)
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, None)
     assert result.completed, result.reason
     m, log = {n: v.value for n, v in result.metrics.items()}, result.log
@@ -89,7 +89,7 @@ def test_ctrl_c_in_the_second_part_is_told() -> None:
 
     # the first part is only there to be over
     slow = RezeroTaskspaceSettings().mpc.model_copy(update={"rate": 40.0})
-    settings = RezeroTaskspaceSettings(settle=0.5, hold=1.0, mpc=slow, control=ControlSettings(rate=200.0))
+    settings = RezeroTaskspaceSettings(settle_time=0.5, hold_time=1.0, mpc=slow, control=ControlSettings(rate=200.0))
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error

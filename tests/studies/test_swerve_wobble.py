@@ -20,7 +20,7 @@ from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
     """A plant like the model but for its centres of mass and its gyro, after one turn that shows them."""
-    plant = Perturbation.none(com=0.01, gyro_noise=2e-4, gyro_bias=0.01)
+    plant = Perturbation.none(com_offset=0.01, gyro_noise=2e-4, gyro_bias=0.01)
     settings = SwerveWobbleSettings(
         heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
     )

@@ -35,7 +35,7 @@ pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")
 
 
-SHORT = [text for key in ("forces=[10]", "settle=0.5", "pause=2.0") for text in ("--set", key)]
+SHORT = [text for key in ("forces=[10]", "settle_time=0.5", "pause=2.0") for text in ("--set", key)]
 
 
 def free_port() -> int:

@@ -55,8 +55,8 @@ class Inbox:
         self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
-            "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
-            "hand_path": self._hand_path, "wrench": self._take_wrench,
+            "goal_pose": self._goal_pose, "end_effector_goal": self._hand_goal, "base_path": self._base_path,
+            "end_effector_path": self._hand_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(topic, ORDERS[key], partial(self._try, topic, take), DEFAULT, deferred=True)

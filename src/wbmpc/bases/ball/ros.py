@@ -206,7 +206,9 @@ class BallPilot:
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
-            PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
+            PushEstimator(robot, robot.home[robot.state["arm"]], settings.expected_push_time)
+            if settings.expected_push_time > 0.0
+            else None
         )
         home = robot.home[robot.state["arm"]]
         self._leaning = leaning_of(settings, robot, home)
@@ -216,7 +218,13 @@ class BallPilot:
         s = self.settings
         estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         agent = BusBallAgent(
-            self.robot, self._model, self._torque, self.period, DriveSettings(s.drive_lag), s.observer, estimator
+            self.robot,
+            self._model,
+            self._torque,
+            self.period,
+            DriveSettings(s.actuator_time_constant),
+            s.estimate_disturbance,
+            estimator,
         )
         agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
         agent.leaning = self._leaning
