@@ -7,7 +7,7 @@ gains so far, made small is how far hand or ball are from their place when the n
 over five directions; the push (0.2 s) gets harder whenever all five are recovered from. Then a race of the walks' best sets, and
 of those that there are, as the push map measures them, in four other directions on tuning seeds. Simulated pushes are kept in
 FILE (JSON lines) and are not simulated again. With ``--write`` the winner goes to benchmarks/push_map_gains.json, where the push
-map takes its rivals from.
+map takes its baselines from.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from ball_baselines import SPACE, Store, candidate
 from push_map import gains, settings_with, write_gains
-from rezero_rivals import SPACE, Store, candidate
 
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -199,8 +199,8 @@ def simulated(store: Store, mode: str, controller: str, seeds: list[int]) -> Cal
     def recovers(tried: Gains, impulse: float, task: int) -> bool:
         direction, seed = SIMULATED[task // len(seeds)], seeds[task % len(seeds)]
         passed = store.recovers(Point(mode, direction, LENGTH, seed, settings_with(controller, tried)), impulse)
-        told = f"{np.rad2deg(direction):g} deg, seed {seed}, {impulse:g} N s"
-        print(f"  {tried}, {told}: {'recovers' if passed else 'no'}", flush=True)
+        case = f"{np.rad2deg(direction):g} deg, seed {seed}, {impulse:g} N s"
+        print(f"  {tried}, {case}: {'recovers' if passed else 'no'}", flush=True)
         return passed
 
     return recovers

@@ -148,7 +148,7 @@ def test_gains_that_were_found_are_the_maps(monkeypatch: pytest.MonkeyPatch, tmp
 
 def test_the_summary_compares_direction_by_direction() -> None:
     """Medians of each, and of the ratios: 200/100, 150/150, 90/100; a direction that only one has does not count, and one in which
-    the other never recovers is told, not divided by. Farther than 3 m the ball went where the robot did not recover."""
+    the other never recovers is reported, not divided by. Farther than 3 m the ball went where the robot did not recover."""
     of = lambda *given: push_map.points("hand", 4, (0.2,), 0, given)
     todo = {"mpc": of(), "lqr": of("controller=lqr")}
     stands = {"mpc": (200.0, 150.0, 90.0, 170.0), "lqr": (100.0, 150.0, 100.0)}

@@ -1,4 +1,4 @@
-"""The study over burdens. Truth: files of runs written by hand, their order statistics."""
+"""The study over payload. Truth: files of runs written by hand, their order statistics."""
 
 from __future__ import annotations
 

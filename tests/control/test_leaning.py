@@ -60,16 +60,16 @@ def test_the_heading_turns_it_all() -> None:
     np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 
-def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_force_that_pushes_the_robot_away_is_reported_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
     leaning, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     x[n] = 1.9
     leaning.check(1.0, pushed(20.0), x)
     x[n] = 0.5
     leaning.check(1.0, pushed(50.0), x)
-    assert not leaning.told and not caplog.records
+    assert not leaning.reported and not caplog.records
     for t in (1.5, 1.6):
         leaning.check(t, pushed(90.0), x)
-    assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
+    assert leaning.reported == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
     assert len(caplog.records) == 1
     x[n] = 2.1
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
@@ -85,6 +85,6 @@ def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on()
         x[n] = speed
         leaning.check(t, pushed(50.0), x)
     leaning.reset()
-    assert not leaning.told
+    assert not leaning.reported
     leaning.check(0.1, pushed(50.0), x)
-    assert leaning.told.endswith("(0.10 s)")
+    assert leaning.reported.endswith("(0.10 s)")

@@ -91,14 +91,14 @@ def test_legs_open_one_after_the_other_and_the_planner_knows_when() -> None:
     assert len(changed) == 2
 
 
-def test_a_brake_that_is_told_to_close_or_does_not_hold_is_left_alone() -> None:
+def test_a_brake_that_is_reported_to_close_or_does_not_hold_is_left_alone() -> None:
     guard, moves = LegGuard(2), np.array([0.5, 0.5])
     guard.give_up(1)
     watched(guard, moves, np.zeros(2), 0.2)
     assert list(guard.holds) == [1, 0]
     guard.update(
         0.3, np.zeros(2), np.zeros(2), np.zeros(2)
-    )  # told to close: nothing is held besides, and both are believed again
+    )  # commanded to close: nothing is held besides, and both are believed again
     assert not guard.held(0.3).any() and guard.until[0] == 0.3
     watched(guard, moves, np.zeros(2), 0.2, start=0.4)
     assert list(guard.holds) == [2, 1]
@@ -109,11 +109,11 @@ def test_a_brake_that_is_told_to_close_or_does_not_hold_is_left_alone() -> None:
     assert guard.until[1] == until
 
 
-def test_times_may_start_anew_and_bad_numbers_are_refused() -> None:
+def test_times_may_start_anew_and_bad_numbers_are_rejected() -> None:
     guard = LegGuard(2)
     watched(guard, np.array([0.5, 0.0]), np.zeros(2), 0.2)
     assert guard.update(0.0, [3.0, 3.0], np.zeros(2), np.ones(2)), (
-        "the planner has to be told that nothing is held any more"
+        "the planner has to report to that nothing is held any more"
     )
     assert not guard.held(0.0).any()
     for bad in ([np.nan, 0.0], [0.0]):
@@ -168,19 +168,19 @@ def swung(agent: SwerveController, seconds: float = 0.2) -> list[float]:
     return list(command.brake)
 
 
-def opened(told: list[ModeSchedule]) -> BrakeControl:
-    brakes = BrakeControl(SWERVE, changed=told.append)
+def opened(reported: list[ModeSchedule]) -> BrakeControl:
+    brakes = BrakeControl(SWERVE, changed=reported.append)
     brakes.set(0.0, np.ones(4))
     return brakes
 
 
 def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
-    told: list[ModeSchedule] = []
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(told))
+    reported: list[ModeSchedule] = []
+    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(reported))
     assert swung(agent) == [1, 0, 1, 1] and agent.holds == 1 and not agent.faults
-    assert planned(told[-1], 0.2) == [1, 0, 1, 1] and planned(told[-1], 2.0) == [1, 1, 1, 1]
+    assert planned(reported[-1], 0.2) == [1, 0, 1, 1] and planned(reported[-1], 2.0) == [1, 1, 1, 1]
     agent.stop()
-    assert planned(told[-1], 0.2) == [1, 1, 1, 1]
+    assert planned(reported[-1], 0.2) == [1, 1, 1, 1]
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:
@@ -194,9 +194,9 @@ def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> No
 
 
 def test_on_a_bus_the_nodes_own_thread_tells_the_planner() -> None:
-    told: list[ModeSchedule] = []
-    brakes = opened(told)
+    reported: list[ModeSchedule] = []
+    brakes = opened(reported)
     agent = BusAgent(SWERVE, np.zeros(3), PERIOD, brakes)
-    assert swung(agent) == [1, 0, 1, 1] and planned(told[-1], 0.2) == [1, 1, 1, 1]
+    assert swung(agent) == [1, 0, 1, 1] and planned(reported[-1], 0.2) == [1, 1, 1, 1]
     SwervePilot.inspect(SimpleNamespace(agent=agent, brakes=brakes))  # type: ignore[arg-type]
-    assert planned(told[-1], 0.2) == [1, 0, 1, 1]
+    assert planned(reported[-1], 0.2) == [1, 0, 1, 1]

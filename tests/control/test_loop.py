@@ -185,7 +185,7 @@ class RaisingAgent(FakeAgent):
             raise ZeroDivisionError("nothing to divide by")
 
 
-def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     plant, recorded = fake_plant(), []
     with caplog.at_level("DEBUG", "wbmpc"):
         ending = run_lockstep(

@@ -119,7 +119,7 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
         (np.nan, "must be finite"),
     ],
 )
-def test_a_dead_time_that_cannot_be_predicted_over_is_refused(dead: float, said: str) -> None:
+def test_a_dead_time_that_cannot_be_predicted_over_is_rejected(dead: float, said: str) -> None:
     with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
         BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, DriveSettings(0.02, dead))  # type: ignore[arg-type]
 
@@ -179,7 +179,7 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
         agent.measure(BallMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
 
-def test_what_makes_the_disturbance_infinite_is_told() -> None:
+def test_what_makes_the_disturbance_infinite_is_reported() -> None:
     """A joint that turns at 17 rad/s (its limit is 4) in a state that the model has no answer to."""
     agent, state = ball_agent(observer=True), np.zeros(2 * N)
     agent.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]

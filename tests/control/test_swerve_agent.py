@@ -298,7 +298,7 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
     np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
 
 
-def test_wheels_and_steering_are_told_what_friction_takes() -> None:
+def test_wheels_and_steering_are_reported_what_friction_takes() -> None:
     """Drives that lose 0.03 rad/s, as dry friction makes them. Truth: after a while they turn as planned."""
     u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
     u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
@@ -395,10 +395,10 @@ def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
 
 
 def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
-    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a sentence. Fixed legs have no brakes."""
-    told: list[object] = []
+    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a message. Fixed legs have no brakes."""
+    reported: list[object] = []
     agent, plans = (
-        SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=told.append)),
+        SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=reported.append)),
         PolicyQueue(),
     )
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
@@ -406,7 +406,7 @@ def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
         agent.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
         agent.command(0.01 * k, plans)
     name = SWERVE.state.groups["leg"][2]
-    assert len(told) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
+    assert len(reported) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
     fixed = robot("swerve-fixed-ur10")
     assert SwerveController(fixed, np.zeros(3), PERIOD).supervision.monitor is None
 
@@ -451,12 +451,12 @@ def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
     assert [f.time for f in agent.supervision.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
 
 
-def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
+def brake_faults(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
     """What an agent tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
     at once one that is closed, just before the end one that is open. ``how`` the run ends then: with "no plan" or a "stop".
     """
     monitor = BrakeMonitor(SWERVE.state.groups["leg"], expected=0.02, patience=0.1)
-    told: list[BrakeFault] = []
+    reported: list[BrakeFault] = []
     brakes = lambda t: np.full(4, float(is_open))
     agent = SwerveController(
         SWERVE,
@@ -464,7 +464,7 @@ def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[Br
         PERIOD,
         brakes,
         tracking=TrackingSettings(planned_steering=False),
-        supervision=SupervisionSettings(monitor=monitor, report=told.append),
+        supervision=SupervisionSettings(monitor=monitor, report=reported.append),
     )
     u, plans = np.zeros(SWERVE.input.size), PolicyQueue()
     u[SWERVE.input["leg"].start] = 0.2
@@ -477,18 +477,18 @@ def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[Br
             agent.stop()
         else:
             agent.command(k * PERIOD, plans)
-    return told
+    return reported
 
 
 @pytest.mark.parametrize("how", ["no plan", "stop"])
 def test_a_brake_is_taken_back_although_a_stop_comes_first(how: str) -> None:
     """In the tick in which the message would come. Truth: the same run without the stop, and 0.02 rad at 0.2 - 0.08 rad/s."""
-    slips, holds = brakes_told(0.1, False, 0.3)
+    slips, holds = brake_faults(0.1, False, 0.3)
     assert (slips.kind, holds.kind) == ("does not hold", "holds after all")
     assert holds.time == pytest.approx(0.05 + 0.02 / 0.12, abs=0.02)  # two looks
-    assert [f.kind for f in brakes_told(0.1, False, holds.time, how)] == ["does not hold", "holds after all"]
+    assert [f.kind for f in brake_faults(0.1, False, holds.time, how)] == ["does not hold", "holds after all"]
     # the stop closes an open brake, but the leg has moved under the command before: 10.1 mrad at the last tick
-    assert [f.kind for f in brakes_told(0.0101, True, 0.2525, how)] == ["does not open", "opens after all"]
+    assert [f.kind for f in brake_faults(0.0101, True, 0.2525, how)] == ["does not open", "opens after all"]
 
 
 def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -504,7 +504,7 @@ def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("leg", [np.full(4, np.nan), np.zeros(3)])
 def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> None:
-    """The loop stops the agent after its odometry has refused the message."""
+    """The loop stops the agent after its odometry has rejected the message."""
     agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), PolicyQueue()
     plans.add(0.0, constant_policy(swerve_input(3)))
     plans.activate(0.0)
@@ -516,7 +516,7 @@ def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> No
 
 
 def test_a_plan_that_is_not_finite_does_not_end_in_the_monitor() -> None:
-    """What is commanded is refused by who commands it; the stop after it still looks at the legs."""
+    """What is commanded is rejected by who commands it; the stop after it still looks at the legs."""
     agent = SwerveController(HURRIED, np.zeros(3), PERIOD)
     agent.measure(message())
     agent.watch(0.0, np.zeros(4), np.full(4, 0.1))

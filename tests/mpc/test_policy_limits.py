@@ -297,12 +297,12 @@ def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
 @pytest.mark.parametrize(
     "settings", [SQP(), ILQR(), SQP(compute_kkt=False), SQP(interior_point=InteriorPoint("real_time"))]
 )
-def test_settings_under_which_missed_limits_are_not_told_are_refused(settings: SQP) -> None:
+def test_settings_under_which_missed_limits_are_not_reported_are_rejected(settings: SQP) -> None:
     with pytest.raises(InputError, match=r"valid: (SQP|ILQR)\.real_time"):
         MPC(trolley(), settings)
 
 
-def test_terms_that_come_too_late_are_refused_by_name(mpc: MPC) -> None:
+def test_terms_that_come_too_late_are_rejected_by_name(mpc: MPC) -> None:
     solver, late = mpc.solver, Constraint("late", Rows(1, lambda s: s.u[1]), Box(-0.1, 0.1), hard=True)
     solver.ocp.add(late)
     with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):

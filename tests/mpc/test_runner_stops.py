@@ -145,9 +145,9 @@ FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
 }
 
 
-def check_stopped(runner: RealTimeRunner, sentence: str, seconds: float = 1.0) -> None:
+def check_stopped(runner: RealTimeRunner, message: str, seconds: float = 1.0) -> None:
     report = runner.run(seconds)
-    assert re.fullmatch(f"stopped at {sentence}", report.state)
+    assert re.fullmatch(f"stopped at {message}", report.state)
     assert runner.stopped
     # stop() at every tick from then on, no command any more, the robot without drive
     when = float(report.state.split()[2])
@@ -159,10 +159,10 @@ def check_stopped(runner: RealTimeRunner, sentence: str, seconds: float = 1.0) -
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_of_robot_or_agent_is_a_safe_stop(name: str) -> None:
-    inject, sentence, raised = FAULTS[name]
+    inject, message, raised = FAULTS[name]
     runner = virtual()
     inject(runner)
-    check_stopped(runner, sentence)
+    check_stopped(runner, message)
     assert isinstance(runner.error, RuntimeError) == raised
 
 
@@ -177,7 +177,7 @@ def test_an_mpc_that_ends_the_interpreter_is_a_safe_stop() -> None:
     check_stopped(runner, r"0.182 s: the MPC raised SystemExit: 3")
 
 
-def test_threads_that_die_are_told() -> None:
+def test_threads_that_die_are_reported() -> None:
     """Whatever is raised outside a tick or a solve, here by the clock."""
 
     class Broken(VirtualClock):
@@ -262,7 +262,7 @@ def test_without_a_first_policy_the_robot_never_moves() -> None:
     assert not runner.robot.writes
 
 
-def test_a_stop_that_raises_is_told_once_and_tried_again() -> None:
+def test_a_stop_that_raises_is_reported_once_and_tried_again() -> None:
     runner, calls = virtual(), []
 
     def stop() -> None:

@@ -147,7 +147,7 @@ def test_a_message_that_is_wrong_does_not_count(made: Callable[..., Any], caplog
     assert errors(caplog, "is not finite; it does not count") == 1 and errors(caplog, "jumped by 1 rad") == 1
 
 
-def test_somebody_else_on_the_drives_topic_is_told_and_it_holds_its_place(
+def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     s = made()
@@ -156,7 +156,7 @@ def test_somebody_else_on_the_drives_topic_is_told_and_it_holds_its_place(
     assert s.until(lambda: "holds its place: somebody else publishes on /arm" in s.control.state)
     s.hand(dx=0.2)
     standing(s)
-    assert "a goal is refused: somebody else" in s.control.inbox.refused
+    assert "a goal is rejected: somebody else" in s.control.inbox.rejected
     assert errors(caplog, "somebody else publishes") == 1 and any("somebody" in m for m in s.messages(2))
     s.other._writers.remove(somebody._writer)
     somebody._writer.__del__()
@@ -292,7 +292,7 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)
-    assert "a goal is refused: the pose on /localisation" in s.control.inbox.refused
+    assert "a goal is rejected: the pose on /localisation" in s.control.inbox.rejected
     assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
     source.sending = True
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -314,7 +314,7 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)
-    assert "jumped by 1.0" in s.control.state and "a goal is refused: the pose on" in s.control.inbox.refused
+    assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.inbox.rejected
     assert any("jumped by 1.0" in m for m in s.messages(2)) and np.abs(s.truth().pose[:2]).max() < 0.1
     source.offset[0] = 0.0
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -387,7 +387,7 @@ def test_what_it_needs(made: Callable[..., Any]) -> None:
     assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
 
 
-def test_an_encoder_that_stands_still_is_told_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
+def test_an_encoder_that_stands_still_is_reported_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
     s = made(rates={"diagnostics": 50.0})
     balancing(s)
     now = s.sim.plant.time

@@ -263,8 +263,8 @@ def test_a_mismatch_is_said_on_both_sides(nodes: tuple[Any, Any]) -> None:
         "/scan: a subscription asks for more than is offered (reliability); no message will come through"
     ]
     (offered,) = other.publishers("/scan")
-    assert DEFAULT.refuses(offered.qos) == "it offers best effort, reliable is asked for"
-    assert not SENSOR.refuses(offered.qos)
+    assert DEFAULT.incompatible(offered.qos) == "it offers best effort, reliable is asked for"
+    assert not SENSOR.incompatible(offered.qos)
 
 
 def test_another_type_is_named_and_forgotten_when_it_has_gone(
@@ -296,17 +296,17 @@ def test_a_topic_of_two_types_is_heard_in_both_whoever_comes_first(
         publisher.publish({})
         assert wait_until(lambda k=k: k in got)
     time.sleep(0.3)
-    assert (one.faults, other.faults, third.faults) == ([], [], [])  # who sends either type is told of no mismatch
+    assert (one.faults, other.faults, third.faults) == ([], [], [])  # who sends either type is reported of no mismatch
     assert not any("another type" in r.getMessage() for r in caplog.records)
     third.close()
     assert wait_until(lambda: topic.look() or list(topic._ends) == [kinds[0]])
     assert wait_until(lambda: [e.type for e in one.subscribers("/mixed")] == [kinds[0]])
 
 
-def test_a_type_that_the_middleware_has_no_room_for_is_told_as_long_as_it_is_there(
+def test_a_type_that_the_middleware_has_no_room_for_is_reported_as_long_as_it_is_there(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Some middlewares have one type for a topic: the second one is refused, said once, and forgotten when it has gone."""
+    """Some middlewares have one type for a topic: the second one is rejected, said once, and forgotten when it has gone."""
     kinds, taken = ["std_msgs/msg/Bool"], []
 
     def subscribe(topic: str, kind: str, *given: Any, **also: Any) -> Any:
@@ -400,7 +400,7 @@ def test_a_service_answers(nodes: tuple[Any, Any]) -> None:
         other.call("/nobody", "std_srvs/srv/Trigger", {}, timeout=0.1)
 
 
-def test_wrong_use_is_one_sentence(nodes: tuple[Any, Any]) -> None:
+def test_wrong_use_is_one_message(nodes: tuple[Any, Any]) -> None:
     with pytest.raises(InputError, match="a name of letters"):
         open_node("my node", "dds", NETWORK)
     with pytest.raises(InputError, match="valid: auto, rclpy, dds"):

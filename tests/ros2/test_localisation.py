@@ -21,7 +21,7 @@ if not MISSING:
     from wbmpc.ros2.localisation import Gate
 
 
-def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
+def test_a_pose_in_a_wrong_frame_is_reported_once_until_it_is_right(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     p = pair(topics={"pose": "/amcl_pose"})
@@ -34,7 +34,7 @@ def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
             publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
             time.sleep(0.02)
 
-    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused pose"]
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected pose"]
     for k in (1, 2):
         tell("map", 5)
         assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
@@ -154,7 +154,7 @@ def test_the_gate_follows_a_clock_that_is_started_anew() -> None:
 
 
 def test_after_a_jump_the_next_pose_counts_whatever_was_known() -> None:
-    """The filter refuses a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
+    """The filter rejects a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
     pilot, covariance = SwervePilot(ROBOT, SwerveRosSettings(), PERIOD), 1e-4 * np.eye(3)
     agent, first, far = pilot.agent.estimator, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
     agent.correct(0.0, first, covariance)

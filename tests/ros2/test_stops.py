@@ -47,7 +47,7 @@ class Turned:
     def turn(self) -> None:
         """Until the base turns at 0.6 rad/s."""
         p, self.other = self.p, False
-        assert p.until(lambda: self._speeds._writer.get_matched_subscriptions() and not p.control._rival)
+        assert p.until(lambda: self._speeds._writer.get_matched_subscriptions() and not p.control._other_publisher)
         self._speeds.publish({})
         p.run(0.3)
 
@@ -55,7 +55,7 @@ class Turned:
             self._speeds.publish({"angular": {"z": 0.6}})
             return bool(self.truth.increment[2] > 0.55 * PERIOD)
 
-        assert p.until(turns), (p.control.state, p.control.inbox.refused)
+        assert p.until(turns), (p.control.state, p.control.inbox.rejected)
 
     def stopped(self, seconds: float) -> None:
         """The controller stops, and another one turns the base for some time."""

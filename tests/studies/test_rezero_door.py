@@ -118,8 +118,8 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
     monkeypatch.setattr(rezero_door, "held", lambda *_: most)
     for force in (8.0, 16.0, 20.9):
         assert rezero_door.bounded(SHORT, robot, force) == (force, "")
-    possible, told = rezero_door.bounded(SHORT, robot, 30.0)
-    assert possible == pytest.approx(21.04, rel=2e-3) and "21.0 N only" in told
+    possible, reported = rezero_door.bounded(SHORT, robot, 30.0)
+    assert possible == pytest.approx(21.04, rel=2e-3) and "21.0 N only" in reported
     assert rezero_door.bounded(SHORT.model_copy(update={"hold": 1.0}), robot, 30.0) == (30.0, "")
 
 

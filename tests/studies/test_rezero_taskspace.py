@@ -1,4 +1,4 @@
-"""The task-space rival and its comparison. Truth: accelerations of the planner's dynamics, figures computed once more."""
+"""The task-space baseline and its comparison. Truth: accelerations of the planner's dynamics, figures computed once more."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     assert miss(torque) < 0.5 * miss(TORQUE)
 
 
-def test_torques_of_the_rival_respect_the_limits() -> None:
+def test_torques_of_the_baseline_respect_the_limits() -> None:
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
     agent = TaskSpaceController(
@@ -82,7 +82,7 @@ def test_both_controllers_take_the_steps() -> None:
     np.testing.assert_array_equal(log.array("wanted_mpc"), log.array("wanted_taskspace"))
 
 
-def test_ctrl_c_in_the_second_part_is_told() -> None:
+def test_ctrl_c_in_the_second_part_is_reported() -> None:
     def pressed(fraction: float, note: str) -> None:
         if note.startswith("taskspace") and fraction > 0.2:
             signal.raise_signal(signal.SIGINT)

@@ -74,7 +74,7 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     assert swerve_fixed.EXPERIMENT.run(settings, 0).faults == [f"ik: {FAULT}"]
 
 
-def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """The goal is for the monitor beside the MPC."""
     counted: list[int] = []
 
@@ -92,7 +92,7 @@ def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: p
 
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
-def test_what_the_rivals_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_baselines_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         experiment, "run_lockstep", lambda plant, agent, *_: agent.supervision.monitor.real.append(FAULT) or EARLY
     )
@@ -137,7 +137,7 @@ def test_a_ball_robot_has_no_brakes() -> None:
 
 
 @pytest.mark.parametrize("name", ["brake_fault_leg=2", "brake_fault_time=5"])
-def test_a_fault_that_no_brake_has_is_refused(name: str) -> None:
+def test_a_fault_that_no_brake_has_is_rejected(name: str) -> None:
     """Nothing would come of it."""
     settings = swerve_track.SwerveTrackSettings
     with pytest.raises(InputError, match=rf"plant: {name[:-2]}: nothing uses it without brake_fault=open"):

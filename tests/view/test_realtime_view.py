@@ -141,10 +141,10 @@ def test_the_runner_is_watched_and_steered() -> None:
     assert not runs[0][1].process.is_alive() and not runs[1][1].process.is_alive()
 
 
-def test_a_stop_by_safety_is_told_once_and_in_the_page(
+def test_a_stop_by_safety_is_reported_once_and_in_the_page(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Status 1; the sentence on standard error and on the page's board."""
+    """Status 1; the message on standard error and on the page's board."""
     pages: list[str] = []
     make, close = session.runner_of, realtime.RealtimeView.close
 

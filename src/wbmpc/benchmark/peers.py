@@ -123,11 +123,11 @@ def peer_figures(name: str, prepared: Prepared, problem: Problem, measure: Measu
     x, u, figures = found
     if measure is None:
         return dict(figures)
-    equal = within(EQUAL_SECONDS, equal_figures, name, prepared, problem.x0, start, figures, measure)
+    equal = within(EQUAL_SECONDS, equal_statistics, name, prepared, problem.x0, start, figures, measure)
     return {**figures, "residual": measure(x, u, problem.x0).figure, **({} if isinstance(equal, str) else equal)}
 
 
-def equal_figures(
+def equal_statistics(
     name: str,
     prepared: Prepared,
     x0: np.ndarray,

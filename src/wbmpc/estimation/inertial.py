@@ -54,7 +54,7 @@ class InertialGate:
         """A message (2, 3) counts."""
         self.last, self._counted, self._jumped = message, True, False
 
-    def refuse(self) -> None:
+    def reject(self) -> None:
         """A message that jumps does not count."""
         self._jumped = True
 

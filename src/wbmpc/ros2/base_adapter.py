@@ -48,10 +48,10 @@ class Brakes(Protocol):
 
 class LegOrders(Protocol):
     """Orders to legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so;
-    ``refused``: why the last order was not taken; ``short``: which legs have ended on their way."""
+    ``rejected``: why the last order was not taken; ``short``: which legs have ended on their way."""
 
     angles: Array | None
-    refused: str
+    rejected: str
     short: str
 
     @property
@@ -59,7 +59,7 @@ class LegOrders(Protocol):
     def apply(self, brakes: Any, t: float, leg: Array) -> bool: ...
     def watch(self, brakes: Any, t: float, leg: Array) -> bool: ...
     def drop(self) -> None: ...
-    def refuse(self, sentence: str) -> None: ...
+    def reject(self, message: str) -> None: ...
     def stop(self) -> None: ...
 
 
@@ -67,7 +67,7 @@ class BaseAdapter(Protocol):
     """``brakes`` of a run (:class:`Brakes`) and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
     ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
-    ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as sentences; ``inspect``, called in the
+    ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick.
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localisation's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run

@@ -1,4 +1,4 @@
-"""The controller as a node: waits for states and a goal, runs the real-time runner, tells what it does."""
+"""The controller as a node: waits for states and a goal, runs the real-time runner, publishes what it does."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter, LegOrders
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds, sentence_of
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
 from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
 from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
-from wbmpc.ros2.publishers import Teller
+from wbmpc.ros2.publishers import Publishers
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import RosSettings
@@ -36,7 +36,7 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
 LOOK, LOOK_AT_GRAPH = 0.02, 0.5
-#: Brakes are told this long before they are to act [s]: the control thread is never between two entries.
+#: Brakes are reported this long before they are to act [s]: the control thread is never between two entries.
 AHEAD = 0.02
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 OFFSET, GAP = 0.5, (0.4, 0.75)
@@ -45,7 +45,7 @@ _RECORDS = 4000
 
 
 class ControlNode:
-    """``state``: what it does, as a sentence. A goal starts it, also anew after a stop; nothing moves before.
+    """``state``: what it does, as a message. A goal starts it, also anew after a stop; nothing moves before.
 
     Clocks: the wall's, or with ``use_sim_time`` the bus's.
     """
@@ -79,7 +79,7 @@ class ControlNode:
         self.legs = self.pilot.leg_orders(node, self._not_for_legs, self._legs_now)
         self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
         self.planning = Planning(self.pilot.references)
-        self._rival, self._said, self._held = "", "", ""
+        self._other_publisher, self._logged, self._held = "", "", ""
         self._task: Task | None = None
         self._looked_at_graph = -np.inf
         if isinstance(self.clock, BusClock):
@@ -89,7 +89,7 @@ class ControlNode:
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
         self.health = Health(self)
-        self.teller = Teller(node, self)
+        self.publishers = Publishers(node, self)
         node.offer(parameters_of(self.pilot, settings))
 
     # ------------------------------------------------------------------ life
@@ -116,10 +116,10 @@ class ControlNode:
         self._move_legs()
         self._lead()
         self.health.look()
-        self.teller.tell()
-        if self.state != self._said:
-            self._said = self.state
-            if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
+        self.publishers.publish()
+        if self.state != self._logged:
+            self._logged = self.state
+            if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
                 _LOG.info("%s", self.state)
         self.rosout.send()
 
@@ -167,13 +167,13 @@ class ControlNode:
 
     @property
     def state(self) -> str:
-        """What the node does, as a sentence."""
+        """What the node does, as a message."""
         if self.runner is not None:
             trouble = self._held or (self.body.fault if self.pilot.keeps else "")
             if self.running and trouble:
                 return f"{self.runner.state}: {'holds its place: ' if self._held else ''}{trouble}"
             if self.running and self._task is not None:
-                return f"{self.runner.state}: {self._task.said}"
+                return f"{self.runner.state}: {self._task.description}"
             return self.runner.state
         return self.waits_for() or "waiting for a goal"
 
@@ -181,7 +181,7 @@ class ControlNode:
         """Why no goal can be taken up; empty if one can."""
         if isinstance(self.clock, BusClock) and self.clock.heard is None:
             return "waiting: no time on /clock yet"
-        why = self._rival or self.body.waits_for()
+        why = self._other_publisher or self.body.waits_for()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
@@ -189,7 +189,7 @@ class ControlNode:
     @property
     def task(self) -> str:
         """What the last goal was about, in words; empty before the first."""
-        return self._task.said if self._task is not None else ""
+        return self._task.description if self._task is not None else ""
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
@@ -251,7 +251,7 @@ class ControlNode:
             if not self.planning.busy:
                 seen, why = self.pilot.snapshot(), self._not_now()
                 if why or seen is None:
-                    self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
+                    self.inbox.reject(f"a goal is rejected: {why or 'there is no state yet'}")
                     continue
                 assert request is not None
                 self.planning.begin(request, seen[1], self.clock.now() if self.running else 0.0, self.running)
@@ -260,10 +260,10 @@ class ControlNode:
             try:
                 self._take_over(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
-                self.inbox.refuse(f"a goal is refused: {sentence_of(error)}")
+                self.inbox.reject(f"a goal is rejected: {error_message(error)}")
                 self.inbox.running = self.inbox.running if self.running else None
             else:
-                self.inbox.refused = ""
+                self.inbox.rejected = ""
 
     def _not_now(self) -> str:
         """Why no goal can be taken; empty if one can."""
@@ -305,7 +305,7 @@ class ControlNode:
             self._order(legs, seen[1])
         except Exception as error:
             legs.drop()
-            legs.refuse(f"an order to the legs is refused: {sentence_of(error)}")
+            legs.reject(f"an order to the legs is rejected: {error_message(error)}")
 
     def _order(self, legs: LegOrders, x: np.ndarray) -> None:
         pilot = self.pilot
@@ -387,7 +387,7 @@ class ControlNode:
             self.inbox.stop()
             if self.legs is not None and self.legs.waiting:
                 self.legs.drop()
-                self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
+                self.legs.reject("an order to the legs is rejected: the robot has stopped meanwhile")
         self.inbox.running = None
         if self.legs is not None:
             self.legs.stop()
@@ -408,21 +408,21 @@ class ControlNode:
         """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
         because it has lost its localisation at least goes nowhere."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
-        rivals = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._rival = f"somebody else publishes on {rivals[0]}" if rivals else ""
+        others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
+        self._other_publisher = f"somebody else publishes on {others[0]}" if others else ""
         lost = self.source.lost() if self.settings.topics.pose and self.pilot.keeps else ""
-        if (self._rival or lost) and self.running:
-            self._quit(self._rival or lost)
-        elif self._held and not (self._rival or lost):
+        if (self._other_publisher or lost) and self.running:
+            self._quit(self._other_publisher or lost)
+        elif self._held and not (self._other_publisher or lost):
             self._held = ""
 
-    def _quit(self, sentence: str) -> None:
+    def _quit(self, message: str) -> None:
         """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
         if not self.pilot.keeps:
-            self._halt(sentence)
+            self._halt(message)
         elif not self._held:
-            self._held = sentence
-            _LOG.error("holds its place: %s", sentence)
+            self._held = message
+            _LOG.error("holds its place: %s", message)
             seen = self.pilot.snapshot()
             assert seen is not None
             task = self.pilot.planner.hold(seen[1], self.clock.now())
@@ -435,16 +435,20 @@ class ControlNode:
         if seen is not None:
             self.trajectories.hold(seen[1], self.now)
 
-    def _halt(self, sentence: str) -> None:
+    def _halt(self, message: str) -> None:
         """Stop; see :meth:`_watch` for one without a clock."""
         assert self.runner is not None
-        self.runner.halt(sentence)
+        self.runner.halt(message)
         self.body.stop()
 
-    def refused(self) -> dict[str, str]:
-        """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
-        orders = self.legs.refused if self.legs is not None else ""
-        said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+    def rejected(self) -> dict[str, str]:
+        """What was rejected, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
+        orders = self.legs.rejected if self.legs is not None else ""
+        said = {
+            "rejected": self.inbox.rejected,
+            "rejected order to the legs": orders,
+            "rejected pose": self.source.fault,
+        }
         said["legs stopped short"] = self.legs.short if self.legs is not None else ""
         said["limited speed"] = self.inbox.limited
         return {key: why for key, why in said.items() if why}

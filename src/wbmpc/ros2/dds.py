@@ -113,8 +113,8 @@ class DdsNode:
     # ------------------------------------------------------------------ topics
     @property
     def faults(self) -> list[str]:
-        """Sentences about endpoints that do not match."""
-        return self._mismatches.sentences()
+        """Messages about endpoints that do not match."""
+        return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
@@ -264,7 +264,7 @@ class DdsNode:
         return found
 
     def _announce(self) -> None:
-        """Tell the graph which node has which readers and writers: anew whenever there is another one."""
+        """Publish to the graph which node has which readers and writers: anew whenever there is another one."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:
@@ -396,7 +396,7 @@ def _identity() -> str:
     return ".".join(f"{b:x}" for b in os.urandom(16))
 
 
-def _wait(end: float, sentence: str) -> None:
+def _wait(end: float, message: str) -> None:
     if time.monotonic() > end:
-        raise RunAborted(sentence)
+        raise RunAborted(message)
     time.sleep(0.002)

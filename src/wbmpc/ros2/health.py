@@ -66,10 +66,10 @@ class Health:
         if isinstance(self.controller.clock, BusClock) or not behind:
             self.late = ""
             return
-        said = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
+        message = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
         if not self.late:
-            _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, said)
-        self.late = f"the controller is late: real-time factor {self.factor:.2f}, {said}"
+            _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, message)
+        self.late = f"the controller is late: real-time factor {self.factor:.2f}, {message}"
 
     def _look_at_lean(self) -> None:
         """Only who balances falls, and only who has been balanced."""
@@ -96,6 +96,6 @@ class Health:
 
     def figures(self) -> dict[str, str]:
         """For diagnostics."""
-        said = {"late": self.late, "fell": self.fell}
+        message = {"late": self.late, "fell": self.fell}
         known = {"real-time factor": f"{self.factor:.3f}", "late ticks": str(self.late_ticks)}
-        return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in said.items() if v}}
+        return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in message.items() if v}}

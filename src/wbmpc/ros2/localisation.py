@@ -77,7 +77,7 @@ class PoseSource:
         return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
 
     def judge(self, jumped: str, goes_on: bool = True) -> None:
-        """What the gate said of the pose that was taken last; empty: it counts. A stop tells it itself."""
+        """What the gate said of the pose that was taken last; empty: it counts. A stop reports it itself."""
         if jumped and goes_on and not self.jumped:
             self._limit.log(_LOG, logging.ERROR, "jumped", f"{jumped}; it does not count")
         self.jumped = jumped

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from wbmpc.ros2.bus import SENSOR, Node
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.convert import error_message
 
 _LOG = logging.getLogger("wbmpc")
 
@@ -39,7 +39,7 @@ class Several:
                     self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
                 )
             except Exception as error:
-                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"
         if fault and fault != self.fault:
             _LOG.error("%s", fault)
         self.fault = fault

@@ -1,4 +1,4 @@
-"""What the controller's node tells: odometry and its frame, the hand, the plan as paths, diagnostics."""
+"""What the controller's node publishes: odometry and its frame, the hand, the plan as paths, diagnostics."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
 
 WELL, WARNING, ERROR = 0, 1, 2
-#: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
+#: Of the plan's nodes every so many are reported: making messages takes the interpreter from the controller's ticks.
 EVERY = 2
-#: What has changed is told before its turn, but not sooner than this [s] after the last time.
+#: What has changed is reported before its turn, but not sooner than this [s] after the last time.
 SOON = 0.05
 
 
-class Teller:
+class Publishers:
     """Publishes at the rates of the settings by the wall's clock, from the node's own thread: piece by piece, each in the gap
     between two ticks of the controller, which would wait for the interpreter."""
 
@@ -50,16 +50,16 @@ class Teller:
             "plan": [0.0, 1.0 / rates.plan],
             "say": [0.0, 1.0 / rates.diagnostics],
         }
-        self._said: tuple[str, ...] = ()
-        self._told = -np.inf
+        self._published: tuple[str, ...] = ()
+        self._published_at = -np.inf
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
-        said = c.state, *c.refused().values(), *c.pilot.faults, c.health.late, c.health.fell
-        if said != self._said and now - self._told > SOON:
-            self._said, self._due["say"][0] = said, now
+        messages = c.state, *c.rejected().values(), *c.pilot.faults, c.health.late, c.health.fell
+        if messages != self._published and now - self._published_at > SOON:
+            self._published, self._due["say"][0] = messages, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
             due = self._due[key]
             if now >= due[0]:
@@ -130,12 +130,12 @@ class Teller:
 
     def _diagnostics(self) -> None:
         c = self.controller
-        self._told = time.perf_counter()
+        self._published_at = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
         level = ERROR if stopped or c.ill or c.health.fell else WELL if c.running else WARNING
-        if level == WELL and (c.refused() or c.health.late):
+        if level == WELL and (c.rejected() or c.health.late):
             level = WARNING
-        reasons = [why for why in c.refused().values() if why not in c.state]
+        reasons = [why for why in c.rejected().values() if why not in c.state]
         message = "; ".join(filter(None, [c.health.fell, c.state, c.health.late, *reasons]))
         entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, figures(c))]
         faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]

@@ -1,4 +1,4 @@
-"""What the controller's node counts, as the diagnostics tell it."""
+"""What the controller's node counts, for its diagnostics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def figures(controller: ControlNode) -> dict[str, Any]:
     c = controller
     values: dict[str, Any] = {"backend": c.node.backend, "age of the joint states [ms]": _ms(c.body.age())}
     values["watchdog"] = f"{'armed' if c.running else 'not armed'}, {_ms(c.settings.safety.watchdog)} ms"
-    values.update(c.refused())
+    values.update(c.rejected())
     if c.runner is None:
         return values
     r = c.runner.report()

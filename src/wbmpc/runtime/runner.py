@@ -3,7 +3,7 @@
 A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
 MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
-runner is shut down, and a sentence that says why.
+runner is shut down, and a message that says why.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RealTimeRunner:
     ``parameters``: model parameters (as of the solver) that the agent estimates, sent with every observation. The agent must not
     use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``watch(t, late,
     plans)`` is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must
-    not wait, and is dropped when it fails. ``state`` says in a sentence what the runner does, or why it stopped; ``error`` is the
+    not wait, and is dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
     exception behind it. In virtual time use :meth:`run`.
     """
 
@@ -240,7 +240,7 @@ class RealTimeRunner:
                     check_held_up(start - due, 0.0, self.settings.watchdog)
                     self._tick(due)
                     check_held_up(0.0, clock.now() - start, self.settings.watchdog)
-                except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
+                except RunAborted as reason:  # on purpose, by this runner or by the robot: a message
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:
                     self._raised(error)
@@ -290,7 +290,7 @@ class RealTimeRunner:
         return 0 if policy is None or policy.limits is None else policy.limits.count
 
     def _show(self, due: float) -> None:
-        """Let the watcher see this tick; what goes wrong there is told once, and the robot goes on."""
+        """Let the watcher see this tick; what goes wrong there is reported once, and the robot goes on."""
         assert self.watch is not None
         try:
             self.watch(due, self._beat - due, self.plans)
@@ -390,12 +390,12 @@ class RealTimeRunner:
             if self._stop_error is not None:
                 return
             self._stop_error = error
-            sentence = f"the robot's stop() raised {type(error).__name__}: {error}"
+            message = f"the robot's stop() raised {type(error).__name__}: {error}"
             if self._stopped.is_set():
-                self.state += f"; {sentence}"
-                _LOG.error("%s", sentence, exc_info=error)
+                self.state += f"; {message}"
+                _LOG.error("%s", message, exc_info=error)
             else:
-                self.halt(sentence, error)
+                self.halt(message, error)
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""

@@ -32,7 +32,7 @@ NUMBERS = (
     "worst_initial_state_mismatch",
 )
 RECORDS = ("solve_time", "update_time")
-#: What the runner tells the worker: when 0 is, whether to begin and to end.
+#: What the runner sends to the worker: when 0 is, whether to begin and to end.
 ORDERS = ("origin", "begin", "end")
 
 
@@ -150,7 +150,7 @@ class Worker:
         self.policies.commit()
 
     def _count_limit_violations(self) -> None:
-        """PolicyQueue whose states are outside hard limits are used, and told."""
+        """PolicyQueue whose states are outside hard limits are used, and reported."""
         share, board = self.mpc.limit_violation, self.board
         assert self._message is not None
         if share > 0.0:
@@ -191,7 +191,7 @@ def end_with_parent() -> None:
     def watch() -> None:
         while os.getppid() == number and not wait([pipe], _LOOK):
             pass
-        os._exit(1)  # nobody is there to be told
+        os._exit(1)  # nobody is there to report to
 
     threading.Thread(target=watch, daemon=True, name="parent").start()
 

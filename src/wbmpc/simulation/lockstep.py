@@ -69,7 +69,7 @@ class Timing:
 class Running:
     """What runs: the loop's parts (``agent``, ``mpc`` None: there is none) and its ``duration`` [s].
 
-    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` tells loops of one run apart.
+    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` distinguishes loops of one run.
     """
 
     plant: Any
@@ -108,8 +108,8 @@ def part(progress: Progress | None, k: int, count: int, name: str = "") -> Progr
     """The progress of the ``k``-th of ``count`` parts of a run, its notes after ``name``; watchers come along."""
     if progress is None:
         return None
-    told = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
-    return Watch(told, progress.watchers, name) if isinstance(progress, Watch) else told
+    report = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
+    return Watch(report, progress.watchers, name) if isinstance(progress, Watch) else report
 
 
 def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:

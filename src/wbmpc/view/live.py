@@ -1,7 +1,7 @@
 """A live view of a run: a watcher that hands pictures to a process of its own and takes the user's orders from it.
 
 The hand-over is two mailboxes in shared memory: neither side ever waits for the other, so a browser that hangs, or a view
-that has died, changes nothing in the run.
+that has crashed, changes nothing in the run.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class View(LiveView):
     def begin(self, running: Running) -> None:
         """Show this loop from now on; of one without MPC there are no goals and weights."""
         self.running, self._observer = running, Observer(running)
-        self.say("")
+        self.show_message("")
         self._ticks, self._late_ticks, self._period = 0, 0, running.timing.period
         self._factor.forget()
         if self.process is not None and self._observer.scene != self.scene:
@@ -82,7 +82,7 @@ class View(LiveView):
             self._orders = no_orders()
         if self.process is None:
             self.open(running)
-        self.say(self._before)
+        self.show_message(self._before)
         self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._orders)
@@ -105,7 +105,7 @@ class View(LiveView):
 
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
-        self.say(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
+        self.show_message(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
         self._before = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time

@@ -41,7 +41,7 @@ class Panel:
     def __init__(self, server: viser.ViserServer, orders: Mailbox, controls: Controls) -> None:
         self.server, self._orders, self.controls = server, orders, controls
         self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
-        self._dragged, self._about, self._said = False, "", ""
+        self._dragged, self._about, self._message = False, "", ""
         self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
@@ -116,7 +116,7 @@ class Panel:
         self._click("brake_clicks", brakes_open=float(self._brakes.value))
 
     def _show_brakes(self, is_open: float) -> None:
-        """How the run's brakes are; after a click only once the run has had the time to follow it, or to refuse."""
+        """How the run's brakes are; after a click only once the run has had the time to follow it, or to reject."""
         if self.controls.legs and np.isfinite(is_open) and time.monotonic() > self._brakes_clicked + _ANSWER:
             self._brakes.value = bool(is_open)
 
@@ -200,10 +200,10 @@ class Panel:
         for handle, lines in self._figures:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
 
-    def say(self, sentence: str) -> None:
-        """Show a sentence under the title; empty: none."""
-        if sentence != self._said:
-            self._said = sentence
+    def show_message(self, message: str) -> None:
+        """Show a message under the title; empty: none."""
+        if message != self._message:
+            self._message = message
             self._head()
 
     def reject(self, reason: str) -> None:
@@ -212,10 +212,10 @@ class Panel:
         self._head()
 
     def _head(self) -> None:
-        said = f"  \n**{plain(self._said)}**" if self._said else ""
+        text = f"  \n**{plain(self._message)}**" if self._message else ""
         if time.monotonic() < self._rejected_at + _SHOWN:
-            said += f"  \n**Not done:** {plain(self._rejected)}"
-        self._status.content = f"**{plain(self.controls.title)}**{self._about}{said}"
+            text += f"  \n**Not done:** {plain(self._rejected)}"
+        self._status.content = f"**{plain(self.controls.title)}**{self._about}{text}"
 
     def _place(self, handle: Any, pose: Array) -> None:
         finite = bool(np.isfinite(pose).all())

@@ -19,7 +19,7 @@ from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, ground
 
-#: What the physics tells: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
+#: What the simulation sends: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
 NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
 #: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
 LOOK, EVERY = 1e-3, 10

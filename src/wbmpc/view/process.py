@@ -20,7 +20,7 @@ OVERLAYS = 3
 #: How long a page goes on saying why the run is over [s], if there is a browser.
 FAREWELL = 4.0
 #: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why; how many orders were ``rejected``, as
-#: note why the last one was) tell each other.
+#: note why the last one was) exchange.
 BOARD = ("ready", "port", "end", "rejected")
 #: Makes, in this process, what turns messages into snapshots.
 Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
@@ -50,12 +50,12 @@ def serve(
             pictures += 1
             panel.show(snapshot)
             stage.follow(snapshot["poses"], panel.follows)
-        panel.say(board.text)
+        panel.show_message(board.text)
         if board["rejected"] != rejected:
             rejected = board["rejected"]
             panel.reject(board.note)
         time.sleep(1.0 / RATE)
-    panel.say(board.text)
+    panel.show_message(board.text)
     if board.text and stage.server.get_clients() and os.getppid() == parent:
         time.sleep(FAREWELL)
     stage.server.stop()

@@ -86,7 +86,7 @@ class RealtimeView(LiveView):
         """Steer this MPC from now on, before each of its solves; ``agent`` is the runner's."""
         self._agent, self._shown_at = agent, -np.inf
         self.wants_reset = self.stopped = False
-        self.say(self._before)
+        self.show_message(self._before)
         lift = np.array([0.0, 0.0, -self.robot.base.ground])
         stand_in = _Robot(agent, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
@@ -115,7 +115,7 @@ class RealtimeView(LiveView):
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
                 time.sleep(_LOOK)
-            self.say(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
+            self.show_message(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
         self._before = f"Before: {runner.state}" if runner.stopped else ""
         return self._reason(runner)

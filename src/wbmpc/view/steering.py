@@ -228,7 +228,7 @@ class Steering:
         self._brakes(is_open)
 
     def brakes_open(self, t: float) -> float:
-        """Whether all brakes of the legs are told to be open at time t [s] (1 or 0); nan without legs."""
+        """Whether all brakes of the legs are commanded to be open at time t [s] (1 or 0); nan without legs."""
         return float(np.all(self.running.agent.brakes(t) > 0.5)) if self.has_legs else np.nan
 
     def _brakes(self, is_open: bool) -> None:

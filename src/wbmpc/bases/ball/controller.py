@@ -99,9 +99,11 @@ class BallController:
         if self.monitor is None:
             return
         assert self.estimator is not None and self.measured is not None
-        joints, said = self.estimator.arm, self.estimator.faults
+        joints, estimator_faults = self.estimator.arm, self.estimator.faults
         read = arm if joints.reading is None else joints.reading
-        for fault in self.monitor.update(t, h, read, joints.rate, self._accelerates, said, joints.surprised):
+        for fault in self.monitor.update(
+            t, h, read, joints.rate, self._accelerates, estimator_faults, joints.surprised
+        ):
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
@@ -116,9 +118,9 @@ class BallController:
 
     @property
     def faults(self) -> list[str]:
-        """What was found of the encoders, and of forces that push the robot away, as sentences."""
+        """What was found of the encoders, and of forces that push the robot away, as messages."""
         found = [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
-        return found + ([self.leaning.told] if self.leaning is not None and self.leaning.told else [])
+        return found + ([self.leaning.push_fault] if self.leaning is not None and self.leaning.push_fault else [])
 
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
@@ -169,8 +171,11 @@ class BallController:
         part = self.robot.state["arm_velocity"]
         speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
         i = int(np.argmax(speeds / limits))
-        name, told = self.robot.state.groups["arm"][i], f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s"
-        return f": {name} is believed to turn at {told}" if speeds[i] > limits[i] else ""
+        name, push_fault = (
+            self.robot.state.groups["arm"][i],
+            f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s",
+        )
+        return f": {name} is believed to turn at {push_fault}" if speeds[i] > limits[i] else ""
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""

@@ -155,7 +155,7 @@ class BallFilter:
         if persists or (best.loose and unit.jumps(message)):
             without = self._explained(h, wheel, unit.last, "jumps")
             if not without.loose:
-                unit.refuse()
+                unit.reject()
                 return without
         unit.accept(message)
         return best
@@ -292,7 +292,7 @@ class BallFilter:
     def know_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
-        Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        Near upright a horizontal bias of the accelerometer looks like a lean; this distinguishes them, as well as it is known.
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
         """
         up = numbers("ball filter", "up", up, 3)

@@ -75,7 +75,7 @@ class BusBallAgent(BallController):
             return
         m = message
         state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
-        self._sampled = message.time  # a message that was refused has not moved the estimator
+        self._sampled = message.time  # a message that was rejected has not moved the estimator
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             state = self.estimator.correct(*fix)
@@ -328,7 +328,7 @@ class BallPilot:
         """Put a task into force."""
         self.pending.set({**references, "torque": Reference.constant(self._torque)})
 
-    # ------------------------------------------------------------------ what is told
+    # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:
         """The base's frame is the ball's centre; pose and twist of the filter."""
         seen = self.snapshot()

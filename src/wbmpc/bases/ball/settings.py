@@ -32,7 +32,7 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-def refuse_unlearnt(observer: bool, changed: bool) -> None:
+def reject_unlearnt(observer: bool, changed: bool) -> None:
     """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
     if changed and not observer:
         raise ValueError("pushed_speed: with observer=false nothing uses it")

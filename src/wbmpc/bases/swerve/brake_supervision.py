@@ -58,7 +58,7 @@ class BrakeSupervision:
     """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it looks every
     :data:`LOOK`, and before a stop.
 
-    ``commanded`` may be replaced, as by a view; then the guard, which could not tell the planner, rests.
+    ``commanded`` may be replaced, as by a view; then the guard, which could not informs the planner, rests.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class BrakeSupervision:
         return brake if guard is None else np.where(guard.held(t), 0.0, brake)
 
     def guard_legs(self, t: float, leg: Array, rate: Array) -> None:
-        """Hold open legs that go astray from what drives have made of the commands, and tell the planner: measured angles ``leg``
+        """Hold open legs that go astray from what drives have made of the commands, and informs the planner: measured angles ``leg``
         (n) [rad], ``rate`` (n) [rad/s]."""
         guard = self._guarded()
         if guard is not None and guard.update(t, leg, rate, self.commanded(t)):
-            self._tell(guard)
+            self._notify_planner(guard)
 
-    def _tell(self, guard: LegGuard) -> None:
-        """Tell the planner until when each leg is held."""
+    def _notify_planner(self, guard: LegGuard) -> None:
+        """Inform the planner until when each leg is held."""
         assert self._hold is not None
         self._hold(guard.until)
 
@@ -133,7 +133,7 @@ class BrakeSupervision:
         held = np.isfinite(guard.until).any()
         guard.restart()
         if held:
-            self._tell(guard)
+            self._notify_planner(guard)
 
     def _look_before_stop(self, leg: Array | None) -> None:
         """A stop ends the plan: what legs have done until now is judged by the commands until now."""

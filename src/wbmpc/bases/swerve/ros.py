@@ -302,7 +302,7 @@ class SwervePilot:
         self._twists = references["input"]
         self.pending.set(references)
 
-    # ------------------------------------------------------------------ what is told
+    # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:
         """Planar pose and twist; the rest is unknown."""
         seen = self.snapshot()

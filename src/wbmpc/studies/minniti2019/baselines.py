@@ -1,4 +1,4 @@
-"""The ball robot's controllers by name: the MPC with either tracking, and its rivals with their searched gains."""
+"""The ball robot's controllers by name: the MPC with either tracking, and its baselines with their searched gains."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ class TaskspaceSettings(Settings):
     balance: float = Field(1.63, gt=0)
 
 
-class RivalsSettings(Settings):
-    """Gains of each rival, found by ``python benchmarks/rezero_rivals.py --search all``: the same search, as many runs, the same tuning seeds."""
+class BaselineSettings(Settings):
+    """Gains of each baseline, found by ``python benchmarks/ball_baselines.py --search all``: the same search, as many runs, the same tuning seeds."""
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
@@ -91,7 +91,7 @@ _STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.
 _DAMPED = RegulatorSettings(torque=30.0, damping=10.0, posture=10.0)
 #: For accurate tasks: the same search on the square with a load that nobody knows of. The regulators were not searched: theirs
 #: is the best of four sets that were tried on the circle.
-ACCURATE_RIVALS = RivalsSettings(
+ACCURATE_BASELINES = BaselineSettings(
     lqr=_DAMPED,
     scheduled_lqr=_DAMPED,
     separate=_STIFF,
@@ -148,10 +148,10 @@ _SEPARATES = frozenset(
 
 def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
     """Names of the ball robot's settings that a controller does not read."""
-    rivals = {f"rival.{name}" for name in RivalsSettings.model_fields if name != controller.replace("-", "_")}
+    baselines = {f"rival.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
-        return frozenset(rivals | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
-    idle = rivals | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"}
+        return frozenset(baselines | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
+    idle = baselines | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"}
     if controller in REGULATORS:
         return frozenset(idle | _PLAN | _NO_REGULATORS)
     if controller == "taskspace":
@@ -197,7 +197,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
 
 
 def _felt(p: Parts) -> FallPredictor:
-    """Falls that rivals foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
+    """Falls that baselines foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
     return FallPredictor(p.robot, p.arm, ahead=0.0)
 
 
@@ -237,7 +237,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
 
 
 def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:
-    """The MPC's weights, times the rival's factors, for a regulator."""
+    """The MPC's weights, times the baseline's factors, for a regulator."""
     h, b, t = settings.cost.hand, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
     arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5

@@ -70,13 +70,13 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
-    """The force [N] to push with where ``force`` is asked for, and a sentence (a warning too) if it is less."""
+    """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
     most = settings.hold * held(settings, robot)
     if force <= most:
         return force, ""
-    told = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
-    _LOG.warning("%s, at %g N", told, force)
-    return most, told
+    fault = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
+    _LOG.warning("%s, at %g N", fault, force)
+    return most, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
@@ -91,7 +91,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    possible, told = bounded(settings, robot, force)
+    possible, fault = bounded(settings, robot, force)
     agent = make_agent(settings, possible, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
 
@@ -101,7 +101,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
 
     duration = settings.settle + settings.patience + settings.rest
     outcome = Loop(plant, agent, mpc, timing, duration, record).run(progress)
-    return Trial(force, log, outcome.ending, mpc, (*filter(None, [told]), *outcome.faults))
+    return Trial(force, log, outcome.ending, mpc, (*filter(None, [fault]), *outcome.faults))
 
 
 def make_agent(

@@ -26,7 +26,7 @@ class RezeroDoorSettings(RezeroSettings):
     the hand starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
     ``rest`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
     (what is left out: as suits the scheme); ``misplaced`` [m]: the door's place is not known better; ``hold``: a force beyond this
-    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is told."""
+    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
 
     cost: RezeroCost = RezeroCost(
         hand=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),

@@ -1,4 +1,4 @@
-"""Rivals of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
+"""Baselines of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
 
 They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
 limits, but no horizon with limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains

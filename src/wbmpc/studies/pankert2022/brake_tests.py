@@ -83,7 +83,7 @@ class Bench:
         )  # fmt: skip
 
 
-def refuse(robot: RobotModel) -> None:
+def reject(robot: RobotModel) -> None:
     """What this robot cannot do is said before the first test (:class:`InputError`)."""
     for name in CONFIGURATIONS:
         leg_angles(robot, name)
@@ -181,7 +181,7 @@ def slide_force(bench: Bench, name: str, progress: Progress | None) -> float:
 
 @dataclass(frozen=True)
 class Found:
-    """What a monitor found: ``time`` [s] from when the fault can be seen to its sentence about it, infinite without one; of
+    """What a monitor found: ``time`` [s] from when the fault can be seen to its message about it, infinite without one; of
     brakes that no test made fail all ``alarms``, and those of them that it did not take back (``real``)."""
 
     time: float
@@ -192,7 +192,7 @@ class Found:
     def of(cls, monitor: BrakeMonitor, failing: int | None, seen_from: float) -> Found:
         """``failing``: the leg whose brake is made to fail, which can be seen from ``seen_from`` [s] on."""
         right = [f.time for f in monitor.real if f.leg == failing]
-        alarms, real = ([f for f in told if f.leg != failing] for told in (monitor.faults, monitor.real))
+        alarms, real = ([f for f in faults if f.leg != failing] for faults in (monitor.faults, monitor.real))
         return cls(right[0] - seen_from if right else float("inf"), alarms, real)
 
 

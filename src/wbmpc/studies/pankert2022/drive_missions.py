@@ -37,7 +37,7 @@ class SwerveDriveSettings(ExperimentSettings):
     rest: float = Field(20.0, ge=0, le=120)
     drive_lag: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
-    # of a search that benchmarks/rivals.py does, of which only a part was run
+    # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
     rival_base_gain: float = Field(8.0, ge=0, le=50)
     rival_leg_gain: float = Field(8.0, ge=0, le=50)
     rival_steer_gain: float = Field(40.0, gt=0, le=100)

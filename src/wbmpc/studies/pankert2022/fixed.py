@@ -35,8 +35,8 @@ IDEALISATIONS = [
     "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers, but not what slip"
     " does, and the MPC lets wheels slip while they turn about",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
-    "the computation of the MPC takes a constant 10 ms; the rivals' takes none",
-    "rivals know the reference ahead of time too: they turn their wheels before they start",
+    "the computation of the MPC takes a constant 10 ms; the baselines' takes none",
+    "baselines know the reference ahead of time too: they turn their wheels before they start",
 ]
 
 Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], SwerveController]
@@ -55,7 +55,7 @@ def goals(
     return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (legs, 0.0 * legs)
 
 
-#: From ``benchmarks/rivals.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
+#: From ``benchmarks/swerve_baselines.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
 #: twists of 20 s, seeds 0 and 1 (with an earlier odometry). Four wheels: forward and turning (what it can do), seed 0, 0.56 mm
 #: rms (by hand: 4.1).
 GAINS: dict[str, dict[str, float]] = {
@@ -64,8 +64,8 @@ GAINS: dict[str, dict[str, float]] = {
 }
 
 
-def rival(kind: type[RollingController], **gains: float) -> Make:
-    """A maker of a rival's agent."""
+def baseline(kind: type[RollingController], **gains: float) -> Make:
+    """A maker of a baseline's agent."""
 
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveController:
         return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), RollingGains(**gains))
@@ -75,8 +75,8 @@ def rival(kind: type[RollingController], **gains: float) -> Make:
 
 CONTROLLERS: dict[str, Make] = {
     "mpc": _mpc_agent,
-    "ik": rival(RollingController, **GAINS["ik"]),
-    "four_wheel": rival(FourWheelSteeringController, **GAINS["four_wheel"]),
+    "ik": baseline(RollingController, **GAINS["ik"]),
+    "four_wheel": baseline(FourWheelSteeringController, **GAINS["four_wheel"]),
 }
 
 

@@ -25,7 +25,7 @@ from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 
 
 class SwerveCalibrateSettings(Settings):
@@ -94,7 +94,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
     opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
     legs = np.tile(leg, (len(strokes), 1))
-    refuse_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
+    reject_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
     for k, (twist, length) in enumerate(strokes * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
         target = target - np.pi * (target > most) + np.pi * (target < least)

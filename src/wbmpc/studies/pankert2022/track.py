@@ -45,7 +45,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     source = settings.localisation.source(seed) if settings.global_poses else None
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    # after everything that refuses bad settings at once
+    # after everything that rejects bad settings at once
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     pose0 = plant.truth().pose
     agent = SwerveController(

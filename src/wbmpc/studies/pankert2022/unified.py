@@ -17,7 +17,7 @@ from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
+from wbmpc.bases.swerve.plant import SwervePlant, reject_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
@@ -96,7 +96,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
-    refuse_two_wheels(robot.description)  # before advice about their legs
+    reject_two_wheels(robot.description)  # before advice about their legs
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
     begin = approach.duration + 1.0
     home, free = _start(robot, settings), settings.legs == "support"
