@@ -79,10 +79,10 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
     watching = SupervisionSettings(monitor=monitor)
-    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
+    controller = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
     for k in range(1000):
-        agent.measure(plant.measure())
-        plant.step(agent.drive(k * period), 5)
+        controller.measure(plant.measure())
+        plant.step(controller.drive(k * period), 5)
     truth = plant.truth()
     np.testing.assert_allclose(truth.state[leg], 0.5 - SWING * sent, atol=0.02)
     assert np.hypot(*truth.pose[:2]) < 0.01 and abs(truth.pose[2]) < 0.02

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.peers import peer_figures, prepare
+from wbmpc.benchmark.peers import peer_statistics, prepare
 from wbmpc.benchmark.problems import Problem, rezero_bench, suite_bench, swerve_bench
 from wbmpc.benchmark.test_problems.multibody import Multibody
 from wbmpc.benchmark.test_problems.torque_arm import torque_arm
@@ -65,7 +65,7 @@ def _all(problem: Problem, repeat: int, peers: Iterable[str], **more: Any) -> li
     names = list(peers)
     if names:
         prepared = prepare(problem)
-        rows += [_row(problem, n, few(peer_figures(n, prepared, problem)), **more) for n in names]
+        rows += [_row(problem, n, few(peer_statistics(n, prepared, problem)), **more) for n in names]
     return rows
 
 

@@ -23,7 +23,7 @@ from wbmpc.benchmark import race
 from wbmpc.benchmark.child import within
 from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
+from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import Problem, suite_bench
 from wbmpc.benchmark.program import Program, compiler
 from wbmpc.benchmark.test_problems.ballbot import ballbot
@@ -239,7 +239,7 @@ def test_a_peer_without_a_compiler_runs_interpreted(monkeypatch: pytest.MonkeyPa
     problem = suite_bench(double_integrator(8))
     prepared = prepare(problem)
     assert "no C compiler" in prepared.how
-    figures = peer_figures("ipopt", prepared, problem)
+    figures = peer_statistics("ipopt", prepared, problem)
     assert figures["success"] and figures["iteration_ms"] > 0.0
 
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 from wbmpc.benchmark.ours import ours, several_iterations
-from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
+from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
@@ -117,5 +117,5 @@ def test_the_race_to_an_equal_residual() -> None:
     if own["equal_iterations"] > 1:
         _, x, u = several_iterations(problem, own["equal_iterations"] - 1, 1)
         assert measure(x, u, problem.x0).largest > EQUAL
-    peer = peer_figures("ipopt", prepared, problem, measure)
+    peer = peer_statistics("ipopt", prepared, problem, measure)
     assert peer["residual"] <= EQUAL and 1 <= peer["equal_iterations"] <= peer["iterations"]

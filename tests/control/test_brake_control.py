@@ -39,7 +39,7 @@ def test_a_leg_is_planned_open_only_when_its_brake_has_opened() -> None:
     assert len(reported) == 3  # at the start and after each event
 
 
-def test_events_at_any_time_and_in_any_order() -> None:
+def test_events_at_any_time_and_in_any_command() -> None:
     brakes = BrakeControl(SWERVE)
     brakes.set(5.0, np.zeros(4))
     brakes.set(1.0, np.ones(4))
@@ -74,7 +74,7 @@ def test_the_next_command_of_a_brake_is_believed() -> None:
     brakes.set(3.0, [0, 1, 0, 0])
     brakes.set(5.0, [0, 0, 0, 0])
     assert [planned(brakes.schedule(), t)[:2] for t in (2.0, 4.0, 6.0, 30.0)] == [[1, 1], [1, 1], [1, 0], [1, 0]]
-    brakes.forget(7.0)  # what was found of leg 0 is not forgotten with the events, and leg 1 stays believed
+    brakes.reset(7.0)  # what was found of leg 0 is not forgotten with the events, and leg 1 stays believed
     assert planned(brakes.schedule(), 7.0) == [1, 0, 0, 0]
     assert planned(brakes.schedule(), 20.2) == [1, 0, 0, 1]
 
@@ -86,7 +86,7 @@ def test_events_that_are_over_are_forgotten() -> None:
     for k in range(60):
         t = 0.15 * k
         state = [k % 2, k // 2 % 2, k // 3 % 2, 1]
-        brakes.forget(t)
+        brakes.reset(t)
         brakes.set(t, state)
         every.set(t, state)
         assert len(reported[-1].modes) < 8

@@ -14,7 +14,7 @@ from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.bases.swerve.ros import BusAgent, SwervePilot
+from wbmpc.bases.swerve.ros import BusSwerveController, SwerveRosAdapter
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -158,13 +158,13 @@ def standing() -> PolicyQueue:
     return plans
 
 
-def swung(agent: SwerveController, seconds: float = 0.2) -> list[float]:
+def swung(controller: SwerveController, seconds: float = 0.2) -> list[float]:
     """The brakes that are commanded at last, while leg 1 turns at 0.5 rad/s though the plan stands."""
     home, plans = SWERVE.state.split(SWERVE.home), standing()
     for t in PERIOD * np.arange(round(seconds / PERIOD)):
         leg = home["leg"] + [0.0, 0.5 * t, 0.0, 0.0]
-        agent.measure(SwerveMeasurement(t, leg, home["steer"], home["wheel"], home["arm"]))
-        command = agent.command(t, plans)
+        controller.measure(SwerveMeasurement(t, leg, home["steer"], home["wheel"], home["arm"]))
+        command = controller.command(t, plans)
     return list(command.brake)
 
 
@@ -174,29 +174,29 @@ def opened(reported: list[ModeSchedule]) -> BrakeControl:
     return brakes
 
 
-def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
+def test_the_controller_closes_the_brake_and_tells_the_planner() -> None:
     reported: list[ModeSchedule] = []
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(reported))
-    assert swung(agent) == [1, 0, 1, 1] and agent.holds == 1 and not agent.faults
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(reported))
+    assert swung(controller) == [1, 0, 1, 1] and controller.holds == 1 and not controller.faults
     assert planned(reported[-1], 0.2) == [1, 0, 1, 1] and planned(reported[-1], 2.0) == [1, 1, 1, 1]
-    agent.stop()
+    controller.stop()
     assert planned(reported[-1], 0.2) == [1, 1, 1, 1]
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), supervision=SupervisionSettings(guard=False))
-    assert swung(agent) == [1, 1, 1, 1] and agent.holds == 0
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
-    assert swung(agent) == [1, 1, 1, 1]
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]))
-    agent.brakes = lambda t: np.ones(4)  # as a view does
-    assert swung(agent) == [1, 1, 1, 1]
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), supervision=SupervisionSettings(guard=False))
+    assert swung(controller) == [1, 1, 1, 1] and controller.holds == 0
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
+    assert swung(controller) == [1, 1, 1, 1]
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]))
+    controller.brakes = lambda t: np.ones(4)  # as a view does
+    assert swung(controller) == [1, 1, 1, 1]
 
 
 def test_on_a_bus_the_nodes_own_thread_tells_the_planner() -> None:
     reported: list[ModeSchedule] = []
     brakes = opened(reported)
-    agent = BusAgent(SWERVE, np.zeros(3), PERIOD, brakes)
-    assert swung(agent) == [1, 0, 1, 1] and planned(reported[-1], 0.2) == [1, 1, 1, 1]
-    SwervePilot.inspect(SimpleNamespace(agent=agent, brakes=brakes))  # type: ignore[arg-type]
+    controller = BusSwerveController(SWERVE, np.zeros(3), PERIOD, brakes)
+    assert swung(controller) == [1, 0, 1, 1] and planned(reported[-1], 0.2) == [1, 1, 1, 1]
+    SwerveRosAdapter.inspect(SimpleNamespace(controller=controller, brakes=brakes))  # type: ignore[arg-type]
     assert planned(reported[-1], 0.2) == [1, 0, 1, 1]

@@ -11,7 +11,7 @@ from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
-from wbmpc.studies.minniti2019.door_control import DoorAgent
+from wbmpc.studies.minniti2019.door_control import DoorController
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 
@@ -126,41 +126,41 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
     assert bool(monitor.fault) == reported and (not reported or "that the robot's motion does not" in monitor.fault)
 
 
-def agent_that_stands(begin: float) -> DoorAgent:
+def agent_that_stands(begin: float) -> DoorController:
     """A hand at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
-    agent = DoorAgent.__new__(DoorAgent)
-    agent.phase, agent.period, agent.door, agent.measured = "approach", H, np.zeros(2), None
-    agent.force, agent.monitor, agent.leaning, agent._found = np.zeros(3), None, None, []
-    agent.contact, agent.sensor = ContactMonitor(), ForceMonitor()
-    agent.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
-    agent.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
-    agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
-    return agent
+    controller = DoorController.__new__(DoorController)
+    controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
+    controller.force, controller.monitor, controller.lean_control, controller._found = np.zeros(3), None, None, []
+    controller.contact, controller.sensor = ContactMonitor(), ForceMonitor()
+    controller.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
+    controller.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
+    controller.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
+    return controller
 
 
 @pytest.mark.parametrize(("off", "reported"), [(2.6, False), (6.5, True)])
 def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> None:
     """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learnt in the air. 8 N from 2 s on are one."""
-    agent, rng = agent_that_stands(1.0), np.random.default_rng(2)
+    controller, rng = agent_that_stands(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
-        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
-        assert agent.contact.touching == (not reported and k * H >= 2.0 + agent.contact.debounce - 1e-9)
-    assert agent.force[2] == pytest.approx(0.0 if reported else 8.0, abs=0.5)
-    assert len(agent._found) == reported and all(
-        "reads 6.5 N where nothing touches (1.00 s)" in f for f in agent._found
+        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
+        assert controller.contact.touching == (not reported and k * H >= 2.0 + controller.contact.debounce - 1e-9)
+    assert controller.force[2] == pytest.approx(0.0 if reported else 8.0, abs=0.5)
+    assert len(controller._found) == reported and all(
+        "reads 6.5 N where nothing touches (1.00 s)" in f for f in controller._found
     )
 
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
-def test_an_agent_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
+def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
     """A hand at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
-    agent = agent_that_stands(0.0)
-    agent.phase = phase
+    controller = agent_that_stands(0.0)
+    controller.phase = phase
     touched = False
     for k in range(60):
-        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
-        touched |= agent.contact.touching and agent.force[2] == 8.0
-    assert touched and not agent.contact.touching and not agent.force.any()
-    assert agent._ends(60 * H)
-    assert len(agent.faults) == 1 and "the force sensor gives the same numbers" in agent.faults[0]
+        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
+        touched |= controller.contact.touching and controller.force[2] == 8.0
+    assert touched and not controller.contact.touching and not controller.force.any()
+    assert controller._ends(60 * H)
+    assert len(controller.faults) == 1 and "the force sensor gives the same numbers" in controller.faults[0]

@@ -80,7 +80,7 @@ def test_exact_data_give_the_pose(motion):
     assert max(slip) < 1e-8
 
 
-def test_error_is_of_second_order_in_the_sampling_period():
+def test_error_is_of_second_command_in_the_sampling_period():
     errors = []
     for period in (0.05, 0.025):
         poses, samples = roll_out(GEOMETRY, 5.0, period, swinging, swing_rates)

@@ -56,9 +56,9 @@ def test_iterations_of_the_first_plan_are_those_of_all_calls(monkeypatch: pytest
 
     monkeypatch.setattr(mpc.solver, "run", counted)
     mpc.update(Observation(0.0, START))
-    assert counts == [1] * 4 and mpc.figures["iterations"] == 4
+    assert counts == [1] * 4 and mpc.solve_info["iterations"] == 4
     mpc.update(Observation(0.02, START))
-    assert counts == [1] * 5 and mpc.figures["iterations"] == 1
+    assert counts == [1] * 5 and mpc.solve_info["iterations"] == 1
 
 
 @pytest.mark.parametrize("senseless", [0, -3, 2.5, np.nan, "many", True])
@@ -394,7 +394,7 @@ def test_events_without_a_node_do_not_stop_the_mpc_but_are_reported(caplog: pyte
     with caplog.at_level(logging.WARNING, "wbmpc"):
         for k in range(10):
             mpc.update(Observation(0.1 * k, np.zeros(1)))
-            counted.append(mpc.figures["events_without_node"])
+            counted.append(mpc.solve_info["events_without_node"])
     # truth: events strictly within (t, t + 1), less 3
     assert counted == [max(sum(e > 0.1 * k + 1e-6 for e in events) - 3, 0) for k in range(10)]
     assert counted[0] == 3 and counted[-1] == 0

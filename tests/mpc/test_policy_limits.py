@@ -145,11 +145,11 @@ def test_the_runner_holds_the_bounds_and_counts(caplog: pytest.LogCaptureFixture
         else:
             robot.frozen = None
 
-    clock, agent = VirtualClock(0.004), Plain()
+    clock, controller = VirtualClock(0.004), Plain()
     mpc = MPC(trolley(), rate=50.0, first_iterations=10)
     mpc.reset(START)
-    report = RealTimeRunner(ToyRobot(clock, knock), agent, mpc, RealTimeSettings(), clock).run(2.0)
-    asked, sent = np.array(agent.asked)[:, 0], np.array(agent.sent)[:, 0]
+    report = RealTimeRunner(ToyRobot(clock, knock), controller, mpc, RealTimeSettings(), clock).run(2.0)
+    asked, sent = np.array(controller.asked)[:, 0], np.array(controller.sent)[:, 0]
     outside = (asked > UPPER + 1e-8) | (asked < LOWER - 1e-8)
     assert sent.min() == LOWER and sent.max() <= UPPER
     assert 0 < report.clamped == outside.sum() < 20

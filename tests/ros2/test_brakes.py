@@ -53,7 +53,7 @@ def test_a_brake_that_does_not_open(pair: Callable[..., Any], caplog: pytest.Log
     assert logged(caplog, stuck) == [logging.WARNING]
     assert p.until(lambda: planned(p).max() < 1e-6), planned(p)
     assert p.until(lambda: reported(p)) and reported(p)[0].startswith(f"1 {stuck}"), p.said[-1]
-    assert p.control.running and p.control.pilot.brakes.commanded(np.inf)[1] == 1.0
+    assert p.control.running and p.control.adapter.brakes.commanded(np.inf)[1] == 1.0
     slide(p, 1, 0.05)
     assert logged(caplog, "brake of leg_RF opens after all: the leg moved by 0.01") == [logging.INFO]
     assert p.until(lambda: planned(p)[1] > 0.1) and p.until(lambda: not reported(p))

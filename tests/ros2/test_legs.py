@@ -27,7 +27,7 @@ if not MISSING:
     from simulated import Simulated
 
     from wbmpc.bases.swerve.ros_legs import SET_LEGS
-    from wbmpc.ros2.cdr_types import carrier
+    from wbmpc.ros2.cdr_types import message_class
     from wbmpc.ros2.messages import request, response, types
 
 ROBOT = load_robot("swerve-ur10")
@@ -92,7 +92,7 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     brakes = BrakeControl(ROBOT)
     legs._put(nowhere, free)
     assert not legs.apply(brakes, 1.0, np.zeros(4)) and not brakes.commanded(2.0).any()
-    assert "an order to the legs is rejected: brakes: with these legs" in caplog.text
+    assert "a command for the legs is rejected: brakes: with these legs" in caplog.text
     legs._put(leg_angles(ROBOT, "X"), free)
     assert legs.apply(brakes, 1.0, np.zeros(4)) and brakes.commanded(2.0).all()
     legs.stop()
@@ -135,12 +135,12 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
         ({"configuration": "X", "leg": ["leg_LF"]}, "not both"),
     ],
 )
-def test_a_bad_order_is_answered_with_a_message(robot: Any, values: dict[str, Any], says: str) -> None:
+def test_a_bad_command_is_answered_with_a_message(robot: Any, values: dict[str, Any], says: str) -> None:
     answer = ask(robot, values)
     assert not answer.success and says in answer.message
 
 
-def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
+def test_an_command_that_would_leave_the_base_without_hold_is_answered_so(
     robot: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Legs parallel (H) and all brakes open: the answer is no, not a yes and a line in the log."""
@@ -177,7 +177,7 @@ def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
     s, t = robot, types("jazzy")
     listening = DomainParticipant(DOMAIN)
     head: dict[str, Any] = {"client": idl_types.uint64, "number": idl_types.int64}
-    kinds = {side: carrier(t, side(SET_LEGS), head) for side in (request, response)}
+    kinds = {side: message_class(t, side(SET_LEGS), head) for side in (request, response)}
     asks = Topic(listening, "rq/set_legsRequest", kinds[request])
     answers = Topic(listening, "rr/set_legsReply", kinds[response])
     assert kinds[request].__idl_typename__ == "wbmpc_msgs.srv.dds_.SetLegs_Request_"  # type: ignore[attr-defined]

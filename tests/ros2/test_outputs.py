@@ -187,4 +187,4 @@ def test_a_wrench_in_a_wrong_frame_or_without_numbers_is_rejected(made: Callable
         ("odom", {"torque": {"z": -3.0}}, "a moment of 3 N m is too much; valid: 0 to 2 (key 'wrench.moment')"),
     ):
         s.send("/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": head}, "wrench": wrench})
-        assert s.until(lambda t=says: t in s.control.inbox.rejected), s.control.inbox.rejected
+        assert s.until(lambda t=says: t in s.control.request_queue.rejected), s.control.request_queue.rejected

@@ -59,7 +59,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
     kind = "rcl_interfaces/msg/ParameterEvent"
     p.standin.node.subscribe("/parameter_events", kind, reported.append, Qos(depth=100))
     drive(p)
-    solver = p.control.pilot.mpc.solver
+    solver = p.control.adapter.mpc.solver
     before = solver.constants.copy()
     results = ask(
         p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]

@@ -208,4 +208,4 @@ def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
         mpc.set_schedule(close)
     mpc.solver.set_schedule(close)
     mpc.update(Observation(0.0, np.array([1.0, 0.0])))
-    assert mpc.figures["events_without_node"] == 1
+    assert mpc.solve_info["events_without_node"] == 1

@@ -44,12 +44,12 @@ def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: 
 
 def test_how_rough_the_ground_has_to_be(capsys: pytest.CaptureFixture[str]) -> None:
     """On a slope its tangent; a push at the hand also turns the robot. It may slide and not tip over."""
-    steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).figures()
+    steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).summary()
     assert steep["stays_upright"] and steep["friction_needed"] == pytest.approx(math.tan(0.9))
-    pushed = assess(SWERVE, "X", wrench=(400.0, 0.0, 0.0, 0.0, 0.0, 0.0)).figures()
+    pushed = assess(SWERVE, "X", wrench=(400.0, 0.0, 0.0, 0.0, 0.0, 0.0)).summary()
     assert pushed["friction_needed"] > 1.2 * 400.0 / (9.81 * pushed["mass"])
     for none in ((0.0, 0.0, 2000.0), (0.0, 2000.0, 0.0)):
-        assert assess(SWERVE, wrench=(*none, 0.0, 0.0, 0.0)).figures()["friction_needed"] is None
+        assert assess(SWERVE, wrench=(*none, 0.0, 0.0, 0.0)).summary()["friction_needed"] is None
     assert main(["stability", "swerve-ur10", "--slope", "0.9"]) == 0
     assert "friction needed not to slide 1.26" in capsys.readouterr().out
     assert main(["stability", "swerve-ur10", "--wrench", "0,2000,0"]) == 0

@@ -62,7 +62,7 @@ def test_what_an_experiment_does_not_use_is_rejected(name: str, given: str) -> N
     ],
 )
 def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> None:
-    """What :func:`make_controller` does not hand to the agent that is named."""
+    """What :func:`make_controller` does not hand to the controller that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
 

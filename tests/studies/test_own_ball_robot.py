@@ -106,10 +106,10 @@ def test_wheels_are_reported_from_the_arm(own: RobotModel) -> None:
 def test_the_task_space_baseline_balances_on_all_wheels(own: RobotModel) -> None:
     """Its regulator's poles, of the robot on five wheels."""
     home, torque = own.base.numeric.equilibrium(own.home[own.state["arm"]])
-    agent = TaskSpaceController.__new__(TaskSpaceController)
-    agent.robot, agent.gains, agent.home, agent._rest = own, TaskGains(), home, torque
-    agent._model = _functions(own)
-    gain = agent._lqr()
+    controller = TaskSpaceController.__new__(TaskSpaceController)
+    controller.robot, controller.gains, controller.home, controller._rest = own, TaskGains(), home, torque
+    controller._model = _functions(own)
+    gain = controller._lqr()
     assert gain.shape == (5, 10)
     poles = np.linalg.eigvals(np.block([[np.zeros((5, 5)), np.eye(5)], [-gain]]))
     assert poles.real.max() < 0.0

@@ -45,10 +45,10 @@ def no_mpc(*_: Any, **__: Any) -> Any:
 
 
 @pytest.mark.parametrize("module", [swerve_track, swerve_plaster, swerve_unified])
-def test_what_the_agent_found_is_in_the_result(module: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(plant: Any, agent: Any, *_: Any) -> Ending:
-        assert agent.supervision.report is not None  # the plan is to count with it
-        agent.supervision.monitor.real.append(FAULT)
+def test_what_the_controller_found_is_in_the_result(module: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(plant: Any, controller: Any, *_: Any) -> Ending:
+        assert controller.supervision.report is not None  # the plan is to count with it
+        controller.supervision.monitor.real.append(FAULT)
         return EARLY
 
     monkeypatch.setattr(experiment, "run_lockstep", found)
@@ -85,7 +85,7 @@ def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
     monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, *_: counted.append(len(faults)) or {})
     monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
-    lockstep = lambda plant, agent, *_: agent.supervision.monitor.real.append(FAULT) or Ending()
+    lockstep = lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or Ending()
     monkeypatch.setattr(experiment, "run_lockstep", lockstep)
     result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(rest=0.0), 0)
     assert result.faults == [f"rival: {FAULT}"] and counted == [0]
@@ -94,7 +94,9 @@ def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
 def test_what_the_baselines_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        experiment, "run_lockstep", lambda plant, agent, *_: agent.supervision.monitor.real.append(FAULT) or EARLY
+        experiment,
+        "run_lockstep",
+        lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or EARLY,
     )
     settings = SwerveFixedSettings(motions=("forward",), random=0.0, rest=0.0)
     motion = Motion.of(settings, 0)

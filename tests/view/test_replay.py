@@ -38,9 +38,9 @@ class Truth:
         self.poses: dict[float, np.ndarray] = {}
 
     def begin(self, running: Running) -> None:
-        self.plant, self.agent = running.plant, running.agent
+        self.plant, self.controller = running.plant, running.controller
         # the controller believes that it is elsewhere: what is shown must not
-        running.agent.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
+        running.controller.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.plant.truth()

@@ -158,7 +158,7 @@ def _execute(
             result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
             if view is None or not view.wants_reset:
                 return result, files
-            view.anew()
+            view.restart()
             typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
     finally:
         if view is not None:

@@ -114,7 +114,7 @@ def ros2_control(
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
-    from wbmpc.ros2.statistics import figures
+    from wbmpc.ros2.statistics import collect_statistics
 
     try:
         with _until_signal() as ended:
@@ -123,7 +123,7 @@ def ros2_control(
     finally:
         node.close()
     if as_json:
-        typer.echo(json.dumps({"state": control.state, "figures": figures(control)}))
+        typer.echo(json.dumps({"state": control.state, "figures": collect_statistics(control)}))
 
 
 @ros2.command("sim")

@@ -58,6 +58,6 @@ class InertialGate:
         """A message that jumps does not count."""
         self._jumped = True
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """After a gap the next message may be any: it is no jump."""
         self._given, self._counted, self._jumped = None, False, False

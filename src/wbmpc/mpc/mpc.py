@@ -266,7 +266,7 @@ class MPC:
         return self._outcome[2]
 
     @property
-    def figures(self) -> dict[str, float]:
+    def solve_info(self) -> dict[str, float]:
         """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
         events or the state jumps at them, how many found no node."""
         count = self._outcome[1]
@@ -320,7 +320,7 @@ class MPC:
             _LOG.warning("MPC at %.3f s: the initial guess is not used: %s", t, error)
 
     def _count_events(self, t: float) -> None:
-        """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""
+        """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``solve_info``."""
         self.events_without_node = self.solver.events_without_node(t)
         if self.events_without_node and not self._reported:
             self._reported = True

@@ -50,7 +50,7 @@ class Mismatches:
     def notice(self, ours: Ours, policy: str) -> None:
         """``policy``: what does not match; ``type`` if that is the type."""
         if policy == "type":
-            later = threading.Timer(_UNSEEN, self._look_at_types, [ours])
+            later = threading.Timer(_UNSEEN, self._check_types, [ours])
             later.daemon = True
             later.start()
             return
@@ -63,7 +63,7 @@ class Mismatches:
         with self._looking:
             self._closed = True
 
-    def _look_at_types(self, ours: Ours) -> None:
+    def _check_types(self, ours: Ours) -> None:
         with self._looking:
             types = [] if self._closed else sorted({e.type for e in self._wrong(ours) if ours.wrong_type(e)})
         if not types:
@@ -101,8 +101,8 @@ class Mismatches:
         return [e for e in ours.wrong(across) if not (ours.wrong_type(e) and e.node in fit)]
 
     def _others(self, ours: Ours) -> list[Endpoint]:
-        look = self._node.publishers if ours.side == "subscription" else self._node.subscribers
-        return look(ours.topic)
+        find = self._node.publishers if ours.side == "subscription" else self._node.subscribers
+        return find(ours.topic)
 
 
 def _across(ours: Ours) -> str:

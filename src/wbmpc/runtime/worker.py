@@ -33,7 +33,7 @@ NUMBERS = (
 )
 RECORDS = ("solve_time", "update_time")
 #: What the runner sends to the worker: when 0 is, whether to begin and to end.
-ORDERS = ("origin", "begin", "end")
+WORKER_COMMANDS = ("origin", "begin", "end")
 
 
 class Worker:
@@ -49,12 +49,12 @@ class Worker:
         observations: Mailbox,
         policies: Mailbox,
         board: Board,
-        orders: Board,
+        worker_commands: Board,
         clock: Clock,
         offset: float,
     ) -> None:
         self.mpc, self.observations, self.policies = mpc, observations, policies
-        self.board, self.orders, self.clock = board, orders, clock
+        self.board, self.worker_commands, self.clock = board, worker_commands, clock
         self.ticker = Ticker(mpc.period, offset)
         self._message: Message | None = None
         self.error: BaseException | None = None
@@ -65,12 +65,12 @@ class Worker:
     def loop(self) -> Loop:
         """Tick until the runner says that it is the end, or something is raised: then the board has the reason."""
         board, clock = self.board, self.clock
-        while not self.orders["end"]:
+        while not self.worker_commands["end"]:
             yield self.ticker.due
-            looked = False
+            polled = False
             try:
-                looked = self._look()
-                if looked:
+                polled = self._poll()
+                if polled:
                     start = clock.now()
                     usable = self._solve()
                     computing = clock.computing()
@@ -85,7 +85,7 @@ class Worker:
                 self.fail(error)
                 return
             skipped = self.ticker.over(clock.now())
-            if looked and skipped and board["updates"] > 1:  # the first solve iterates to convergence
+            if polled and skipped and board["updates"] > 1:  # the first solve iterates to convergence
                 board.count("misses")
                 board.count("skipped", skipped)
 
@@ -94,7 +94,7 @@ class Worker:
         self.error = error
         report(self.board, error)
 
-    def _look(self) -> bool:
+    def _poll(self) -> bool:
         """Take the newest observation; whether there has been one."""
         message = self.observations.read()
         if message is not None:
@@ -174,7 +174,7 @@ def report(board: Board, error: BaseException) -> None:
 
 
 #: How often [s] the MPC's process looks whether its parent is there.
-_LOOK = 0.25
+_POLL_PERIOD = 0.25
 
 
 def end_with_parent() -> None:
@@ -189,7 +189,7 @@ def end_with_parent() -> None:
     number, pipe = parent.pid, parent.sentinel
 
     def watch() -> None:
-        while os.getppid() == number and not wait([pipe], _LOOK):
+        while os.getppid() == number and not wait([pipe], _POLL_PERIOD):
             pass
         os._exit(1)  # nobody is there to report to
 
@@ -201,7 +201,7 @@ def serve(
     observations: Mailbox,
     policies: Mailbox,
     board: Board,
-    orders: Board,
+    worker_commands: Board,
     offset: float,
     setup: Callable[[], None] | None,
 ) -> None:
@@ -212,14 +212,14 @@ def serve(
     try:
         if setup is not None:
             setup()
-        worker = Worker(make(), observations, policies, board, orders, clock, offset)
+        worker = Worker(make(), observations, policies, board, worker_commands, clock, offset)
     except (Exception, SystemExit) as error:
         report(board, error)
         raise
     board["ready"] = 1.0
-    while not (orders["begin"] or orders["end"]):
+    while not (worker_commands["begin"] or worker_commands["end"]):
         clock.wait(clock.now() + 1e-3)
-    clock.origin = orders["origin"]
+    clock.origin = worker_commands["origin"]
     # nothing below makes reference cycles: collections would only delay a solve
     gc.collect()
     gc.disable()

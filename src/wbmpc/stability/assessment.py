@@ -50,7 +50,7 @@ class Assessment:
         """How far [m] the zero-moment point may move before the robot can rock (negative: it tips over)."""
         return float(region_margin(self.stance.feet, self.stance.zmp))
 
-    def figures(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Everything as plain numbers and lists (SI units); what is not a number is None. ``stays_upright``: it does not tip over;
         whether it slides, ``friction_needed`` says (None if it tips over)."""
         s = self.stance

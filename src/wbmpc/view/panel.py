@@ -17,7 +17,7 @@ from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, spoken
-from wbmpc.view.steering import Controls, no_orders
+from wbmpc.view.steering import Controls, no_requests
 
 Array = np.ndarray
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
@@ -38,9 +38,9 @@ _Line = tuple[str, str, str, float]
 class Panel:
     """Widgets of one server; every change writes all orders anew, so that none can be lost."""
 
-    def __init__(self, server: viser.ViserServer, orders: Mailbox, controls: Controls) -> None:
-        self.server, self._orders, self.controls = server, orders, controls
-        self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
+    def __init__(self, server: viser.ViserServer, requests: Mailbox, controls: Controls) -> None:
+        self.server, self._requests, self.controls = server, requests, controls
+        self._values, self._lock = no_requests(), threading.Lock()  # the server calls back from several threads
         self._dragged, self._about, self._message = False, "", ""
         self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
         server.gui.main_panel.dock_right()
@@ -66,7 +66,7 @@ class Panel:
         with self._lock:
             for name, value in values.items():
                 self._values[name][...] = value
-            self._orders.write(**self._values)
+            self._requests.write(**self._values)
 
     def _click(self, count: str, **values: Any) -> None:
         self._send(**{count: self._values[count] + 1, **values})

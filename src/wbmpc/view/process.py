@@ -27,7 +27,7 @@ Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
 
 
 def serve(
-    scene: dict[str, Any], controls: Any, shown: Mailbox, orders: Mailbox, board: Board, access: Access, port: int,
+    scene: dict[str, Any], controls: Any, shown: Mailbox, requests: Mailbox, board: Board, access: Access, port: int,
     drawer: Drawer | None,
 ) -> None:  # fmt: skip
     """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
@@ -36,7 +36,7 @@ def serve(
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
     try:
         draw = None if drawer is None else drawer()
-        stage, panel = _open(Scene.of_plain(scene), controls, orders, access, port)
+        stage, panel = _open(Scene.of_plain(scene), controls, requests, access, port)
     except Exception as error:
         board.text = f"{type(error).__name__}: {error}"
         return
@@ -61,12 +61,12 @@ def serve(
     stage.server.stop()
 
 
-def _open(scene: Scene, controls: Any, orders: Mailbox, access: Access, port: int) -> tuple[Any, Any]:
+def _open(scene: Scene, controls: Any, requests: Mailbox, access: Access, port: int) -> tuple[Any, Any]:
     from wbmpc.view.panel import Panel
     from wbmpc.view.scene import ViewScene
     from wbmpc.view.server import open_server
 
     server, guard = open_server(access, port)
-    panel = Panel(server, orders, controls)
+    panel = Panel(server, requests, controls)
     guard.rejected = panel.reject
     return ViewScene(server, scene), panel

@@ -14,7 +14,7 @@ from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.access import Access
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
-from wbmpc.view.steering import ORDERS, Controls
+from wbmpc.view.steering import REQUESTS, Controls
 
 _START = 60.0
 
@@ -51,8 +51,8 @@ class Window:
             raise InputError(
                 f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
             ) from e
-        self.shown, self.orders, self.board = Mailbox.shared(shown), Mailbox.shared(ORDERS), Board.shared(BOARD)
-        arguments = (scene.plain(), controls, self.shown, self.orders, self.board, self.access, self.port, drawer)
+        self.shown, self.requests, self.board = Mailbox.shared(shown), Mailbox.shared(REQUESTS), Board.shared(BOARD)
+        arguments = (scene.plain(), controls, self.shown, self.requests, self.board, self.access, self.port, drawer)
         self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
         self.process.start()
         deadline = time.monotonic() + _START

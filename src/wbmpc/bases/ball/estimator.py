@@ -154,7 +154,7 @@ class BallEstimator:
         self._time = time
         if interval > 0.0:
             self.arm.update(interval, angles)
-            self._look_for_balance(interval)
+            self._detect_balance(interval)
         state = self.state
         self._places.append((time, state[:3].copy()))
         while self._places[0][0] < time - HISTORY:
@@ -182,7 +182,7 @@ class BallEstimator:
             place += state[:3] - before
         return state
 
-    def _look_for_balance(self, interval: float) -> None:
+    def _detect_balance(self, interval: float) -> None:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
         f = self.filter
         if self._balanced:

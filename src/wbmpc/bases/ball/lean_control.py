@@ -31,9 +31,9 @@ class LeanControl:
     """
 
     def __init__(self, robot: RobotModel, arm: ArrayLike, share: float, speed: float) -> None:
-        not_negative("leaning", share=share)
-        positive("leaning", speed=speed)
-        arm = numbers("leaning", "arm", arm, len(robot.state.groups["arm"]))
+        not_negative("lean_control", share=share)
+        positive("lean_control", speed=speed)
+        arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
         self.reach = float(self.balance.reach.min())
         self._room = max(MOST - share, 0.0) * self.reach

@@ -66,6 +66,6 @@ class Leans(Protocol):
     def pushed_speed(self) -> float: ...
 
 
-def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
+def lean_control_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
     """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
     return LeanControl(robot, arm, settings.cost.lean, settings.pushed_speed) if settings.observer else None

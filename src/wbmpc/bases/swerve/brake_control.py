@@ -172,7 +172,7 @@ class BrakeControl:
         """What is planned with at t [s] in place of commands: faults that were accepted, until the next command of the brake."""
         return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
 
-    def forget(self, t: float) -> None:
+    def reset(self, t: float) -> None:
         """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
         first = bisect_right(self._events[0], t - self.delay) - 1
         if first > 0:

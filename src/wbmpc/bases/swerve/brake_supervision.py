@@ -19,7 +19,7 @@ _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
 #: Brakes are looked at about every so often [s]: legs do not move far meanwhile, and a look takes nearly as long as the rest of
 #: a command.
-LOOK = 0.01
+POLL_PERIOD = 0.01
 #: What the monitor of brakes sees: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
 Tick = tuple[float, Array, Array, Array]
 #: Brakes (n, 1 = open) at a time [s].
@@ -77,7 +77,7 @@ class BrakeSupervision:
             self.commanded = brakes or (lambda t: np.zeros(hinges))
         self._own = self.commanded
         self._watched: Tick | None = None  # the newest tick since the last stop
-        self._looked = -np.inf  # when the monitor looked last
+        self._checked_at = -np.inf  # when the monitor looked last
 
     @property
     def faults(self) -> list[str]:
@@ -118,15 +118,15 @@ class BrakeSupervision:
         if self.monitor is None or not np.isfinite(rate).all():
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
         self._watched = t, leg, brake, rate
-        if t < self._looked - self._period:  # the clock of a new run; by less: the look before a stop was ahead
+        if t < self._checked_at - self._period:  # the clock of a new run; by less: the look before a stop was ahead
             self.monitor.restart_clock()
-            self._looked = -np.inf
-        if t - self._looked >= max(LOOK - 0.5 * self._period, 0.0):
-            self._look(self._watched)
+            self._checked_at = -np.inf
+        if t - self._checked_at >= max(POLL_PERIOD - 0.5 * self._period, 0.0):
+            self._check(self._watched)
 
     def stop(self, leg: Array | None) -> None:
         """All brakes close: judged is what legs (n) [rad], measured last, have done until now; the guard starts anew."""
-        self._look_before_stop(leg)
+        self._check_before_stop(leg)
         guard = self._guarded()
         if guard is None:
             return
@@ -135,7 +135,7 @@ class BrakeSupervision:
         if held:
             self._notify_planner(guard)
 
-    def _look_before_stop(self, leg: Array | None) -> None:
+    def _check_before_stop(self, leg: Array | None) -> None:
         """A stop ends the plan: what legs have done until now is judged by the commands until now."""
         watched, self._watched = self._watched, None
         if watched is None or leg is None:
@@ -144,12 +144,12 @@ class BrakeSupervision:
         if leg.shape != before.shape or not np.isfinite(leg).all():
             return  # the odometry has rejected this message, and the robot stops for it
         if brake.any() or rate.any():  # else the stop changes nothing for them
-            self._look((max(t + self._period, self._looked), leg, brake, rate))
+            self._check((max(t + self._period, self._checked_at), leg, brake, rate))
 
-    def _look(self, tick: Tick) -> None:
+    def _check(self, tick: Tick) -> None:
         """Judge the brakes by a tick, and report what is found."""
         assert self.monitor is not None
-        self._looked = tick[0]
+        self._checked_at = tick[0]
         for fault in self.monitor.update(*tick):
             self.note(fault)
             if self.report is not None:

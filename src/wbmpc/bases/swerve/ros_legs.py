@@ -20,7 +20,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import error_message
-from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
@@ -60,7 +60,7 @@ class Legs:
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
-        self._order: tuple[Array, Array] | None = None
+        self._command: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
         takes: dict[str, Callable[[Any], str]] = {
@@ -70,7 +70,9 @@ class Legs:
         }
         for key, take in takes.items():
             if topic := getattr(topics, key):
-                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic, REQUEST_TYPES[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True
+                )
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
@@ -156,12 +158,12 @@ class Legs:
 
     def _put(self, goal: Array, brake: Array) -> None:
         with self._lock:
-            if self._order is not None:  # what has not been taken yet is completed
-                goal = np.where(np.isnan(goal), self._order[0], goal)
-                brake = np.where(np.isnan(brake), self._order[1], brake)
+            if self._command is not None:  # what has not been taken yet is completed
+                goal = np.where(np.isnan(goal), self._command[0], goal)
+                brake = np.where(np.isnan(brake), self._command[1], brake)
             if (now := self._now()) is not None:
                 self._reject(goal, *self._outcome(goal, brake, now[0]), now[1])
-            self._order = goal, brake
+            self._command = goal, brake
         self.rejected = ""
 
     def _reject(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
@@ -183,30 +185,30 @@ class Legs:
     @property
     def waiting(self) -> bool:
         """Whether there is an order that has not been taken."""
-        return self._order is not None
+        return self._command is not None
 
     def drop(self) -> None:
         """Forget an order that has not been taken."""
         with self._lock:
-            self._order = None
+            self._command = None
 
     def apply(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
         """Carry out an order at time t [s], legs being at ``leg`` (n) [rad]; whether there was one."""
         with self._lock:
-            order, self._order = self._order, None
-        if order is None:
+            command, self._command = self._command, None
+        if command is None:
             return False
-        goal, brake = order
+        goal, brake = command
         sent = ~np.isnan(goal)
         before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         self._nearest[:], self._since[:], self.short = np.inf, t, ""
-        brakes.forget(t)
+        brakes.reset(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
-            self.reject(f"an order to the legs is rejected: {error}")
+            self.reject(f"a command for the legs is rejected: {error}")
             self.angles = before
             return False
         # a leg that is let go, or held where it is, goes nowhere
@@ -247,7 +249,7 @@ class Legs:
     def _close(self, brakes: BrakeControl, t: float, which: NDArray[np.bool_]) -> None:
         brake = brakes.commanded(t).copy()
         brake[which] = 0.0
-        brakes.forget(t)
+        brakes.reset(t)
         brakes.set(t, brake)
         self.moving &= ~which
 

@@ -173,7 +173,7 @@ class Parts:
 
 
 def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController, MPC | None]:
-    """The agent that the settings name, and the MPC that plans for it (None: nothing does)."""
+    """The controller that the settings name, and the MPC that plans for it (None: nothing does)."""
     policies = settings.controller == "mpc" and settings.tracking.kind != "actuators"
     late = policies or settings.controller in REGULATORS
     drives = DriveSettings(settings.drive_lag, settings.drive_dead_time if late else 0.0)
@@ -188,11 +188,11 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
         return _taskspace(settings, p), None
     if name in REGULATORS:
         gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
-        agent = LqrController(*own)
+        controller = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
-        agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
-        agent.forecast = _felt(p)
-        return agent, None
+        controller.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
+        controller.forecast = _felt(p)
+        return controller, None
     return _separate(settings, p)
 
 
@@ -208,10 +208,10 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
 
     home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
     more = (p.period, DriveSettings(settings.drive_lag), settings.observer, p.estimator)
-    agent = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
-    agent.stance = lambda t: p.mpc.reference["body"].at(t)
-    agent.forecast = _felt(p)
-    return agent
+    controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
+    controller.stance = lambda t: p.mpc.reference["body"].at(t)
+    controller.forecast = _felt(p)
+    return controller
 
 
 def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, MPC]:
@@ -226,14 +226,14 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     planner.reference["body"] = p.mpc.reference["body"]
     inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
-    agent = SeparateController(
+    controller = SeparateController(
         p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.drive_lag), settings.observer and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
-    agent.forecast = _felt(p)
+    controller.forecast = _felt(p)
     home = p.robot.base.numeric.equilibrium(p.arm)[0]
-    planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
-    return agent, planner
+    planner.reset(controller.believed(home), p.torque[p.robot.input["wheel"]])
+    return controller, planner
 
 
 def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:

@@ -82,8 +82,8 @@ class Push:
     tip_weight: float
 
 
-class DoorAgent(BallController):
-    """The agent of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
+class DoorController(BallController):
+    """The controller of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
     place when it touches it. ``door`` (2): angle [rad] and rate [rad/s] of the door; ``phase``: approach, push or release."""
 
     def __init__(

@@ -105,7 +105,7 @@ class LqrController(BallController):
     def regulate(
         self, gains: RegulatorGains, wanted_state: Callable[[float], Array], scheduled: bool, most: float
     ) -> None:
-        """What the regulator needs beside the agent's own."""
+        """What the regulator needs beside the controller's own."""
         self.gains, self.wanted_state, self.scheduled, self.most = gains, wanted_state, scheduled, most
         home = self.robot.home[self.robot.state["arm"]]
         self._home, self._shift = gains.at(home), gains.at_rest(home)

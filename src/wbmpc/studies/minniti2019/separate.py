@@ -102,8 +102,8 @@ class ArmLoop:
 
 class SeparateController(BallController):
     """``mpc``: the whole robot's, as a model for the prediction over the delay and for its references only; ``planner``: the base
-    MPC (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`). ``aware``: whether it knows of the arm's motion. ``observer`` (of the other agents):
-    the disturbance of the base's rows alone."""
+    MPC (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`). ``aware``: whether it knows of the arm's motion. ``observer``
+    (of the other controllers): the disturbance of the base's rows alone."""
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: Array, period: float, drives: DriveSettings, observer: bool, *more: Any,

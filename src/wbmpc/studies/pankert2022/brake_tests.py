@@ -219,22 +219,22 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
     period = bench.period
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
-    agent = RollingController(
+    controller = RollingController(
         robot, np.zeros(3), period, goals, brakes=brakes, supervision=SupervisionSettings(monitor=monitor)
     )
     if kind == "closed":
         plant.brakes.fail(tried, "closed")
     hinge = plant.model.joint(robot.state.groups["leg"][tried]).dofadr[0]
-    with watched(plant, period, SWING_PERIOD + 3.0, progress, agent) as tick:
+    with watched(plant, period, SWING_PERIOD + 3.0, progress, controller) as tick:
         for k in range(round((SWING_PERIOD + 3.0) / period)):
             t = k * period
             if kind == "open" and t > FAILS:
                 plant.brakes.fail(tried, "open")
             plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
-            agent.measure(plant.measure())
-            command = agent.drive(t)
+            controller.measure(plant.measure())
+            command = controller.drive(t)
             tick(t, command)
             plant.step(command, bench.steps)
-            assert agent.measured is not None
-            bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
+            assert controller.measured is not None
+            bench.log.add(f"fault_{kind or 'none'}", t, [*controller.measured.leg, *goals(t)[1][0]])
     return Found.of(monitor, None if kind is None else tried, OPENS if kind == "closed" else KNOCK_BEGINS)

@@ -67,18 +67,18 @@ class _Run:
         return home, plant
 
     def record(
-        self, name: str, t: float, plant: SwervePlant, agent: SwerveController, mission: Mission, command: Any
+        self, name: str, t: float, plant: SwervePlant, controller: SwerveController, mission: Mission, command: Any
     ) -> None:
         truth, add = plant.truth(), self.log.add
         add(f"{name}.base", t, truth.pose)
-        add(f"{name}.base_odometry", t, agent.pose)
+        add(f"{name}.base_odometry", t, controller.pose)
         add(f"{name}.base_reference", t, mission.base(t)[0][0])
         add(f"{name}.leg", t, truth.state[self.robot.state["leg"]])
         add(f"{name}.leg_reference", t, mission.leg(t)[0][0])
         add(f"{name}.brake", t, command.brake)
         add(f"{name}.wheel_slip", t, truth.slip)
         add(f"{name}.wheel_force", t, truth.wheel_force)
-        add(f"{name}.wanted", t, agent.wanted)
+        add(f"{name}.wanted", t, controller.wanted)
         speeds = [truth.joint_speeds[n] for g in ("leg", "steer", "wheel") for n in self.robot.input.groups[g]]
         add(f"{name}.joint_speed", t, speeds)
         add(f"{name}.steer", t, truth.state[self.robot.state["steer"]])
@@ -97,21 +97,21 @@ class _Run:
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
-        agent = SwerveController(
+        controller = SwerveController(
             robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.drive_lag),
             estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
             supervision=SupervisionSettings(guard=s.leg_guard and knock is None, report=brakes.accept),
         )  # fmt: skip
-        stand_still(plant, agent, timing, s.rest)
+        stand_still(plant, controller, timing, s.rest)
         mpc.reset(home)
         hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
-                self.record(name, now, plant, agent, mission, command)
+                self.record(name, now, plant, controller, mission, command)
 
-        return Loop(plant, agent, mpc, timing, duration, record).run(progress), hit
+        return Loop(plant, controller, mpc, timing, duration, record).run(progress), hit
 
     def baseline(
         self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
@@ -127,18 +127,18 @@ class _Run:
             (pose, rate), (leg, leg_rate) = mission.base(t), mission.leg(t)
             return (pose[0], rate[0]), (leg[0], leg_rate[0])
 
-        agent = RollingController(
+        controller = RollingController(
             robot, plant.truth().pose, timing.period, goals,
             RollingGains(s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain, s.rival_lead, s.rival_look_ahead),
             brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
         )  # fmt: skip
-        stand_still(plant, agent, timing, s.rest)
+        stand_still(plant, controller, timing, s.rest)
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
-                self.record(name, now, plant, agent, mission, command)
+                self.record(name, now, plant, controller, mission, command)
 
-        return Loop(plant, agent, None, timing, duration, record).run(progress)
+        return Loop(plant, controller, None, timing, duration, record).run(progress)
 
 
 def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:

@@ -42,7 +42,9 @@ IDEALISATIONS = [
 Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], SwerveController]
 
 
-def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveController:
+def _mpc_controller(
+    r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion
+) -> SwerveController:
     return SwerveController(r, pose, period, tracking=TrackingSettings(lag=s.drive_lag, allow_side_slip=fast_enough(r)))
 
 
@@ -65,7 +67,7 @@ GAINS: dict[str, dict[str, float]] = {
 
 
 def baseline(kind: type[RollingController], **gains: float) -> Make:
-    """A maker of a baseline's agent."""
+    """A maker of a baseline's controller."""
 
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveController:
         return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), RollingGains(**gains))
@@ -74,7 +76,7 @@ def baseline(kind: type[RollingController], **gains: float) -> Make:
 
 
 CONTROLLERS: dict[str, Make] = {
-    "mpc": _mpc_agent,
+    "mpc": _mpc_controller,
     "ik": baseline(RollingController, **GAINS["ik"]),
     "four_wheel": baseline(FourWheelSteeringController, **GAINS["four_wheel"]),
 }
@@ -112,22 +114,22 @@ def drive(
     """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
+    controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
     if mpc is not None:
-        agent.supervision.report = closed_brakes(robot, mpc)
-    stand_still(plant, agent, timing, settings.rest)
+        controller.supervision.report = closed_brakes(robot, mpc)
+    stand_still(plant, controller, timing, settings.rest)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / timing.period) % 4:
             return
         truth = plant.truth()
         log.add(f"base_{name}", t, truth.pose)
-        log.add(f"odometry_{name}", t, agent.estimator.odometry.pose)
+        log.add(f"odometry_{name}", t, controller.estimator.odometry.pose)
         log.add(f"slip_{name}", t, truth.slip)
         log.add(f"wheel_{name}", t, command.wheel)
-        log.add(f"steer_{name}", t, agent.measured.steer if agent.measured is not None else command.steer)
+        log.add(f"steer_{name}", t, controller.measured.steer if controller.measured is not None else command.steer)
 
-    return Loop(plant, agent, mpc, timing, float(reference.path.times[-1]), record).run(progress)
+    return Loop(plant, controller, mpc, timing, float(reference.path.times[-1]), record).run(progress)
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveFixedSettings, build)

@@ -145,33 +145,33 @@ def drive(
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
     period, geometry = steps * plant.timestep, robot.base.geometry
-    agent = SwerveController(robot, plant.truth().pose, period)
+    controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
     wheels, total = WheelLog(log), sum(p.length for p in phases)
     home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
     legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
-    with watched(plant, period, total, progress, agent) as tick:
+    with watched(plant, period, total, progress, controller) as tick:
         for phase in phases:
             for k in range(round(phase.length / period)):
                 m = plant.measure()
-                agent.measure(m)
+                controller.measure(m)
                 # open legs give way: nothing is planned for them
-                agent.watch(plant.time, brake, np.zeros(brake.size))
+                controller.watch(plant.time, brake, np.zeros(brake.size))
                 wheels.add(plant.time, m, brake)
                 if len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
-                    log.add("base_odometry", plant.time, agent.estimator.odometry.pose)
-                    log.add("base_wheels", plant.time, agent.estimator.wheels_alone.pose)
+                    log.add("base_odometry", plant.time, controller.estimator.odometry.pose)
+                    log.add("base_wheels", plant.time, controller.estimator.wheels_alone.pose)
                 brake = phase.brake
-                steer, wheel = _rolling(geometry, phase, k * period, agent.estimator.leg if swings else legs, legs)
-                turning = np.clip(STEER_GAIN * (steer - agent.estimator.steer), -STEER_SPEED, STEER_SPEED)
-                command = SwerveCommand(wheel * agent.wheel_scale, turning, arm, brake)
+                steer, wheel = _rolling(geometry, phase, k * period, controller.estimator.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - controller.estimator.steer), -STEER_SPEED, STEER_SPEED)
+                command = SwerveCommand(wheel * controller.wheel_scale, turning, arm, brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
-                    return agent, f"the robot fell at {plant.time:.2f} s"
-    return agent, ""
+                    return controller, f"the robot fell at {plant.time:.2f} s"
+    return controller, ""
 
 
 def calibrated(

@@ -116,19 +116,19 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     mission.apply(brakes)
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = SwerveController(
+    controller = SwerveController(
         robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.drive_lag),
         estimation=EstimatorSettings(use_gyro=settings.use_gyro),
         supervision=SupervisionSettings(guard=settings.leg_guard, report=brakes.accept),
     )  # fmt: skip
-    stand_still(plant, agent, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.rest)
     mpc.reset(home)
     log, stance_of = Log(), StanceOf(robot)
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:
             return
-        truth, pose, m = plant.truth(), agent.estimator.odometry.pose, agent.measured
+        truth, pose, m = plant.truth(), controller.estimator.odometry.pose, controller.measured
         assert m is not None
         stance = stance_of(truth.state)
         log.add("base", now, truth.pose)
@@ -146,8 +146,8 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
         log.add("support_margin", now, [float(region_margin(stance.feet, stance.zmp)), stance.polygon_margin])
 
     return Scenario.single(
-        log, Loop(plant, agent, mpc, timing, duration, record).run,
-        lambda run: metrics(log, begin, free, len(agent.faults), agent.holds),
+        log, Loop(plant, controller, mpc, timing, duration, record).run,
+        lambda run: metrics(log, begin, free, len(controller.faults), controller.holds),
         lambda run: plots(log, robot, begin), IDEALISATIONS,
     )  # fmt: skip
 

@@ -16,8 +16,8 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
-from wbmpc.ros2.multi_type_subscriber import Several
-from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
+from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
@@ -33,7 +33,7 @@ _LATEST = 60.0
 _OFF_FLOOR = 0.5
 
 
-class Inbox:
+class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and hand go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
@@ -52,14 +52,16 @@ class Inbox:
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
-        self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
+        self._speeds = MultiTypeSubscriber(
+            node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed))
+        )
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
             "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
             "hand_path": self._hand_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
-                node.subscribe(topic, ORDERS[key], partial(self._try, topic, take), DEFAULT, deferred=True)
+                node.subscribe(topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True)
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:
@@ -112,9 +114,9 @@ class Inbox:
         """Which type of speeds is not heard, and why; empty if all are."""
         return self._speeds.fault
 
-    def look_for_speeds(self) -> None:
+    def detect_speed_inputs(self) -> None:
         """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
-        self._speeds.look()
+        self._speeds.update()
 
     # ------------------------------------------------------------------ messages
     def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
