@@ -322,7 +322,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
     pytest.importorskip("viser")
     from wbmpc.view import session
     from wbmpc.view.live import View
-    from wbmpc.view.steering import ORDERS, no_orders
+    from wbmpc.view.steering import ORDERS, no_requests
 
     robot = load_robot(gantry)
     start, turn = robot.pose(robot.home)
@@ -340,7 +340,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
             if t >= 0.1 and not self.given:
                 self.given = True
                 assert self.running.plant.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
-                self.writer.write(**{**no_orders(), "goals": np.array(1.0), "goal": np.array([*goal, *turn])})
+                self.writer.write(**{**no_requests(), "goals": np.array(1.0), "goal": np.array([*goal, *turn])})
 
         def end(self, ending: Ending) -> None:
             self.ending = ending

@@ -181,18 +181,18 @@ def test_errors_in_physics_stay_within_the_covariance() -> None:
         assert size / 25.0 < total < chi2.ppf(0.99, size), f"{name}: {total:.0f} of {size}"
 
 
-def twisted(seed: int, told: float) -> Balancing:
-    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator is told of ``told`` times its torque."""
+def twisted(seed: int, reported: float) -> Balancing:
+    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator is reported of ``told`` times its torque."""
     run, gain, limit = Balancing(seed), regulator(), ROBOT.limits.input_upper[:6]
     base, torque = run.plant.model.body(run.plant.base.body).id, TORQUE
     for _ in range(round(3.5 / H)):
         m, turning = run.plant.measure(), ROBOT.base.wheel_torque_map()[2] @ torque[:3]
-        run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
+        run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, reported * turning)
         run.plant.data.xfrc_applied[base, 5] = 1.5 if m.time > 1.0 else 0.0
         torque = np.clip(TORQUE - gain @ (run.plant.state() - HOME), -limit, limit)
         run.plant.step(BallCommand(torque), 5)
     m = run.plant.measure()
-    run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
+    run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, reported * turning)
     return run
 
 
@@ -322,7 +322,7 @@ def test_joint_tracker_follows_a_sine() -> None:
     assert rms[0] < 2e-3 and rms[1] < 0.15
 
 
-def test_bad_readings_are_refused() -> None:
+def test_bad_readings_are_rejected() -> None:
     f = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise())
     with pytest.raises(InputError, match="'wheel' needs 3"):
         f.update(H, np.zeros(2), np.zeros(3), np.zeros(3))

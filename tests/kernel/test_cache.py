@@ -134,7 +134,7 @@ def test_what_is_no_file_is_bypassed_and_nothing_piles_up(folder: Path, thing: s
     assert list(folder.iterdir()) == [file]
 
 
-def test_a_full_disk_is_told_once_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_and_leaves_nothing(tmp_path: Path) -> None:
     code = """
 import resource, signal
 from wbmpc.kernel import cache

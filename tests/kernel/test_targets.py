@@ -64,7 +64,7 @@ def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("target", ["nonsense:", "x86-64-v3:+nonsense"])
-def test_a_target_that_llvm_does_not_know_is_refused(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_target_that_llvm_does_not_know_is_rejected(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """LLVM ignores some and ends the process for others."""
     from wbmpc.errors import InputError
     from wbmpc.kernel import codegen_target as machine

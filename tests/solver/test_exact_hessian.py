@@ -150,7 +150,7 @@ def double_well() -> OptimalControlProblem:
     return ocp
 
 
-def test_a_saddle_is_told() -> None:
+def test_a_saddle_is_reported() -> None:
     """Truth: the cost of a motion into a well, which is lower."""
     solver = Solver(double_well(), SQP(hessian="exact"))
     solver.warm_start(np.zeros(1))

@@ -240,7 +240,7 @@ def test_residual_with_accelerations_has_the_inertia_of_the_arm() -> None:
 
 
 # ---------------------------------------------------------------------- bad input
-def test_bad_input_is_one_sentence() -> None:
+def test_bad_input_is_one_message() -> None:
     with pytest.raises(InputError, match="stands on 3 feet or more"):
         assess(robot("rezero"))
     with pytest.raises(InputError, match="unknown configuration 'Y'"):

@@ -129,7 +129,7 @@ def test_command_prints_and_writes(folder: Path, tmp_path: Path, capsys: pytest.
         (["{log}", "--robot", "swerve-ur10"], "no channel 'steer'"),
     ],
 )
-def test_bad_input_is_one_sentence(
+def test_bad_input_is_one_message(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "text").write_text("no archive")
@@ -143,7 +143,7 @@ def test_bad_input_is_one_sentence(
 @pytest.mark.parametrize(
     ("name", "message"), [("swerve-fixed-ur10", "this was 'swerve-ur10', whose base"), ("own", "steer")]
 )
-def test_a_robot_with_another_base_than_that_of_the_run_is_refused(
+def test_a_robot_with_another_base_than_that_of_the_run_is_rejected(
     name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file of one's own with the same base is taken: the next thing that is wrong is the log."""

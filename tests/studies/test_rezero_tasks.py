@@ -73,7 +73,7 @@ def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
 
 
-def test_a_force_beyond_all_leans_is_learnt_told_and_ends_the_run() -> None:
+def test_a_force_beyond_all_leans_is_learnt_reported_and_ends_the_run() -> None:
     """90 N for good: 1.3 times what the wheels can hold (90 N x 0.125 m against 8.6 N m at the ball)."""
     settings = RezeroPushHandSettings(forces=(90.0,), push_duration=5.0, settle_time=0.5)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)

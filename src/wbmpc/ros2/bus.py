@@ -20,7 +20,7 @@ class Qos:
     latched: bool = False
     depth: int = 10
 
-    def refuses(self, offered: Qos) -> str:
+    def incompatible(self, offered: Qos) -> str:
         """Why a subscription with this does not match a publisher that offers that; empty if it does."""
         parts = []
         if self.reliable and not offered.reliable:
@@ -61,7 +61,7 @@ class Node(Protocol):
     subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once.
     :meth:`offer` makes parameters those of the node; once.
 
-    ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: sentences about endpoints that do not
+    ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: messages about endpoints that do not
     match, as long as these are there; ``backend``: its name.
     """
 

@@ -13,8 +13,8 @@ from wbmpc.errors import InputError, NotFinite
 Array = np.ndarray
 
 
-def sentence_of(error: Exception) -> str:
-    """What a goal or a message was refused for: our own sentence, or what went wrong by its kind."""
+def error_message(error: Exception) -> str:
+    """What a goal or a message was rejected for: our own message, or what went wrong by its kind."""
     return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
 
 

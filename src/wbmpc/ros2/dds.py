@@ -31,7 +31,7 @@ from cyclonedds.util import duration
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
-from wbmpc.ros2.cdr_types import idl_types, shared_carrier
+from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
@@ -95,7 +95,7 @@ class DdsNode:
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._readers: list[DataReader] = []
-        self._forget: dict[
+        self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
@@ -113,8 +113,8 @@ class DdsNode:
     # ------------------------------------------------------------------ topics
     @property
     def faults(self) -> list[str]:
-        """Sentences about endpoints that do not match."""
-        return self._mismatches.sentences()
+        """Messages about endpoints that do not match."""
+        return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
@@ -264,7 +264,7 @@ class DdsNode:
         return found
 
     def _announce(self) -> None:
-        """Tell the graph which node has which readers and writers: anew whenever there is another one."""
+        """Publish to the graph which node has which readers and writers: anew whenever there is another one."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:
@@ -284,8 +284,8 @@ class DdsNode:
         for entity in entities:
             entity.set_listener(None)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
-        for reader in list(self._forget):
-            self._forget.pop(reader)()
+        for reader in list(self._unregister):
+            self._unregister.pop(reader)()
         _OPEN.discard(self)
 
     # ------------------------------------------------------------------ inside
@@ -304,9 +304,9 @@ class DdsNode:
                 with LOCAL.callback(where, of):
                     take(reader)
 
-        forget = LOCAL.add(where, of)
+        unregister = LOCAL.add(where, of)
         reader = DataReader(self._participant, topic, qos=qos, listener=_Watch(mismatch, call))
-        self._forget[reader] = forget
+        self._unregister[reader] = unregister
         complete.set()
         self._own(self._readers, reader)
         take(reader)
@@ -319,7 +319,7 @@ class DdsNode:
             self._readers.remove(reader)
         reader.set_listener(None)  # without the lock: it waits for callbacks
         reader.__del__()
-        self._forget.pop(reader, lambda: None)()
+        self._unregister.pop(reader, lambda: None)()
         self._announce()
 
     def _own(self, group: list[Any], entity: Any) -> None:
@@ -337,7 +337,7 @@ class DdsNode:
             raise InputError(f"{name.removeprefix('rt')}: is used with {strange.pop()} and {kind}")
         if kind not in known:
             try:
-                carry = shared_carrier(self.network.distribution, kind, tuple((header or {}).items()))
+                carry = shared_message_class(self.network.distribution, kind, tuple((header or {}).items()))
                 known[kind] = Topic(self._participant, name, carry)
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
@@ -396,7 +396,7 @@ def _identity() -> str:
     return ".".join(f"{b:x}" for b in os.urandom(16))
 
 
-def _wait(end: float, sentence: str) -> None:
+def _wait(end: float, message: str) -> None:
     if time.monotonic() > end:
-        raise RunAborted(sentence)
+        raise RunAborted(message)
     time.sleep(0.002)

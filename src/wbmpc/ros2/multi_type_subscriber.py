@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from wbmpc.ros2.bus import SENSOR, Node
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.convert import error_message
 
 _LOG = logging.getLogger("wbmpc")
 
 
-class Several:
+class MultiTypeSubscriber:
     """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type;
     ``fault``: which type is not heard, and why; empty when all are."""
 
@@ -23,7 +23,7 @@ class Several:
         if topic:  # who publishes in the first type finds a subscription at once
             self._take_in([next(iter(takes))])
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
         one type only."""
         kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
@@ -39,7 +39,7 @@ class Several:
                     self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
                 )
             except Exception as error:
-                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"
         if fault and fault != self.fault:
             _LOG.error("%s", fault)
         self.fault = fault

@@ -17,7 +17,7 @@ from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.parameters import Parameters, descriptor_of
 
@@ -55,8 +55,8 @@ class RosNode:
 
     @property
     def faults(self) -> list[str]:
-        """Sentences about endpoints that do not match."""
-        return self._mismatches.sentences()
+        """Messages about endpoints that do not match."""
+        return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
         """A publisher."""
@@ -117,7 +117,7 @@ class RosNode:
             try:
                 parameters.set({p.name: p.value for p in given})
             except Exception as error:
-                return fill(result(), {"successful": False, "reason": sentence_of(error)})
+                return fill(result(), {"successful": False, "reason": error_message(error)})
             return fill(result(), {"successful": True})
 
         self._node.add_on_set_parameters_callback(change)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, refuse_unlearnt
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, reject_unlearnt
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import Exerted, RosSettings
 from wbmpc.settings import MpcSettings
@@ -32,7 +32,7 @@ class BallRosSettings(RosSettings):
 
     @model_validator(mode="after")
     def _used(self) -> Self:
-        refuse_unlearnt(
+        reject_unlearnt(
             self.estimate_disturbance, self.max_pushed_speed != type(self).model_fields["max_pushed_speed"].default
         )
         return self

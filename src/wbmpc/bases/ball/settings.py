@@ -32,7 +32,7 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-def refuse_unlearnt(estimate_disturbance: bool, changed: bool) -> None:
+def reject_unlearnt(estimate_disturbance: bool, changed: bool) -> None:
     """Raise ``ValueError`` if ``max_pushed_speed`` is ``changed`` where no forces are learnt."""
     if changed and not estimate_disturbance:
         raise ValueError("max_pushed_speed: with estimate_disturbance=false nothing uses it")
@@ -66,7 +66,7 @@ class Leans(Protocol):
     def max_pushed_speed(self) -> float: ...
 
 
-def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
+def lean_control_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
     """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
     return (
         LeanControl(robot, arm, settings.cost.lean, settings.max_pushed_speed)

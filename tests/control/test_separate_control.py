@@ -93,7 +93,7 @@ def test_a_hand_out_of_reach_points_there() -> None:
 
 @pytest.mark.parametrize(("integral", "left"), [(0.0, True), (3.0, False)])
 def test_integral_removes_what_a_constant_torque_leaves(integral: float, left: bool) -> None:
-    """A unit inertia with a torque of 2 N m that nobody told of: a PD stops 2 / ω² short."""
+    """A unit inertia with a torque of 2 N m that is not modeled: a PD stops 2 / ω² short."""
     loop, q, v, h = ArmLoop(pace=8.0, integral=integral), np.zeros(1), np.zeros(1), 1e-3
     for _ in range(8000):
         torque = loop.torque(np.eye(1), np.zeros(1), 0.2 - q, v, h)
