@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ast
 import difflib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,3 +65,23 @@ def test_the_program_imports_nothing_else_of_the_package() -> None:
     names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
     names |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert {n for n in names if n.startswith("wbmpc")} == {"wbmpc"}
+
+
+#: Dependencies of the command line, of reports, recordings and views.
+EXTRA = ("plotly", "typer", "rich", "mcap", "viser", "trimesh", "imageio", "pyarrow", "cyclonedds", "rosbags")
+PLANNING = f"""
+import sys
+import numpy as np
+import wbmpc as wb
+import user_program
+user_program.problem_of(wb.load_robot("differential-ur10"))
+user_program.solve(np.array([2.0, 0.0]))
+print([name for name in {EXTRA} if name in sys.modules])
+"""
+
+
+def test_a_robot_and_a_solve_load_no_library_of_reports_or_the_command_line() -> None:
+    paths = os.pathsep.join(str(p) for p in (SOURCE.parents[1], Path(__file__).parent))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, "-c", PLANNING], env=environment, capture_output=True, text=True, timeout=300)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
