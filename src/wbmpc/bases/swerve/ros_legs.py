@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.brake_control import BrakeControl, refuse_floating, refuse_floating_way
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.bus import DEFAULT, SMALL, Node
 from wbmpc.ros2.convert import sentence_of
 from wbmpc.ros2.settings import ORDERS, RosSettings
 from wbmpc.stability import leg_angles
@@ -57,6 +58,7 @@ class Legs:
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
         self.refused = self.short = ""
+        self._limit = RateLimit()
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
@@ -70,7 +72,9 @@ class Legs:
         }
         for key, take in takes.items():
             if topic := getattr(topics, key):
-                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True, largest=SMALL
+                )
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
@@ -100,7 +104,7 @@ class Legs:
     def refuse(self, sentence: str) -> None:
         """Say once why an order is not taken."""
         if sentence != self.refused:
-            _LOG.warning("%s", sentence)
+            self._limit.log(_LOG, logging.WARNING, sentence.split(":")[0], sentence)
         self.refused = sentence
 
     def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
