@@ -45,7 +45,9 @@ def test_narrow_vectors_give_the_same_solution(tmp_path: Path) -> None:
     targets = some(["x86-64-v3:", "x86-64:"], [1])
     for target in targets:
         np.testing.assert_allclose(solved(target, tmp_path), own, rtol=1e-6, atol=1e-7)
-    assert len(list(tmp_path.glob("*.bin"))) == 3 + 3 * len(targets)  # three files per target: no entry serves another one's code
+    assert len(list(tmp_path.glob("*.bin"))) == 3 + 3 * len(
+        targets
+    )  # three files per target: no entry serves another one's code
 
 
 @pytest.mark.parametrize(

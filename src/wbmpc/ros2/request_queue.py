@@ -13,7 +13,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
@@ -61,7 +61,9 @@ class RequestQueue:
             "end_effector_path": self._hand_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
-                node.subscribe(topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True, largest=LONG
+                )
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:

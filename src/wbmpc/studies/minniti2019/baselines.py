@@ -138,11 +138,27 @@ _PLAN = frozenset(
 #: What regulators take of the costs (:func:`regulator_weights`) is all but these; what `separate` and its like take: these.
 _NO_REGULATORS = frozenset(
     f"cost.{n}"
-    for n in ("end_effector.limit", "end_effector.turn_limit", "terminal", "lean", "speed_slack", "torque.force", "torque.moment")
+    for n in (
+        "end_effector.limit",
+        "end_effector.turn_limit",
+        "terminal",
+        "lean",
+        "speed_slack",
+        "torque.force",
+        "torque.moment",
+    )
 )
 _SEPARATES = frozenset(
     f"cost.{n}"
-    for n in ("end_effector.weight", "end_effector.orientation", "end_effector.roll", "body.yaw", "body.yaw_rate", "body.arm", "lean")
+    for n in (
+        "end_effector.weight",
+        "end_effector.orientation",
+        "end_effector.roll",
+        "body.yaw",
+        "body.yaw_rate",
+        "body.arm",
+        "lean",
+    )
 )
 
 
@@ -190,7 +206,9 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
         gains = settings.baseline.lqr if name == "lqr" else settings.baseline.scheduled_lqr
         controller = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
-        controller.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error)
+        controller.regulate(
+            regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error
+        )
         controller.forecast = _felt(p)
         return controller, None
     return _separate(settings, p)

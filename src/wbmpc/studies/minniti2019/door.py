@@ -74,7 +74,9 @@ def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tu
     most = settings.lean_share * held(settings, robot)
     if force <= most:
         return force, ""
-    fault = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+    fault = (
+        f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+    )
     _LOG.warning("%s, at %g N", fault, force)
     return most, fault
 
