@@ -10,7 +10,7 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import Qos
-from wbmpc.ros2.convert import LONGEST, sentence_of
+from wbmpc.ros2.convert import LONGEST, error_message
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
 
@@ -85,7 +85,7 @@ def test_the_middleware_has_no_line_for_each_malformed_message(
 def test_what_is_quoted_is_one_short_line(error: Exception) -> None:
     """Nobody writes lines into our log, or megabytes."""
     quoted = type(error)(str(error).format("map\n\x1b[31mERROR" + "x" * 1_000_000))
-    said = sentence_of(quoted)
+    said = error_message(quoted)
     assert len(said) < LONGEST + 40 and said.isprintable()
     assert "frame 'map??[31mERROR" in said and said.endswith("'; valid: odom")
-    assert sentence_of(InputError("short")) == "short"
+    assert error_message(InputError("short")) == "short"

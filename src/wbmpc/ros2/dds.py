@@ -32,7 +32,7 @@ from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, Endpoint, Qos, full_name
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.messages import request, response, types
@@ -121,7 +121,7 @@ class DdsNode:
             try:
                 callback(self.types.decode(kind, data))
             except Exception as error:
-                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {sentence_of(error)}")
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
@@ -165,7 +165,7 @@ class DdsNode:
                     try:
                         values = answer(self.types.decode(asked, body))
                     except Exception as error:
-                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {sentence_of(error)}")
+                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
                         continue
                 reply = self.types.encode(answered, values)
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))

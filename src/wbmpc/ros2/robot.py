@@ -17,7 +17,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds, sentence_of
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Sender, senders
@@ -82,7 +82,7 @@ class BusRobot:
         try:
             sample = self._reader.read(message)
         except InputError as error:
-            self._note("joints", sentence_of(error))
+            self._note("joints", error_message(error))
             if not self._armed:
                 self._reader.reset()
             return
@@ -98,7 +98,7 @@ class BusRobot:
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
-            self._note("imu", sentence_of(error))
+            self._note("imu", error_message(error))
             return
         self._good("imu")
         with self._lock:

@@ -80,7 +80,7 @@ class RosNode:
             try:
                 callback(message)
             except Exception as error:
-                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {sentence_of(error)}")
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         later = lambda message: self._deferred.append((call, message))
         taken = later if deferred else call
