@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
@@ -118,6 +119,7 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     assert bench.log.array("rival.leg")[-1] == pytest.approx(out, abs=0.02)
 
 
+@thorough
 @pytest.mark.parametrize("legs", ["targets", "support"])
 def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
     experiment = REGISTRY["swerve-unified"]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
@@ -123,6 +124,7 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
     assert rezero_door.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
 
 
+@thorough
 def test_without_the_row_the_force_is_missed() -> None:
     """The paper's free wrench: the same door, the same force."""
     paper = SHORT.model_copy(

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
@@ -68,6 +69,7 @@ def test_torques_of_the_baseline_respect_the_limits() -> None:
     assert np.any(np.abs(torque) > 0.99 * controller.limit)
 
 
+@thorough
 def test_both_controllers_take_the_steps() -> None:
     settings = RezeroTaskspaceSettings(settle_time=1.0, hold_time=1.0)
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, None)
