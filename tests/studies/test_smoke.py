@@ -16,7 +16,7 @@ from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 TRACK = SwerveTrackSettings(periods=1, settle_time=2.0, calibration="none")
 STEPS = RezeroStepsSettings(hold_time=3.5, settle_time=1.5, final_hold_time=0.0)
-SHORT = RezeroStepsSettings(hold_time=0.6, settle_time=0.5, final_hold_time=0.0, preview=False)
+SHORT = RezeroStepsSettings(hold_time=1.5, settle_time=0.5, final_hold_time=0.0, preview=False)
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +112,7 @@ def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def
     assert value(other) < 0.008
 
 
+@thorough
 def test_rezero_without_preview_repeats() -> None:
     first = REGISTRY["rezero-steps"].run(SHORT, 0, None)
     check_statistics(first)
