@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import MpcSettings, Settings
 
@@ -23,6 +24,8 @@ STEPS_AND_PUSHES = RezeroCost(
     lean=0.6,
     speed_slack=20.0,
 )
+#: Of settings that are of learnt forces.
+LEARNT = OnlyWith(estimate_disturbance=True)
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
@@ -30,12 +33,6 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     return MpcSettings(
         rate=80.0, horizon=1.3, intervals=65, first_interval=0.0, barrier_mu=barrier_mu, rollout_restart=False
     )
-
-
-def reject_unlearnt(estimate_disturbance: bool, changed: bool) -> None:
-    """Raise ``ValueError`` if ``max_pushed_speed`` is ``changed`` where no forces are learnt."""
-    if changed and not estimate_disturbance:
-        raise ValueError("max_pushed_speed: with estimate_disturbance=false nothing uses it")
 
 
 class BallControllerSettings(Settings):
@@ -48,9 +45,9 @@ class BallControllerSettings(Settings):
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     estimate_disturbance: bool = True
-    estimate_payload: bool = True
+    estimate_payload: Annotated[bool, LEARNT] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: float = Field(2.0, gt=0)
+    max_pushed_speed: Annotated[float, LEARNT] = Field(2.0, gt=0)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 

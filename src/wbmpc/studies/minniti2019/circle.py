@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from wbmpc.configuration import OnlyWith, Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
@@ -31,8 +32,10 @@ class RezeroCircleSettings(AccurateSettings):
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     yaw: Literal["held", "free"] = "held"
 
-    def idle(self) -> dict[str, str]:
-        return super().idle() | ({"cost.body.yaw": "yaw=free"} if self.yaw == "free" else {})
+    only_with: ClassVar[Rules] = {
+        **AccurateSettings.only_with,
+        "cost.body.yaw": AccurateSettings.only_with["cost.body.yaw"] & OnlyWith(yaw="held"),
+    }
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:

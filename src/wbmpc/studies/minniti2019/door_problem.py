@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
@@ -44,10 +45,10 @@ class DoorScheme(Settings):
     row: bool = True
     identify: bool = True
     cone: bool = True
-    friction: float = Field(0.35, gt=0)
-    least: float = Field(0.5, ge=0)
-    baumgarte: float = Field(10.0, gt=0)
-    door_rate: float = Field(0.8, gt=0)
+    friction: Annotated[float, OnlyWith(cone=True)] = Field(0.35, gt=0)
+    least: Annotated[float, OnlyWith(cone=True)] = Field(0.5, ge=0)
+    baumgarte: Annotated[float, OnlyWith(row=True)] = Field(10.0, gt=0)
+    door_rate: Annotated[float, OnlyWith(row=True)] = Field(0.8, gt=0)
 
 
 def suited(scheme: DoorScheme) -> PushCost:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, suited
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -48,19 +49,18 @@ class RezeroDoorSettings(RezeroSettings):
     door_position_error: float = Field(0.01, ge=0, le=0.05)
     lean_share: float = Field(0.6, gt=0, le=10.0)
 
-    unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "baseline", "tracking", "expected_push_time", "max_pushed_speed", "cost.end_effector.turn_limit",
-    )  # fmt: skip
-
-    def idle(self) -> dict[str, str]:
-        scheme, out = self.scheme, super().idle()
-        if not scheme.row:
-            out |= dict.fromkeys(("scheme.door_rate", "scheme.baumgarte"), "scheme.row=false")
-        if not scheme.cone:
-            out |= dict.fromkeys(("scheme.friction", "scheme.least"), "scheme.cone=false")
-        if self.cost.lean == 0.0:
-            out["lean_share"] = "cost.lean=0"
-        return out
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        **unused(
+            "controller",
+            "baseline",
+            "tracking",
+            "expected_push_time",
+            "max_pushed_speed",
+            "cost.end_effector.turn_limit",
+        ),
+        "lean_share": OnlyWith({"cost.lean": POSITIVE}),
+    }
 
     @field_validator("push", mode="before")
     @classmethod

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
+from wbmpc.configuration import OnlyWith, Rules, unused
 from wbmpc.settings import Settings, Weight
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -46,14 +47,13 @@ class RezeroFrequencySettings(RezeroSettings):
     preview: bool = True
     variants: tuple[str, ...] = VARIANTS
 
-    unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "baseline", "tracking", "estimate_payload",
-        "expected_push_time", "max_pushed_speed", "actuator_dead_time",
-    )  # fmt: skip
-
-    def idle(self) -> dict[str, str]:
-        filters = [f"filters.{name}" for name in FilterSettings.model_fields]
-        return super().idle() | ({} if "shaped" in self.variants else dict.fromkeys(filters, "variants=[plain]"))
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        **unused(
+            "controller", "baseline", "tracking", "estimate_payload", "expected_push_time", "max_pushed_speed", "actuator_dead_time",
+        ),
+        **{f"filters.{name}": OnlyWith(variants="shaped") for name in FilterSettings.model_fields},
+    }  # fmt: skip
 
     @field_validator("step")
     @classmethod

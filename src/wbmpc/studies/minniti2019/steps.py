@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.posture import resting
+from wbmpc.configuration import OnlyWith, Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -38,7 +39,10 @@ class RezeroStepsSettings(RezeroSettings):
     final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
 
-    own: ClassVar[tuple[str, ...]] = ("mpc.horizon",)
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        "mpc.horizon": RezeroSettings.only_with["mpc.horizon"] | OnlyWith(preview=True),
+    }
 
     @property
     def lead(self) -> float:

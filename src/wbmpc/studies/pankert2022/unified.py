@@ -67,26 +67,28 @@ def _start(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
     return at_home(robot, leg_angles(robot, settings.leg_start))
 
 
-def _goal(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
-    """Leg angles (n) [rad] of the goal."""
+def _reconfigurations(robot: RobotModel, settings: SwerveUnifiedSettings, opens: float) -> tuple[Reconfiguration, ...]:
+    """To the legs' goal, once the brakes are open; none without a goal."""
+    if settings.legs.kind == "support":
+        return ()
     try:
-        return leg_angles(robot, settings.leg_goal)
+        return (Reconfiguration(opens, leg_angles(robot, settings.legs.goal)),)
     except InputError as error:
         legs = robot.base.geometry.modules
         raise InputError(
-            f"{error}; valid for leg_goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
+            f"{error}; valid for legs.goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
         ) from None
 
 
 def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSettings) -> Any:
     cost = settings.cost
-    free = settings.legs == "support"
-    if free:
+    legs = settings.legs
+    if legs.kind == "support":
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
     ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_SOFTNESS, accelerations=True)
-    if free:
+    if legs.kind == "support":
         margin = residuals.SupportMargin(robot, rear_triangles(robot, home[robot.state["leg"]]))
-        barrier = RelaxedBarrier(settings.support, settings.reserve)
+        barrier = RelaxedBarrier(legs.weight, legs.reserve)
         ocp.add(Constraint("support", margin, sets.NonNegative(), at="path+terminal", penalty=barrier))
     return ocp
 
@@ -99,11 +101,11 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     reject_two_wheels(robot.description)  # before advice about their legs
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
     begin = approach.duration + 1.0
-    home, free = _start(robot, settings), settings.legs == "support"
+    home = _start(robot, settings)
     opens = begin + OPENS + settings.plant.brake_delay
     mission = Mission(
         (Leg(begin, DRIVE, GOAL),), home[robot.state["leg"]],
-        () if free else (Reconfiguration(opens, _goal(robot, settings)),),
+        _reconfigurations(robot, settings, opens),
         ((begin + OPENS, 1.0), (begin + CLOSES, 0.0)),
     )  # fmt: skip
     duration = float(np.ceil((begin + DRIVE + 3.0) * 10.0) / 10.0)
@@ -147,7 +149,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
 
     return Scenario.single(
         log, Loop(plant, controller, mpc, timing, duration, record).run,
-        lambda run: metrics(log, begin, free, len(controller.faults), controller.holds),
+        lambda run: metrics(log, begin, settings.legs.kind == "support", len(controller.faults), controller.holds),
         lambda run: plots(log, robot, begin), IDEALISATIONS,
     )  # fmt: skip
 
