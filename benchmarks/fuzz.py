@@ -21,6 +21,7 @@ import multiprocessing
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -190,18 +191,27 @@ def fuzz(given: argparse.Namespace) -> dict[str, Tally]:
     with tempfile.TemporaryDirectory() as folder:
         worker = Worker(given.seed, folder, list(parts))
         try:
-            for kind, share in parts.items():
-                count = max(1, round(given.cases * share / sum(parts.values())))
-                for number in range(given.first, given.first + count):
-                    good = tallies[kind].count(f"{kind} {number}", *worker.run(kind, number))
-                    if not good:
-                        tallies[kind].bad[-1] += f"\n    {command(kind, number, given.seed)}"
-                        print(tallies[kind].bad[-1], file=sys.stderr, flush=True)
-                if not given.quiet:
-                    print(f"{kind}: {count} cases, {len(tallies[kind].bad)} bad", file=sys.stderr, flush=True)
+            for done, (kind, number) in enumerate(order(parts, given.cases), 1):
+                number += given.first
+                good = tallies[kind].count(f"{kind} {number}", *worker.run(kind, number))
+                if not good:
+                    tallies[kind].bad[-1] += f"\n    {command(kind, number, given.seed)}"
+                    print(tallies[kind].bad[-1], file=sys.stderr, flush=True)
+                if done % 500 == 0 and not given.quiet:
+                    bad = sum(len(t.bad) for t in tallies.values())
+                    print(f"{done} of {given.cases} cases, {bad} bad", file=sys.stderr, flush=True)
+        except KeyboardInterrupt:
+            print("interrupted: figures of what was run", file=sys.stderr)
         finally:
             worker.end()
     return tallies
+
+
+def order(parts: dict[str, int], cases: int) -> list[tuple[str, int]]:
+    """Kind and number of each case: all kinds side by side, so that a part of the run says something about all of them."""
+    counts = {kind: max(1, round(cases * share / sum(parts.values()))) for kind, share in parts.items()}
+    found = [(number / count, kind, number) for kind, count in counts.items() for number in range(count)]
+    return [(kind, number) for _, kind, number in sorted(found)]
 
 
 def command(kind: str, number: int, seed: int) -> str:
@@ -240,6 +250,7 @@ def main() -> int:
     parser.add_argument("--quiet", action="store_true", help="no progress, bad cases alone")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     tallies = fuzz(given)
     about = {"commit": commit(), "seed": given.seed}
     if given.json:
