@@ -154,18 +154,26 @@ def _unknown(key: str, valid: list[str], where: str) -> InputError:
     return InputError(f"{where}: --set: unknown key '{key}'{hint}; {place}: {', '.join(choices)}")
 
 
-def _finite(value: Any) -> bool:
+#: No setting has a number beyond this: the largest are counts of encoders (2^40).
+LARGEST = 2.0**41
+
+
+def _largest(value: Any) -> float:
+    """The largest absolute number in a value; infinite if one is not finite."""
     if isinstance(value, Mapping):
-        return all(map(_finite, value.values()))
+        return max(map(_largest, value.values()), default=0.0)
     if isinstance(value, (list, tuple)):
-        return all(map(_finite, value))
+        return max(map(_largest, value), default=0.0)
     if isinstance(value, str):
         # YAML reads nan, inf and 1e3 as text; pydantic would make numbers of them
         try:
             value = float(value)
         except ValueError:
-            return True
-    return not isinstance(value, float) or math.isfinite(value)
+            return 0.0
+    if not isinstance(value, int | float):
+        return 0.0
+    # no comparison holds of NaN; a whole number may be beyond all floats
+    return float(abs(value)) if abs(value) <= LARGEST else math.inf
 
 
 def _parse(assignment: str, where: str) -> tuple[str, Any]:
@@ -173,8 +181,9 @@ def _parse(assignment: str, where: str) -> tuple[str, Any]:
     if not equals or not key.strip() or not text.strip():
         raise InputError(f"{where}: --set '{assignment}': the form is key=value, e.g. mpc.rate=100")
     value = parse_yaml(text, f"{where}: --set {key.strip()}={text.strip()[:80]}")
-    if not _finite(value):
-        raise InputError(f"{where}: --set {key.strip()}={text.strip()}: the value must be a finite number")
+    if math.isinf(_largest(value)):
+        shown = f"{key.strip()}={text.strip()[:80]}"
+        raise InputError(f"{where}: --set {shown}: the value must be a finite number, at most {LARGEST:.3g}")
     return key.strip(), _numbers(value)
 
 

@@ -11,7 +11,7 @@ from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
-Weight = Annotated[float, Field(ge=0)]
+Weight = Annotated[float, Field(ge=0, le=1e9)]
 
 
 class Settings(BaseModel):

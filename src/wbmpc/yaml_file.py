@@ -136,6 +136,8 @@ class _Reader:
         text = event.value
         if _UNPRINTABLE.search(text):
             self._fail(event, path, f"{text[:40]!r} has a character that cannot be printed")
+        if _foreign_number(text):
+            self._fail(event, path, f"'{text[:40]}' is a number in other digits than 0 to 9")
         if not event.implicit[0]:  # quoted
             return text
         kind = self._loader.resolve(yaml.ScalarNode, text, event.implicit).rpartition(":")[2]
@@ -159,6 +161,17 @@ class _Reader:
         place = [f"line {event.start_mark.line + 1}"] if self._lines and event.start_mark is not None else []
         place += [f"key '{key}'"] if key else []
         raise InputError(": ".join(part for part in (self._where, ", ".join(place), text) if part))
+
+
+def _foreign_number(text: str) -> bool:
+    """Whether Python takes a text for a number, and pydantic does then, that YAML takes for a text."""
+    if text.isascii():
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _plain(kind: str, text: str) -> Any:

@@ -169,9 +169,39 @@ def planes() -> OptimalControlProblem:
     )
 
 
+#: By name: rows of inputs, whether a policy can hold them, and where that is so the input at which the row ends as seen from 0.
+HELD = {
+    "square": (lambda s: 25.0 - s.u[0] ** 2, 0, False),
+    "two sides": (lambda s: 5.0 - ca.fabs(s.u[0]), 0, False),
+    "saturation": (lambda s: 0.9 - ca.tanh(s.u[0]), 0, False),
+    "disc": (lambda s: 9.0 - ca.sumsqr(s.u), 0, False),
+    "product": (lambda s: 1.0 - s.u[0] * s.u[1], 0, False),
+    "around a sine": (lambda s: 5.0 - s.u[0] + ca.sin(s.reference), 1, False),
+    "around a reference": (lambda s: 5.0 - s.u[0] + 2.0 * s.reference, 1, True),
+    "plane": (lambda s: 5.0 - s.u[0] - 2.0 * s.u[1], 0, True),
+    "square in disguise": (lambda s: 5.0 - s.u[0] * ((s.u[0] + 1.0) - s.u[0]), 0, True),
+    "with a state": (lambda s: 5.0 - s.u[0] * s.x[0], 0, True),
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+@pytest.mark.parametrize("modes", [None, ("narrow",)])
+def test_rows_that_no_policy_can_hold_are_an_error_that_names_them(name: str, modes: tuple[str, ...] | None) -> None:
+    """Truth: whether the row's slope by the inputs and references is a constant, by hand."""
+    row, width, held = HELD[name]
+    ocp = trolley(Constraint("row", Rows(1, row, width), NonNegative(), hard=True, modes=modes))
+    interpreted = SQP.real_time(backend="interpreted")
+    if held:
+        MPC(ocp, interpreted)
+        return
+    with pytest.raises(InputError, match=r"hard row 'row.all\[0\]' limits inputs .*plan_only_limits=True"):
+        MPC(ocp, interpreted)
+    MPC(ocp, interpreted, plan_only_limits=True)
+
+
 @pytest.fixture(scope="module")
 def several() -> MPC:
-    found = MPC(planes(), rate=50.0, first_iterations=10)
+    found = MPC(planes(), rate=50.0, first_iterations=10, plan_only_limits=True)
     found.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
     found.reset(START)
     return found

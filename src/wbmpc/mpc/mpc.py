@@ -26,7 +26,11 @@ STUCK = 4
 
 
 class References:
-    """``mpc.reference["hand"] = Reference...``: what the terms compare with."""
+    """``mpc.reference["hand"] = Reference...``: what the terms compare with.
+
+    Set it between two updates, from the thread that updates. Another thread gets :class:`SolverBusy` while an update is under way
+    (it does not wait, and the reference is not changed); what sets it in an MPC's own thread is a guess (:class:`Bound`).
+    """
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
@@ -98,7 +102,9 @@ class MPC:
 
     ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
-    ``guess``: see :data:`Guess`. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
+    ``guess``: see :data:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
+    nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
+    is to be cut by its user. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
     """
 
     def __init__(
@@ -109,6 +115,7 @@ class MPC:
         *,
         first_iterations: int = 30,
         guess: Guess | None = None,
+        plan_only_limits: bool = False,
     ) -> None:
         if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
@@ -125,6 +132,13 @@ class MPC:
         self.reference = References(self.solver)
         self.guess = guess
         self.statistics = Statistics()
+        unheld = [] if plan_only_limits else self.solver.problem.unclipped_input_rows()
+        if unheld:
+            raise InputError(
+                f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
+                "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where what "
+                "feedback adds is cut by your own code"
+            )
         self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)

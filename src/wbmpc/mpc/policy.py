@@ -104,7 +104,8 @@ class Policy:
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
     parameters move them (None: nowhere); in between they are linear, so that ``policy(t)`` follows them too. Other hard rows
-    (curved ones, with states) hold in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
+    (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to
+    those yourself, from :meth:`law`.
     """
 
     times: np.ndarray

@@ -104,7 +104,7 @@ class RobotDescription(Section):
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
     """
 
-    name: str
+    name: str = Field(min_length=1, max_length=100)
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription

@@ -12,9 +12,9 @@ from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.settings import ExperimentSettings
 from wbmpc.studies.minniti2019.baselines import (
     ACCURATE_BASELINES,
+    BaselineSettings,
     Controller,
     PolicyTracking,
-    BaselineSettings,
     Tracking,
     by_controller,
 )
