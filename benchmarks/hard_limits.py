@@ -42,7 +42,7 @@ FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "return_time": ("states back after", "s", 1.0, 0.5),
     "clamped": ("ticks clamped", "%", 100.0, 0.01),
     "failed": ("failed", "", 1.0, 0.0),
-    "hand_error": ("hand error", "mm", 1e3, None),
+    "hand_error": ("end effector error", "mm", 1e3, None),
     "stalled": ("solves stalled", "%", 100.0, None),
     "iterations": ("iterations", "", 1.0, None),
 }
@@ -109,7 +109,7 @@ class Recorder:
         self._accelerate(command)
         self.state.append(self.x.excess(self._measured()))
         if len(self.times) % 4 == 0:
-            self.error.append(float(np.linalg.norm(self._hand() - rig.goal(t))))
+            self.error.append(float(np.linalg.norm(self._end_effector() - rig.goal(t))))
 
     def _accelerate(self, command: Any) -> None:
         """Excess of what the drives' commands change by from tick to tick over what accelerations allow (swerve robot)."""
@@ -149,8 +149,8 @@ class Recorder:
             return self.rig.controller.state()
         return self.rig.plant.state() + self.rig.plant.offset
 
-    def _hand(self) -> np.ndarray:
-        """Hand position; of the swerve robot in its estimated frame."""
+    def _end_effector(self) -> np.ndarray:
+        """End effector position; of the swerve robot in its estimated frame."""
         truth = self.rig.plant.truth()
         if not self.swerve:
             return truth.tool

@@ -13,7 +13,7 @@ PANELS = (
     ("plan_state_excess", "planned states over [%]", 100.0, 0.1, True),
     ("return_time", "states back after [s]", 1.0, 0.5, False),
     ("clamped", "ticks clamped [%]", 100.0, 1.0, True),
-    ("hand_error", "mean hand error [mm]", 1e3, None, True),
+    ("hand_error", "mean end effector error [mm]", 1e3, None, True),
 )
 #: What is drawn for less than this on a logarithmic axis [unit of the axis].
 LEAST = 1e-3

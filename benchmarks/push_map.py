@@ -1,6 +1,6 @@
 """The push map of the ball robot: impulses from which it recovers, or after which it still stands, over directions and lengths.
 
-Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
+Usage: python benchmarks/push_map.py [--modes end effector ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
 [--controllers mpc lqr scheduled-lqr …] [--criteria recovers stands] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER];
 ``--draw`` only draws what FOLDER has. Every push is kept when it is done: Ctrl-C, and the same command goes on. Without
 ``--criteria`` only recovering is looked for. To recover, it has to be back and at rest 7 s after the push begins (``--set
@@ -49,7 +49,7 @@ GAINS = Path(__file__).with_name("push_map_gains.json")
 
 
 def gains(mode: str, controller: str, file: Path | None = None) -> dict[str, float]:
-    """Those found for a controller with hand or ball held; none where none were searched. Raises :class:`InputError` for a file of
+    """Those found for a controller with end effector or ball held; none where none were searched. Raises :class:`InputError` for a file of
     something else."""
     file = file or GAINS
     try:

@@ -1,9 +1,9 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
-Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--walks 3] [--sets 50] [--best 3]
+Usage: python benchmarks/regulator_search.py [--modes end effector ball] [--only lqr scheduled-lqr] [--walks 3] [--sets 50] [--best 3]
        [--first 0] [--seeds 0 3] [--write] [--file FILE]
 First random walks on the model alone (no noise, slip or perturbed masses; slower drives than believed): about the best set of
-gains so far, made small is how far hand or ball are from their place when the next push would come, or how early the robot falls,
+gains so far, made small is how far end effector or ball are from their place when the next push would come, or how early the robot falls,
 over five directions; the push (0.2 s) gets harder whenever all five are recovered from. Then a race of the walks' best sets, and
 of those that there are, as the push map measures them, in four other directions on tuning seeds. Simulated pushes are kept in
 FILE (JSON lines) and are not simulated again. With ``--write`` the winner goes to benchmarks/push_map_gains.json, where the push
@@ -43,7 +43,7 @@ MODELLED = tuple(np.deg2rad([90.0, 0.0, 180.0, 45.0, 135.0]).tolist())
 SIMULATED = tuple(np.deg2rad([22.5, 112.5, 202.5, 292.5]).tolist())
 #: The first impulse [N s] of a walk, and what it is raised by; what a race raises it by.
 GENTLE, RAISE, HARDER = 10.0, 4.0, 10.0
-#: How near [m] hand or ball have to be on the model, where nothing disturbs them: half of what is asked in simulation.
+#: How near [m] end effector or ball have to be on the model, where nothing disturbs them: half of what is asked in simulation.
 NEARER = 0.5 * NEAR
 
 
@@ -84,7 +84,7 @@ class ModelledRobot:
         return out
 
     def loss(self, controller: LqrController, direction: float, impulse: float) -> float:
-        """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of hand or
+        """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of end effector or
         ball, 1 to 2 for a fall, more the earlier."""
         states = self.pushed(controller, direction, impulse, self.settings.pause)
         steps = round(self.settings.pause / self.period)

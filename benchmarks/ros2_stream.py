@@ -123,7 +123,7 @@ def drive(bus: Bus, seconds_: float) -> Callable[[], None]:
 
 
 def balance(bus: Bus) -> Callable[[], None]:
-    """A goal for the ball robot's hand: 0.2 m ahead."""
+    """A goal for the ball robot's end effector: 0.2 m ahead."""
     robot = load_robot("rezero")
     position, turned = robot.pose(robot.home)
     goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")

@@ -61,7 +61,7 @@ def found_by_lean(monitor: Monitor) -> object:
 
 
 def found_by_motion(monitor: Monitor) -> object:
-    """A sensor of a hand that touches feels 8 N, the motion says 20 N, for half a second."""
+    """A sensor of an end effector that touches feels 8 N, the motion says 20 N, for half a second."""
     return [fault for k in range(200) for fault in monitor.update(0.0025 * k, 0.0025, True, 8.0, 20.0)]
 
 

@@ -196,7 +196,7 @@ def twisted(seed: int, reported: float) -> Balancing:
 
 
 def test_a_ball_that_creeps_under_a_lasting_twist_is_no_bias_of_the_gyro() -> None:
-    """As before a door: the hand's force twists the robot for seconds. Yaw and the gyro's bias about the vertical stay within their
+    """As before a door: the end effector's force twists the robot for seconds. Yaw and the gyro's bias about the vertical stay within their
     covariance (99 %); without the torque they do not."""
     part = np.array([8, 11])
     wrong = lambda run: normalised(run.error(), run.estimator.filter.covariance, part)

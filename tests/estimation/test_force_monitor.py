@@ -115,7 +115,7 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
 
 @pytest.mark.parametrize(("felt", "found", "reported"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
 def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, reported: bool) -> None:
-    """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the hand ran against the
+    """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the end effector ran against the
     panel with 45 N 0.3 s later. The motion's numbers swing by 1.5 N (as recorded), about their truth."""
     monitor, first = ForceMonitor(), np.inf
     for k in range(200):
@@ -127,7 +127,7 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
 
 
 def agent_that_stands(begin: float) -> DoorController:
-    """A hand at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
+    """An end effector at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
     controller = DoorController.__new__(DoorController)
     controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
     controller.force, controller.monitor, controller.lean_control, controller._found = np.zeros(3), None, None, []
@@ -154,7 +154,7 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
 def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
-    """A hand at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
+    """An end effector at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
     controller = agent_that_stands(0.0)
     controller.phase = phase
     touched = False

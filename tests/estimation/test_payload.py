@@ -1,4 +1,4 @@
-"""The mass in the hand. Truth: weights of known masses at the tool, and torques of a robot that has them in MuJoCo's place."""
+"""The mass in the end effector. Truth: weights of known masses at the tool, and torques of a robot that has them in MuJoCo's place."""
 
 from __future__ import annotations
 

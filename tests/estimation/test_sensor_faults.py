@@ -134,7 +134,7 @@ def test_an_inertial_unit_that_stays_off_is_reported_so(field: str, by: float) -
 
 @pytest.mark.parametrize(("rate", "reported"), [(0.0, True), (6.0, True), (30.0, False)])
 def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, reported: bool) -> None:
-    """A hand that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
+    """An end effector that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
     was blamed. Here the roll rate changes by 3 rad/s after 50 ms in which the first joint goes at ``rate``."""
 
     def flung(m: dict[str, np.ndarray], k: int) -> None:

@@ -28,7 +28,7 @@ def narrow(width: float) -> RobotModel:
 
 
 def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None:
-    """The hand's goal jumps by 0.6 m, out of the arm's range: speeds rise and fall as fast as they may, never faster."""
+    """The end effector's goal jumps by 0.6 m, out of the arm's range: speeds rise and fall as fast as they may, never faster."""
     model = narrow(0.25)
     mpc = swerve_mpc(model, SETTINGS, SwerveCost())
     position, quaternion = model.pose(model.home)

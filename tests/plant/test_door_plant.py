@@ -58,11 +58,11 @@ def test_sticking_door_gives_way_once_and_locked_one_never() -> None:
 
 
 def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
-    """At the model's equilibrium under 8 N on its hand the robot presses 8 N on a locked door; the sensor's reading is that
+    """At the model's equilibrium under 8 N on its end effector the robot presses 8 N on a locked door; the sensor's reading is that
     force and the tip's weight; the panel feels the opposite."""
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
-    hand = ROBOT.pose(state)[0]
-    door = Door((hand[0] + 0.0395, hand[1] + 0.7), locked=True)
+    end_effector = ROBOT.pose(state)[0]
+    door = Door((end_effector[0] + 0.0395, end_effector[1] + 0.7), locked=True)
     ideal = Perturbation.none(drive_lag=0.0)
     p = DoorPlant(ROBOT.description, door, state, torque, ideal, sensor=ForceSensor(0.0, 0.0))
     p.step(BallCommand(torque), 300)
@@ -87,9 +87,13 @@ def computed_anew(p: DoorPlant, before: mujoco.MjData) -> np.ndarray:
 def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -> None:
     """Whatever is asked of the plant in between: that looks for the contacts of the next step, which have no forces yet."""
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
-    hand = ROBOT.pose(state)[0]
+    end_effector = ROBOT.pose(state)[0]
     p = DoorPlant(
-        ROBOT.description, Door((hand[0] + 0.0405, hand[1] + 0.7)), state, torque, Perturbation.none(drive_lag=0.0)
+        ROBOT.description,
+        Door((end_effector[0] + 0.0405, end_effector[1] + 0.7)),
+        state,
+        torque,
+        Perturbation.none(drive_lag=0.0),
     )
     assert not p.contact_force().any()
     before, found = mujoco.MjData(p.model), []

@@ -1,4 +1,4 @@
-"""The push map. Truth: robots of known strength, by formula; hands and balls that rest, come back or roll away, by formula."""
+"""The push map. Truth: robots of known strength, by formula; end effectors and balls that rest, come back or roll away, by formula."""
 
 from __future__ import annotations
 
@@ -130,10 +130,10 @@ def test_as_many_pushes_at_once_as_there_are_processes(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- recovered or not
-def logged(hand: np.ndarray, believed: np.ndarray | None = None) -> Log:
+def logged(end_effector: np.ndarray, believed: np.ndarray | None = None) -> Log:
     """Hands (n, 3) [m], 100 a second, and where the robot believes them to be."""
     log = Log()
-    for k, (place, felt) in enumerate(zip(hand, hand if believed is None else believed, strict=True)):
+    for k, (place, felt) in enumerate(zip(end_effector, end_effector if believed is None else believed, strict=True)):
         log.add("state", 0.01 * k, np.zeros(16))
         log.add("hand", 0.01 * k, place)
         log.add("hand_estimated", 0.01 * k, felt)

@@ -24,7 +24,7 @@ HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def hand_acceleration(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Linear and angular (6), by differences of the hand's pose along the motion of the planner's dynamics."""
+    """Linear and angular (6), by differences of the end effector's pose along the motion of the planner's dynamics."""
     sx, su = ca.SX.sym("x", 16), ca.SX.sym("u", 6)
     f = ca.Function("f", [sx, su], [ROBOT.dynamics()(sx, su, ca.SX(11, 1), ca.SX(0, 1))])
     rate, h = np.array(f(x, u)).ravel(), 1e-3
@@ -95,8 +95,8 @@ def test_ctrl_c_in_the_second_part_is_reported() -> None:
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error
-    hand, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")
-    error = np.linalg.norm(hand - wanted[:, :3], axis=1)
+    end_effector, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")
+    error = np.linalg.norm(end_effector - wanted[:, :3], axis=1)
     assert (
         result.metrics["hand_error_integral_taskspace"].value
         <= error.max() * result.log.times("hand_taskspace")[-1] + 1e-9

@@ -58,7 +58,9 @@ def run_time(client: Client) -> float:
 
 def hand_error(client: Client) -> float:
     """As the page shows it last [mm]."""
-    found = [m for m in (re.search(r"hand error ([0-9.]+) mm", text) for text in client.history) if m is not None]
+    found = [
+        m for m in (re.search(r"end effector error ([0-9.]+) mm", text) for text in client.history) if m is not None
+    ]
     return float(found[-1][1])
 
 
@@ -92,7 +94,7 @@ def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
     assert run_time(client) > before + 1.0 and hand_error(client) < 20.0
     client.move("/goal", (1.0, 0.2, 1.0), (1.0, 0.0, 0.0, 0.0))
     client.history.clear()
-    assert client.hears("hand error")
+    assert client.hears("end effector error")
     client.listen(0.5)
     assert hand_error(client) > 50.0  # a proper goal is taken
     client.set("End the run", True)

@@ -1,4 +1,4 @@
-"""Requests of a user, applied to robots in physics. Truth: where MuJoCo says hand, legs and base are afterwards."""
+"""Requests of a user, applied to robots in physics. Truth: where MuJoCo says end effector, legs and base are afterwards."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_the_base_goes_to_its_goal() -> None:
     robot = load_robot("swerve-ur10")
     running = drive(made, "swerve-ur10", 6.0, [(0.2, {"base_goals": 1, "base_goal": [0.25, -0.1, 0.3]})])
     truth = running.plant.truth()
-    assert np.linalg.norm(truth.tool - robot.pose(robot.home)[0]) < 0.05  # the hand stays
+    assert np.linalg.norm(truth.tool - robot.pose(robot.home)[0]) < 0.05  # the end effector stays
     assert truth.pose[2] > 0.1 and truth.pose[0] > 0.05
 
 
@@ -111,7 +111,7 @@ SPEED, STARTS = 0.15, 0.5
 
 
 def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
-    """A run whose base goes ahead, while it turns a little, with its hand beside it: references that move."""
+    """A run whose base goes ahead, while it turns a little, with its end effector beside it: references that move."""
     plant, controller, mpc, timing = made(robot, seed)
     t = np.arange(0.0, 12.0, 0.02)
     gone, moving = SPEED * np.maximum(t - STARTS, 0.0), t >= STARTS
@@ -206,7 +206,7 @@ def test_the_ball_robot_follows_its_goal() -> None:
 
 
 def test_weights_act_without_compiling() -> None:
-    """A hand that costs a thousandth gives way to the base's goal; back at its weight it is held again."""
+    """An end effector that costs a thousandth gives way to the base's goal; back at its weight it is held again."""
     base = {"base_goals": 1, "base_goal": [2.5, 0.0, 0.0]}
     robot = load_robot("swerve-ur10")
     home = robot.pose(robot.home)[0]

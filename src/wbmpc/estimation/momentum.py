@@ -1,8 +1,8 @@
-"""The force at a hand without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
+"""The force at an end effector without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
 
 With p = M(q) v and ṗ = τ_known + τ_unknown + Ṁ v − h, where h = C v + g, the residual r' = K (ṗ − known part − r) follows the
 unknown generalised forces with bandwidth K. What it holds before the touch is the model's error; the change since then is
-explained as a force on the hand by least squares, weighted by how well each coordinate's force is known.
+explained as a force on the end effector by least squares, weighted by how well each coordinate's force is known.
 """
 
 from __future__ import annotations

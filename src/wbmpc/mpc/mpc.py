@@ -26,7 +26,7 @@ STUCK = 4
 
 
 class References:
-    """``mpc.reference["hand"] = Reference...``: what the terms compare with."""
+    """``mpc.reference["end_effector"] = Reference...``: what the terms compare with."""
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver

@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
-from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
+from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track, planar_path
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
@@ -34,7 +34,7 @@ _OFF_FLOOR = 0.5
 
 
 class RequestQueue:
-    """Listens to goals; the newest one counts, but paths of base and hand go together. ``rejected``: why the last bad one was
+    """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
@@ -57,8 +57,8 @@ class RequestQueue:
         )
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
-            "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
-            "hand_path": self._hand_path, "wrench": self._take_wrench,
+            "goal_pose": self._goal_pose, "hand_goal": self._end_effector_goal, "base_path": self._base_path,
+            "hand_path": self._end_effector_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True)
@@ -81,7 +81,7 @@ class RequestQueue:
             self.reject("a goal is rejected: the robot has stopped meanwhile")
 
     def wrench(self) -> Array:
-        """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
+        """What the end effector is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
         return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
 
     def _take_wrench(self, message: Any) -> None:
@@ -137,9 +137,9 @@ class RequestQueue:
         self._check_floor(frame, p[None])
         self._put(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
 
-    def _hand_goal(self, message: Any) -> None:
+    def _end_effector_goal(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
-        self._put(lambda x, t: self.planner.to_hand(x, t, *self._in_world(frame, x, p, q)))
+        self._put(lambda x, t: self.planner.to_end_effector(x, t, *self._in_world(frame, x, p, q)))
 
     def _base_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
@@ -149,22 +149,22 @@ class RequestQueue:
             poses = planar_path(*self._all_in_world(frame, x, positions, turned))
             track = base_track(poses, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
-            keep = going is not None and not going.carried and going.hand.times[-1] > t
-            return self.planner.along_base(x, t, track, going.hand if going is not None and keep else None)
+            keep = going is not None and not going.carried and going.end_effector.times[-1] > t
+            return self.planner.along_base_path(x, t, track, going.end_effector if going is not None and keep else None)
 
         self._put(request, "base path")
 
-    def _hand_path(self, message: Any) -> None:
+    def _end_effector_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
 
         def request(x: Array, t: float) -> Task:
             p, q = self._all_in_world(frame, x, positions, turned)
-            track = hand_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
+            track = end_effector_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
-            return self.planner.along_hand(x, t, track, going.base if going is not None and keep else None)
+            return self.planner.along_end_effector_path(x, t, track, going.base if going is not None and keep else None)
 
-        self._put(request, "hand path")
+        self._put(request, "end effector path")
 
     def _take_speed(self, message: Any) -> None:
         """A Twist or a TwistStamped, in the base's axes."""

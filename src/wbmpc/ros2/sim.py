@@ -37,7 +37,7 @@ BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
 LATE = 0.05
 IMU = "imu"
-TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
+TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
 
 
 class SimNode:
@@ -91,7 +91,7 @@ class SimNode:
         self._imu = self.node.publisher(topics.imu or "/imu", "sensor_msgs/msg/Imu", sensors)
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
-        self._hand = self.node.publisher(TRUTH_HAND, "geometry_msgs/msg/PoseStamped")
+        self._end_effector = self.node.publisher(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped")
         self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.name), {}  # type: ignore[var-annotated]
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
         fixed.publish({"transforms": [self._imu_frame()]})
@@ -265,9 +265,9 @@ class SimNode:
             "header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)},
             "twist": {"twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])}},
         })  # fmt: skip
-        hand = truth.tool + [0.0, 0.0, self.side.lift]
-        self._hand.publish(
-            {"header": header(at, world), "pose": pose(hand, lie.rotation_to_quaternion(truth.tool_rotation))}
+        end_effector = truth.tool + [0.0, 0.0, self.side.lift]
+        self._end_effector.publish(
+            {"header": header(at, world), "pose": pose(end_effector, lie.rotation_to_quaternion(truth.tool_rotation))}
         )
         for contact in self._reader.contacts(self.plant.data):
             if contact.body not in self._forces:

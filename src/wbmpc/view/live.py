@@ -182,14 +182,18 @@ class View(LiveView):
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
         }  # fmt: skip
         return {
-            "numbers": numbers(moment.hand, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
+            "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
             "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 
     def _paths(self, way: Array, plans: PolicyQueue) -> dict[str, Array]:
-        """The ``way`` (n, 3) of the hand's reference, and the predicted ones of hand and base."""
-        base, hand = self._observer.plan(plans)
-        paths = {"reference": (way, REFERENCE), "hand_plan": (hand[:, :3], PLAN), "base_plan": (base[:, :3], PLAN)}
+        """The ``way`` (n, 3) of the end effector's reference, and the predicted ones of end effector and base."""
+        base, end_effector = self._observer.plan(plans)
+        paths = {
+            "reference": (way, REFERENCE),
+            "hand_plan": (end_effector[:, :3], PLAN),
+            "base_plan": (base[:, :3], PLAN),
+        }
         return {name: self._in_map(filled(points, (count, 3))) for name, (points, count) in paths.items()}
 
     def _in_map(self, points: Array) -> Array:

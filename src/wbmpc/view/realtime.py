@@ -73,7 +73,7 @@ class RealtimeView(LiveView):
 
     # ------------------------------------------------------------------ the control thread
     def watch(self, t: float, late: float, plans: PolicyQueue) -> None:
-        """Hand out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
+        """End effector out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
             return
@@ -186,10 +186,10 @@ class Picture:
         self._puppet.arrange(self._moment["x"])
         poses = self._reader.poses(self._puppet.data)
         position, orientation = self.robot.pose(self._moment["x"])
-        hand = np.concatenate([position + self._lift, orientation])
+        end_effector = np.concatenate([position + self._lift, orientation])
         states, index = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)], self._reader.scene.index
-        base_plan, hand_plan = predicted(self.robot, self.robot.state, states, self._lift)
-        ways = {"hand_plan": hand_plan, "base_plan": base_plan}
+        base_plan, end_effector_plan = predicted(self.robot, self.robot.state, states, self._lift)
+        ways = {"hand_plan": end_effector_plan, "base_plan": base_plan}
         others: dict[str, Any] = {
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
@@ -197,7 +197,7 @@ class Picture:
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
-            "numbers": numbers(hand, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
+            "numbers": numbers(end_effector, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
             "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
             **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip

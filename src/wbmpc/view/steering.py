@@ -90,7 +90,7 @@ class Steering:
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
-        """Whether the base has a goal: that of a robot that balances has none, it goes where its hand needs it."""
+        """Whether the base has a goal: that of a robot that balances has none, it goes where its end effector needs it."""
         if mpc is None or "state" not in mpc.reference or "base" not in mpc.ocp.dynamics.state:
             return False
         part = mpc.ocp.dynamics.state["base"]
@@ -109,7 +109,7 @@ class Steering:
     def apply(self, t: float, requests: dict[str, Array], drift: Array) -> None:
         """Do what is new at time t [s]."""
         if self._asked(requests, "goals"):
-            self._try(lambda: self._hand_goal(t, self._near(requests["goal"], drift)))
+            self._try(lambda: self._end_effector_goal(t, self._near(requests["goal"], drift)))
         if self._asked(requests, "base_goals"):
             self._try(lambda: self._base_goal(t, self._near_planar(requests["base_goal"], drift)))
         if self._asked(requests, "pushes"):
@@ -144,7 +144,7 @@ class Steering:
             self._reject(str(error))
 
     def _near(self, goal: Array, drift: Array) -> Array:
-        """A goal of the hand in the estimate's frame, checked before and after."""
+        """A goal of the end effector in the estimate's frame, checked before and after."""
         checked = bounds.pose(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
         return lie.pose_between(drift, checked)
 
@@ -165,8 +165,8 @@ class Steering:
         self.running.plant.push(force)
 
     # ------------------------------------------------------------------ goals
-    def _hand_goal(self, t: float, goal: Array) -> None:
-        """The hand's goal from now on; the base goes to where the hand is beside it as at home."""
+    def _end_effector_goal(self, t: float, goal: Array) -> None:
+        """The end effector's goal from now on; the base goes to where the end effector is beside it as at home."""
         if self.mpc is None or "hand" not in self.mpc.reference:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])

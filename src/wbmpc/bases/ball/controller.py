@@ -125,11 +125,11 @@ class BallController:
         )
 
     def _carried(self) -> float:
-        """The mass [kg] that the hand is believed to hold."""
+        """The mass [kg] that the end effector is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
 
     def _pushed(self) -> np.ndarray:
-        """The horizontal force (2) [N] that is felt at the hand."""
+        """The horizontal force (2) [N] that is felt at the end effector."""
         return np.zeros(2)
 
     def _answered(self) -> np.ndarray:

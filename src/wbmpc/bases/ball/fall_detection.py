@@ -41,7 +41,7 @@ class FallPredictor:
     are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
-    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
+    floor does not do what plans say. A force on the end effector moves the lean from which the component counts; plans of a robot whose
     input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
     :class:`wbmpc.bases.ball.lean_control.LeanControl`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
@@ -61,12 +61,12 @@ class FallPredictor:
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
-        mass, hand = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
+        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)
-        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * hand
-        self._component = ca.Function("component", [x, mass, hand], [component])
+        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
+        self._component = ca.Function("component", [x, mass, end_effector], [component])
         self._seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
@@ -91,7 +91,7 @@ class FallPredictor:
         force: ArrayLike = (0.0, 0.0),
         shift: ArrayLike = (0.0, 0.0),
     ) -> list[Fall]:
-        """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
+        """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
         most = self._most(x[None], payload, np.asarray(force, float), shift)
         if most <= self.reach or not np.isfinite(self._within):
@@ -101,7 +101,7 @@ class FallPredictor:
         return []
 
     def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
-        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
+        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the end effector, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
         return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 

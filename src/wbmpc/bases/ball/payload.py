@@ -1,4 +1,4 @@
-"""A mass in the hand of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
+"""A mass in the end effector of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
 
 A disturbance observer finds the generalised forces d that hold the robot where the model says it should move. A constant d is
 right only where it was found: the weight of a mass at the tool turns with the robot and changes with the arm, and the mass has
@@ -9,7 +9,7 @@ the base's lean, small in the arm's joints.
 
 The errors d has without a mass last, so that no time averages them away: they are a mass of standard deviation 1 / √(wᵀ W w).
 The arm has to observe it: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
-``sure`` by itself. Where it is not (a hand above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
+``sure`` by itself. Where it is not (an end effector above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
 a lean that a displaced centre of mass causes would be taken for a mass, which then turns with the arm.
 """
 

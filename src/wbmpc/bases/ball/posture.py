@@ -1,4 +1,4 @@
-"""Where a ball robot rests when its hand has to be somewhere."""
+"""Where a ball robot rests when its end effector has to be somewhere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wbmpc.model.robot import RobotModel
 
 
 def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """State (nx) in which the robot rests with its hand as near as it can be to a pose, and its arm near that of home.
+    """State (nx) in which the robot rests with its end effector as near as it can be to a pose, and its arm near that of home.
 
     Where the arm does not decide (place and heading of the base), a weak pull towards home does.
     """

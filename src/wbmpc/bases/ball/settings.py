@@ -12,7 +12,7 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import MpcSettings, Settings
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
 #: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit for ever.
@@ -39,7 +39,7 @@ def reject_unlearnt(observer: bool, changed: bool) -> None:
 
 
 class BallControllerSettings(Settings):
-    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
+    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the end effector;
     ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
     ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's policy and the regulators do, in the

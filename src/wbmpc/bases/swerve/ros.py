@@ -318,9 +318,9 @@ class SwerveRosAdapter:
 
 
 def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:
-    """For the terms ``hand``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
+    """For the terms ``end_effector``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
     likes its home."""
-    base, hand = task.base, task.hand
+    base, end_effector = task.base, task.end_effector
     states = np.tile(robot.home, (base.times.size, 1))
     states[:, robot.state["base"]] = base.poses
     if "leg" in robot.state:
@@ -328,7 +328,7 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
     inputs = np.zeros((base.times.size, robot.input.size))
     inputs[:, robot.input["base"]] = base.twists
     return {
-        "hand": Reference.poses(hand.times, hand.positions, hand.orientations),
+        "hand": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
         "state": Reference(base.times, states),
         "input": Reference(base.times, inputs),
     }

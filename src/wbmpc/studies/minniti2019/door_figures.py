@@ -13,9 +13,9 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
-from wbmpc.studies.minniti2019.metrics import estimator_metrics, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import estimated_end_effector, estimator_metrics, rms
 
-#: The peak of the touch is looked for in this time after it [s]; how the hand rests, in this time before the end.
+#: The peak of the touch is looked for in this time after it [s]; how the end effector rests, in this time before the end.
 TOUCH, REST = 0.1, 1.0
 
 
@@ -31,7 +31,7 @@ class Trial:
 
 
 def normal_force(log: Log) -> np.ndarray:
-    """The true force (n,) [N] of the hand on the panel along its normal."""
+    """The true force (n,) [N] of the end effector on the panel along its normal."""
     force: np.ndarray = np.sum(log.array("force") * log.array("normal"), axis=1)
     return force
 
@@ -55,7 +55,7 @@ def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
 def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
-    sensor [N], how far the hand swings at rest and is from where it is wanted [m], whether it fell."""
+    sensor [N], how far the end effector swings at rest and is from where it is wanted [m], whether it fell."""
     log, wanted = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
@@ -74,7 +74,7 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
 
 
 def rest(trial: Trial) -> dict[str, float]:
-    """The hand in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
+    """The end effector in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
     distance from where it is wanted, as the controller sees it [m]; infinite for a run that did not get there."""
     log = trial.log
     t, pushing = log.times("hand"), np.flatnonzero(log.array("pushing") > 0.0)
@@ -83,7 +83,7 @@ def rest(trial: Trial) -> dict[str, float]:
         return {"rest_hand_swing": np.inf, "rest_hand_error": np.inf}
     return {
         "rest_hand_swing": float(np.ptp(log.array("hand")[use], axis=0).max()),
-        "rest_hand_error": rms((hand_felt(log) - log.array("hand_wanted"))[use]),
+        "rest_hand_error": rms((estimated_end_effector(log) - log.array("hand_wanted"))[use]),
     }
 
 
@@ -125,7 +125,7 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
     impedance, first = log.array("impedance"), np.maximum(np.abs(log.array("impedance")[0]), 1e-9)
     parts = zip(("inertia", "damping", "resistance"), (impedance / first).T, strict=True)
     return [
-        Plot(f"Force at the hand, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
+        Plot(f"Force at the end effector, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
             Series("along the normal, true", t, normal_force(log)), Series("measured, in contact", t, along("force_measured")),
             Series("estimated without the sensor", t, along("force_sensorless")),
             Series("planned", t, along("force_planned")), Series("reference", t, reference, dashed=True),

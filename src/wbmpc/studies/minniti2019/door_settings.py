@@ -23,7 +23,7 @@ DOORS: dict[str, dict[str, Any]] = {
 
 class RezeroDoorSettings(RezeroSettings):
     """``forces`` [N] along the normal, a run each, reached ``rise`` [s] after the touch; ``door``: its kind; ``settle`` [s] before
-    the hand starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
+    the end effector starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
     ``rest`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
     (what is left out: as suits the scheme); ``misplaced`` [m]: the door's place is not known better; ``hold``: a force beyond this
     share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""

@@ -22,7 +22,7 @@ ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, drive_lag=0.0)
 
 class FilterSettings(Settings):
     """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
-    torques' weights with the filter, so that the hand rises as fast as without."""
+    torques' weights with the filter, so that the end effector rises as fast as without."""
 
     wheel_zero: float = Field(20.0, gt=0)
     wheel_pole: float = Field(160.0, gt=0)
@@ -33,7 +33,7 @@ class FilterSettings(Settings):
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` (3) [m] of the hand and back, ``settle`` [s] before it, ``hold`` [s] of each; ``filters`` of the shaped variant;
+    """``step`` (3) [m] of the end effector and back, ``settle`` [s] before it, ``hold`` [s] of each; ``filters`` of the shaped variant;
     ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC

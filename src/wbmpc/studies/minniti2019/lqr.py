@@ -1,6 +1,6 @@
 """Baselines of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
 
-They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
+They have the MPC's weights (end effector pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
 limits, but no horizon with limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains
 from a grid of arm angles and turns with the base's heading; the plain one has the gain of home.
 """
@@ -28,17 +28,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LqrWeights:
-    """Per second, as the MPC's: ``hand`` (6): position [1/m²] and orientation [1/rad²]; ``twist`` (6) of the hand; ``state`` (nx)
+    """Per second, as the MPC's: ``end_effector`` (6): position [1/m²] and orientation [1/rad²]; ``twist`` (6) of the end effector; ``state`` (nx)
     deviations of the state; ``torque`` (nu)."""
 
-    hand: Array
+    end_effector: Array
     twist: Array
     state: Array
     torque: Array
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        for name, size in (("hand", 6), ("twist", 6), ("state", np.size(self.state)), ("torque", np.size(self.torque))):
+        for name, size in (
+            ("end_effector", 6),
+            ("twist", 6),
+            ("state", np.size(self.state)),
+            ("torque", np.size(self.torque)),
+        ):
             least = float(numbers("regulator's weights", name, getattr(self, name), size).min())
             (positive if name == "torque" else not_negative)("regulator's weights", **{name: least})
 
@@ -54,19 +59,22 @@ class RegulatorGains:
         w = ca.SX.zeros(robot.parameters.size)
         _, jacobian = dynamics.jacobian(x, u, w, ca.SX(0, 1))
         linear, angular = robot.frame_velocity(x, u, robot.tool)
-        hand = ca.jacobian(ca.vertcat(linear, angular), x[n:])
-        self._linear = ca.Function("linear", [x, u], [ca.densify(jacobian), ca.densify(hand)])
+        end_effector = ca.jacobian(ca.vertcat(linear, angular), x[n:])
+        self._linear = ca.Function("linear", [x, u], [ca.densify(jacobian), ca.densify(end_effector)])
 
     def at(self, arm: Array) -> Array:
         """The gain for arm angles [rad]."""
         x, u = self.robot.base.numeric.equilibrium(arm)
-        jacobian, hand = (np.array(v) for v in self._linear(x, u))
+        jacobian, end_effector = (np.array(v) for v in self._linear(x, u))
         size, s = x.size, self.weights
         a, b = jacobian[:, :size], jacobian[:, size:]
         both = expm(self.period * np.block([[a, b], [np.zeros((u.size, size + u.size))]]))
-        still = np.zeros_like(hand)
-        place, moves = np.hstack([hand, still]), np.hstack([still, hand])  # at rest: the hand's displacement is J δq
-        q = place.T @ np.diag(s.hand) @ place + moves.T @ np.diag(s.twist) @ moves + np.diag(s.state)
+        still = np.zeros_like(end_effector)
+        place, moves = (
+            np.hstack([end_effector, still]),
+            np.hstack([still, end_effector]),
+        )  # at rest: the end effector's displacement is J δq
+        q = place.T @ np.diag(s.end_effector) @ place + moves.T @ np.diag(s.twist) @ moves + np.diag(s.state)
         q, r = self.period * (q + 1e-6 * np.eye(size)), self.period * np.diag(s.torque)
         ad, bd = both[:size, :size], both[:size, size:]
         p = solve_discrete_are(ad, bd, q, r)
