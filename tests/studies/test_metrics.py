@@ -137,7 +137,7 @@ def values(metrics: dict[str, Metric]) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    ("changes", "hand", "base"),
+    ("changes", "end_effector", "base"),
     [
         ({}, 20.53, 15.96),
         ({"variant": "vertical"}, 20.53, 15.96),

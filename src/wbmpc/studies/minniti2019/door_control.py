@@ -3,7 +3,7 @@
 Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
 so; plans made without it have no wrench (one made before, which goes on while newer ones are rejected, still has). A sensor that
-says nothing cannot be reported from an end effector that is free, nor a frozen one from an end effector that pushes; so its numbers
+says nothing cannot be distinguished from an end effector that is free, nor a frozen one from an end effector that pushes; so its numbers
 must change, and they are compared with the force that the momentum observer finds without it. Before the end effector starts it touches
 nothing, whatever the sensor says: that is its zero. An end effector whose sensor is not believed lets go, as one does that has found no
 door in time; the force is zero from then on.
